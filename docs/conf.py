@@ -1,10 +1,15 @@
-"""The site: `sphinx-build -W -n --keep-going docs site`. Pages in Markdown, the reference from docstrings and records."""
+"""The site: `sphinx-build -W -n --keep-going docs site`. Pages in Markdown, the reference from
+docstrings and records.
+"""
 
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]  # the two modules beside this file, and the package of this checkout
+sys.path[:0] = [
+    str(HERE),
+    str(HERE.parent),
+]  # the two modules beside this file, and the package of this checkout
 
 import pixsim  # noqa: E402
 
@@ -13,7 +18,13 @@ author = "the pixsim developers"
 release = version = pixsim.__version__
 html_title = f"pixsim {release}"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "from_docstrings", "from_markdown"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+    "from_docstrings",
+    "from_markdown",
+]
 exclude_patterns = ["pictures", "**/.*"]
 default_role = "name_or_code"  # of from_docstrings
 myst_heading_anchors = 4  # as GitHub names them

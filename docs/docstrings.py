@@ -1,7 +1,9 @@
-"""What pixsim's docstrings say, part by part: plain text with `code`, and the fields of records from the records themselves.
+"""What pixsim's docstrings say, part by part: plain text with `code`, and the fields of records
+from the records themselves.
 
-A paragraph of lines `name : description` describes parameters, or the fields of a class. One that begins with "Raises PixsimError"
-describes errors, one with "Returns" the result; an indented one is a formula, `>>>` an example, `[` a source. All else is prose.
+A paragraph of lines `name : description` describes parameters, or the fields of a class. One that
+begins with "Raises PixsimError" describes errors, one with "Returns" the result; an indented one is
+a formula, `>>>` an example, `[` a source. All else is prose.
 """
 
 from __future__ import annotations
@@ -21,7 +23,12 @@ from pixsim.base.units import unit_of
 from pixsim.report.templates import allowed, toml_value
 
 ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
-SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "os.PathLike[str]": "PathLike", "np.random.Generator": "Generator"}
+SHORT = {
+    "npt.ArrayLike": "ArrayLike",
+    "Floats": "Array",
+    "os.PathLike[str]": "PathLike",
+    "np.random.Generator": "Generator",
+}
 SHORT |= {"NDArray[np.float32]": "Array", "NDArray[np.int32]": "Array", "NDArray[Any]": "Array"}
 PAGE_COLUMNS = 78  # of code, at a desk
 RAISES = "Raises PixsimError "
@@ -45,7 +52,9 @@ class Docstring:
     heir : name of the public record that has all fields of this one, and describes them
     """
 
-    prose: list[tuple[Literal["text", "formula", "sources"], list[str]]] = field(default_factory=list)
+    prose: list[tuple[Literal["text", "formula", "sources"], list[str]]] = field(
+        default_factory=list
+    )
     parameters: list[tuple[str, str]] = field(default_factory=list)
     returns: list[str] = field(default_factory=list)
     raises: list[str] = field(default_factory=list)
@@ -69,7 +78,9 @@ def read(lines: list[str], thing: Any) -> Docstring:
             parts.prose.append(("sources", part))
         elif pairs := entries(part):
             for names, text in pairs:
-                described |= dict.fromkeys(names.split(", "), text) if fields_of(thing) else {names: text}
+                described |= (
+                    dict.fromkeys(names.split(", "), text) if fields_of(thing) else {names: text}
+                )
         elif words.startswith(RAISES):
             parts.raises.append(words.removeprefix(RAISES))
         elif words.startswith("Returns "):
@@ -116,7 +127,11 @@ def entries(part: list[str]) -> list[tuple[str, str]]:
 def narrowed(line: str) -> list[str]:
     """An example's line; one too long for a page has its remark before it."""
     code, remark, words = line.rpartition("  # ")
-    return [f">>> # {words}", code] if remark and len(line) > PAGE_COLUMNS and code.startswith(">>>") else [line]
+    return (
+        [f">>> # {words}", code]
+        if remark and len(line) > PAGE_COLUMNS and code.startswith(">>>")
+        else [line]
+    )
 
 
 def fields_of(thing: Any) -> list[str]:
@@ -131,7 +146,9 @@ def fields_of(thing: Any) -> list[str]:
 def heir_of(thing: Any) -> str | None:
     """The public record that has all fields of another one, and describes them."""
     public = {name: getattr(pixsim, name) for name in pixsim.__all__}
-    others = (name for name, each in public.items() if inspect.isclass(each) and thing in each.__mro__[1:])
+    others = (
+        name for name, each in public.items() if inspect.isclass(each) and thing in each.__mro__[1:]
+    )
     return next(others, None) if fields_of(thing) else None
 
 
@@ -141,13 +158,25 @@ def schema_of(record: type[Record]) -> dict[str, Any]:
 
 
 def field_of(name: str, owner: type, described: str) -> Field:
-    """A field of a record or a dataclass; what the docstring says of it counts for a dataclass only."""
+    """A field of a record or a dataclass; what the docstring says of it counts for a dataclass
+    only.
+    """
     if issubclass(owner, Record):
         schema = schema_of(owner)["properties"][name]
         kind = owner.model_fields[name].annotation
         inner = kind.__name__ if inspect.isclass(kind) and issubclass(kind, Record) else ""
-        default = "" if inner or "default" not in schema else "None" if schema["default"] is None else toml_value(schema["default"])
-        parts = owner.model_fields[name].description, unit_of(name) and f"in {unit_of(name)}", allowed(schema)
+        default = (
+            ""
+            if inner or "default" not in schema
+            else "None"
+            if schema["default"] is None
+            else toml_value(schema["default"])
+        )
+        parts = (
+            owner.model_fields[name].description,
+            unit_of(name) and f"in {unit_of(name)}",
+            allowed(schema),
+        )
         return Field(name, inner, default, "; ".join(part for part in parts if part))
     own = next(each for each in dataclasses.fields(owner) if each.name == name)
     default = "" if own.default is dataclasses.MISSING else repr(own.default)
@@ -171,12 +200,21 @@ class Source:
 
 
 def signature_of(thing: Any) -> tuple[inspect.Signature, str] | None:
-    """The parameters, with annotations as the source spells them, and the result's type; None where fields tell more."""
+    """The parameters, with annotations as the source spells them, and the result's type; None where
+    fields tell more.
+    """
     if inspect.isclass(thing) and (fields_of(thing) or issubclass(thing, Exception)):
         return None
     signature = inspect.signature(thing)
     own = [each for each in signature.parameters.values() if each.name not in ("self", "cls")]
-    words = {each.name: short(without_bounds(str(each.annotation), thing)) for each in own if each.annotation is not each.empty}
-    own = [each.replace(annotation=Source(words[each.name])) if each.name in words else each for each in own]
+    words = {
+        each.name: short(without_bounds(str(each.annotation), thing))
+        for each in own
+        if each.annotation is not each.empty
+    }
+    own = [
+        each.replace(annotation=Source(words[each.name])) if each.name in words else each
+        for each in own
+    ]
     result = "" if inspect.isclass(thing) else short(str(signature.return_annotation))
     return inspect.Signature(own), result

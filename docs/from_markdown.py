@@ -1,7 +1,8 @@
-"""Markdown that reads well on GitHub and in the site: links between files, pages from elsewhere, the reference.
+"""Markdown that reads well on GitHub and in the site: links between files, pages from elsewhere,
+the reference.
 
-A link to a page of the site stays one. A link to another file of the repository becomes its path, as code; one to nothing fails
-the build.
+A link to a page of the site stays one. A link to another file of the repository becomes its path,
+as code; one to nothing fails the build.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from sphinx.util import logging
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-# Pages that stand elsewhere in the repository: what docs/ has under these names is a line for readers on GitHub.
+# Pages that stand elsewhere in the repository: what docs/ has under these names is a line for
+# readers on GitHub.
 ELSEWHERE = {
     "repository/readme": ROOT / "README.md",
     "repository/scenes": ROOT / "scenes/README.md",
@@ -38,11 +40,17 @@ def page_of(path: Path) -> str | None:
     for name, other in ELSEWHERE.items():
         if path == other:
             return name
-    return path.relative_to(DOCS).with_suffix("").as_posix() if path.is_relative_to(DOCS) and path.suffix == ".md" else None
+    return (
+        path.relative_to(DOCS).with_suffix("").as_posix()
+        if path.is_relative_to(DOCS) and path.suffix == ".md"
+        else None
+    )
 
 
 def rewritten(text: str, source: Path, docname: str) -> str:
-    """The text of a file with links as the page `docname` needs them; nothing in code is touched."""
+    """The text of a file with links as the page `docname` needs them; nothing in code is
+    touched.
+    """
     here = (DOCS / docname).parent
 
     def link(match: re.Match[str]) -> str:
@@ -70,7 +78,9 @@ def rewritten(text: str, source: Path, docname: str) -> str:
 
 
 def parts(text: str) -> Iterator[tuple[str, bool]]:
-    """Paragraphs, within which a link may go over to the next line, and (…, True) the lines of fenced blocks."""
+    """Paragraphs, within which a link may go over to the next line, and (…, True) the lines of
+    fenced blocks.
+    """
     paragraph, fence = "", ""
     for line in text.splitlines():
         mark = FENCE.match(line)

@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from pixsim.sensor.pixel_options import Pixel as Pixel
     from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
-    from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
+    from pixsim.sensor.technology import (
+        Technology as Technology,
+        load_technology as load_technology,
+    )
     from pixsim.studies.compare import compare as compare, compare_results as compare_results
     from pixsim.studies.run import run as run
     from pixsim.studies.settings import Study as Study

@@ -10,16 +10,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-# Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
+# Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a
+# run share the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Else each worker of each run would compile pixsim and rewrite the assertions of all tests, which takes most of their collection.
+# Else each worker of each run would compile pixsim and rewrite the assertions of all tests, which
+# takes most of their collection.
 if sys.dont_write_bytecode:
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Workers have 80 columns from no terminal; a test that needs a width sets its own.
 os.environ.pop("COLUMNS", None)
-# A shell starts what runs in the background with Ctrl-C ignored, which commands under test would inherit.
+# A shell starts what runs in the background with Ctrl-C ignored, which commands under test would
+# inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -52,7 +55,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Tests that are collected stay until the end: the garbage collector need not look at a million objects again and again.
+    """Tests that are collected stay until the end: the garbage collector need not look at a million
+    objects again and again.
 
     Nor at each 700 new ones: figures are made of a hundred thousand.
     """
@@ -79,12 +83,16 @@ def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def own_places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path]]:
-    """A home folder and a folder of temporary files of the run's own, with a file in each that is another's."""
+    """A home folder and a folder of temporary files of the run's own, with a file in each that is
+    another's.
+    """
     places = tmp_path_factory.mktemp("home"), tmp_path_factory.mktemp("T")
     for place in places:
         (place / "theirs.txt").write_text("theirs", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONUSERBASE", site.getuserbase())  # which Python looks for in the home folder
+        patch.setenv(
+            "PYTHONUSERBASE", site.getuserbase()
+        )  # which Python looks for in the home folder
         for variable, place in zip(("HOME", "TMPDIR"), places, strict=True):
             patch.setenv(variable, str(place))
         patch.setattr(tempfile, "tempdir", None)
@@ -93,28 +101,37 @@ def own_places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path,
 
 @pytest.fixture(scope="module", autouse=True)
 def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
-    """The tests of a module leave devices, the home folder and temporary files as they were, also if root runs them.
+    """The tests of a module leave devices, the home folder and temporary files as they were, also
+    if root runs them.
 
-    The temporary folder of a process that has no cache goes when the process ends, as tests of whole processes see.
+    The temporary folder of a process that has no cache goes when the process ends, as tests of
+    whole processes see.
     """
     before = devices(), *map(files_below, own_places)
     yield
     after = devices(before[0]), *map(files_below, own_places)
-    found = {name: changes(*each) for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)}
+    found = {
+        name: changes(*each)
+        for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)
+    }
     found["TMPDIR"] = [words for words in found["TMPDIR"] if not words.startswith(UNFINISHED)]
     assert not any(found.values()), found
 
 
 @pytest.fixture(scope="session")
 def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
+    """A study of one technology with the comparison to the paper, on a display slightly larger than
+    a detail.
+    """
     own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True})
     return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Frames scored in this process so far, without those of the small light; none of them measures a film that is coarse."""
+    """Frames scored in this process so far, without those of the small light; none of them measures
+    a film that is coarse.
+    """
     frames: list[Frame] = []
     of_small_light: list[Frame] = []
     capture, view = ImagingChain.capture, Development.score

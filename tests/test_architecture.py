@@ -11,7 +11,15 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from helpers.measure import PACKAGE, arrows_of, files_of, floors, imports as imports_of, is_type_checking, tree as tree_of
+from helpers.measure import (
+    PACKAGE,
+    arrows_of,
+    files_of,
+    floors,
+    imports as imports_of,
+    is_type_checking,
+    tree as tree_of,
+)
 
 import pixsim
 from pixsim.base.result import Result
@@ -37,7 +45,8 @@ ALLOWED = {
     "explorer": (*RESULTS, "show", "report"),
     "cli": (*RESULTS, "show", "report", "explorer"),
 }
-# What users state, in the room of its physics, and the readers of it: records without NumPy, which `pixsim --help` imports.
+# What users state, in the room of its physics, and the readers of it: records without NumPy, which
+# `pixsim --help` imports.
 SETTINGS = {
     "light.curves", "light.quantities", "light.tables", "optics.camera", "optics.chief_rays", "optics.lens_options",
     "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options",
@@ -50,7 +59,19 @@ SETTINGS = {
 # Package -> packages of which it knows the settings, and nothing that computes.
 KNOWS_SETTINGS_OF = {"scene": ("viewer",), "report": ("light", "optics", "sensor", "viewer")}
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
-HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
+HEAVY = {
+    "mitsuba",
+    "drjit",
+    "colour",
+    "matplotlib",
+    "OpenEXR",
+    "jinja2",
+    "rich",
+    "joblib",
+    "spectral",
+    "distributed",
+    "dask",
+}
 
 
 def tree(module: str) -> ast.Module:
@@ -81,7 +102,9 @@ def test_module_imports_nothing_heavy_at_top(module: str) -> None:
 @cache
 def arrows() -> dict[str, set[str]]:
     """Module -> modules of pixsim that it imports at run time, also inside functions."""
-    return {module: others & {*MODULES} for module, others in arrows_of().items() if module in MODULES}
+    return {
+        module: others & {*MODULES} for module, others in arrows_of().items() if module in MODULES
+    }
 
 
 def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
@@ -89,7 +112,12 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
 
     settings : whether imports of what users state count, too
     """
-    found = ((module, other) for module, others in arrows().items() for other in others if settings or other not in SETTINGS)
+    found = (
+        (module, other)
+        for module, others in arrows().items()
+        for other in others
+        if settings or other not in SETTINGS
+    )
     pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, other in found}
     return {(one, other) for one, other in pairs if one != other}
 
@@ -100,7 +128,12 @@ def result_types() -> list[type[Result]]:
         import_module(f"pixsim.{module}")
     kinds, left = [], [Result]
     while left:
-        left = [kind for parent in left for kind in parent.__subclasses__() if kind.__module__.startswith("pixsim.")]
+        left = [
+            kind
+            for parent in left
+            for kind in parent.__subclasses__()
+            if kind.__module__.startswith("pixsim.")
+        ]
         kinds += left
     return kinds
 
@@ -116,13 +149,17 @@ def test_results_are_frozen_records_that_are_presented() -> None:
 
 
 def test_technologies_are_loaded_before_pixels_are_derived() -> None:
-    """`derive(pixel)` reads the technology's file, for calls from outside; extreme cases are such calls."""
+    """`derive(pixel)` reads the technology's file, for calls from outside; extreme cases are such
+    calls.
+    """
     outside = {"verification.extreme_cases"}
     calls = (
         (module, node)
         for module in sorted(set(MODULES) - outside)
         for node in ast.walk(tree(module))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "derive"
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "derive"
     )
     assert [f"{module}:{node.lineno}" for module, node in calls if len(node.args) < 2] == []
 
@@ -132,7 +169,11 @@ PARTS_OF_IMAGING = {
     "Technology": "pixel", "Readout": "readout", "Exposure": "exposure", "Motion": "motion", "Correction": "correction",
     "Develop": "develop", "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
 }  # fmt: skip
-BUILD_IMAGING = {"viewer.evaluate.evaluate", "viewer.imaging.of_records", "studies.sweep.sweep"}  # with the records as arguments
+BUILD_IMAGING = {
+    "viewer.evaluate.evaluate",
+    "viewer.imaging.of_records",
+    "studies.sweep.sweep",
+}  # with the records as arguments
 
 
 def test_functions_between_light_and_score_take_imaging() -> None:
@@ -142,8 +183,15 @@ def test_functions_between_light_and_score_take_imaging() -> None:
         for node in ast.walk(tree(module)):
             if isinstance(node, ast.FunctionDef):
                 arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
-                words = {word for each in arguments if each.annotation for word in re.findall(r"\w+", ast.unparse(each.annotation))}
-                many[f"{module}.{node.name}"] = {part for word, part in PARTS_OF_IMAGING.items() if word in words}
+                words = {
+                    word
+                    for each in arguments
+                    if each.annotation
+                    for word in re.findall(r"\w+", ast.unparse(each.annotation))
+                }
+                many[f"{module}.{node.name}"] = {
+                    part for word, part in PARTS_OF_IMAGING.items() if word in words
+                }
     assert {name for name, parts in many.items() if len(parts) > 2} == BUILD_IMAGING
 
 
@@ -151,14 +199,22 @@ def test_architecture_names_each_file_of_studies() -> None:
     page = Path(__file__).parents[1] / "docs/architecture.md"
     if not page.is_file():
         pytest.skip("the tests are installed without the pages' sources")
-    section = page.read_text(encoding="utf-8").partition("### The files of `studies/`")[2].partition("\nKeys decide")[0]
+    section = (
+        page.read_text(encoding="utf-8")
+        .partition("### The files of `studies/`")[2]
+        .partition("\nKeys decide")[0]
+    )
     files = {path.stem for path in (PACKAGE / "studies").glob("*.py")} - {"__init__"}
     unnamed = {name for name in files if f"`{name}`" not in section}
-    assert not unnamed, "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
+    assert not unnamed, (
+        "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
+    )
 
 
 def test_name_of_a_class_stands_once() -> None:
-    """A reader who meets a class by its name, in an error or a type, finds the one that is meant."""
+    """A reader who meets a class by its name, in an error or a type, finds the one that is
+    meant.
+    """
     places: dict[str, list[str]] = {}
     for module in MODULES:
         for node in tree(module).body:
@@ -173,35 +229,56 @@ def test_files_are_in_packages() -> None:
 
 
 def test_packages_import_allowed_packages_only() -> None:
-    backwards = {(one, other) for one, other in package_arrows(settings=False) if other not in ALLOWED[one]}
+    backwards = {
+        (one, other) for one, other in package_arrows(settings=False) if other not in ALLOWED[one]
+    }
     assert not backwards
 
 
 def test_packages_import_settings_of_allowed_packages_only() -> None:
     known = {name: {*others, *KNOWS_SETTINGS_OF.get(name, ())} for name, others in ALLOWED.items()}
-    assert {(one, other) for one, other in package_arrows(settings=True) if other not in known[one]} == set()
+    assert {
+        (one, other) for one, other in package_arrows(settings=True) if other not in known[one]
+    } == set()
 
 
 @pytest.mark.parametrize("module", sorted(SETTINGS))
 def test_settings_import_settings_and_no_numpy(module: str) -> None:
-    """Beside the machinery of base: so each stands in the room of its physics, and `pixsim --help` is fast."""
+    """Beside the machinery of base: so each stands in the room of its physics, and `pixsim --help`
+    is fast.
+    """
     others = {name for name in arrows()[module] if not name.startswith("base.")}
     assert others <= SETTINGS
     assert "numpy" not in roots(tree(module), at_top_only=True)
 
 
-@pytest.mark.parametrize("module", [name for name in MODULES if name.startswith("base.") and name != "base.units"])
+@pytest.mark.parametrize(
+    "module", [name for name in MODULES if name.startswith("base.") and name != "base.units"]
+)
 def test_base_has_no_quantity(module: str) -> None:
-    """Nothing in it has a unit, but the seconds of a clock; `base.units` reads units from the names of others."""
+    """Nothing in it has a unit, but the seconds of a clock; `base.units` reads units from the names
+    of others.
+    """
     nodes = list(ast.walk(tree(module)))
-    names = {node.id for node in nodes if isinstance(node, ast.Name)} | {node.arg for node in nodes if isinstance(node, ast.arg)}
+    names = {node.id for node in nodes if isinstance(node, ast.Name)} | {
+        node.arg for node in nodes if isinstance(node, ast.arg)
+    }
     assert {name for name in names if unit_of(name.lower()) not in ("", "s")} == set()
 
 
 def test_imports_have_no_cycles() -> None:
-    """Imports inside functions and for the type checker count, too; those of `pixsim/__init__`, which names all rooms, do not."""
-    files = {module: others & {*MODULES} for module, others in arrows_of(type_checking=True).items() if module in MODULES}
-    packages = {name: {other for one, other in package_arrows(settings=True) if one == name} for name in ALLOWED}
+    """Imports inside functions and for the type checker count, too; those of `pixsim/__init__`,
+    which names all rooms, do not.
+    """
+    files = {
+        module: others & {*MODULES}
+        for module, others in arrows_of(type_checking=True).items()
+        if module in MODULES
+    }
+    packages = {
+        name: {other for one, other in package_arrows(settings=True) if one == name}
+        for name in ALLOWED
+    }
     assert files["cli"], "the graph is empty"
     for graph in (files, packages):
         TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
@@ -213,7 +290,8 @@ def test_cycles_for_the_type_checker_are_found(tmp_path: Path) -> None:
     package.mkdir()
     (package / "a.py").write_text("def f():\n    from some.b import g\n", encoding="utf-8")
     (package / "b.py").write_text(
-        "from typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from some.a import f\n", encoding="utf-8"
+        "from typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from some.a import f\n",
+        encoding="utf-8",
     )
     TopologicalSorter(arrows_of(package)).prepare()
     with pytest.raises(CycleError):
@@ -221,7 +299,9 @@ def test_cycles_for_the_type_checker_are_found(tmp_path: Path) -> None:
 
 
 def test_package_graph_is_small() -> None:
-    """13 packages, at most 11 of them in one chain of imports, and at most 59 imports between packages, but for settings."""
+    """13 packages, at most 11 of them in one chain of imports, and at most 59 imports between
+    packages, but for settings.
+    """
     between = package_arrows(settings=False)
 
     def floor(name: str) -> int:
@@ -232,13 +312,16 @@ def test_package_graph_is_small() -> None:
 
 
 def test_studies_have_few_floors() -> None:
-    """At most 10 modules of studies/ in one chain of imports; `floors` raises an error for a circle."""
+    """At most 10 modules of studies/ in one chain of imports; `floors` raises an error for a
+    circle.
+    """
     heights = floors(arrows(), "studies")
     assert max(heights.values()) <= 10
     assert len(heights) > 10, "the graph is that of the room"
 
 
-# Functions of a table, and what of studies/ they may import, also by way of others: no command, no page and no file.
+# Functions of a table, and what of studies/ they may import, also by way of others: no command, no
+# page and no file.
 ANSWERS = ("claims", "curve", "optimum", "paired", "regret", "uncertainty")
 BELOW_ANSWERS = {*ANSWERS, "design", "film_error", "merit", "sentences", "settings", "table"}
 
@@ -248,13 +331,23 @@ def test_functions_of_a_table_import_no_command(module: str) -> None:
     reached, left = set[str](), {f"studies.{module}"}
     while left:
         reached |= left
-        left = {other for name in left for other in arrows()[name] if other.startswith("studies.")} - reached
+        left = {
+            other for name in left for other in arrows()[name] if other.startswith("studies.")
+        } - reached
     assert {name.removeprefix("studies.") for name in reached} <= BELOW_ANSWERS
-    assert not any(name.startswith(("report.", "cli.")) for reader in reached for name in arrows()[reader])
+    assert not any(
+        name.startswith(("report.", "cli.")) for reader in reached for name in arrows()[reader]
+    )
 
 
 def test_floors_are_those_of_the_longest_chain() -> None:
-    graph = {"a.one": {"a.two", "b.any"}, "a.two": {"a.three"}, "a.three": set(), "a.four": {"a.three"}, "b.any": {"a.one"}}
+    graph = {
+        "a.one": {"a.two", "b.any"},
+        "a.two": {"a.three"},
+        "a.three": set(),
+        "a.four": {"a.three"},
+        "b.any": {"a.one"},
+    }
     assert floors(graph, "a") == {"a.three": 1, "a.two": 2, "a.four": 2, "a.one": 3}
     with pytest.raises(CycleError):
         floors(graph | {"a.three": {"a.one"}}, "a")
@@ -286,7 +379,9 @@ def test_only_cli_prints_or_exits() -> None:
 
 def test_packages_do_not_shadow_public_functions() -> None:
     """Importing a package `pixsim.study` would replace the function `pixsim.study`."""
-    assert set(ALLOWED) & set(pixsim.__all__) <= {"optics"}  # intended: pixsim.optics.irradiance_factor
+    assert set(ALLOWED) & set(pixsim.__all__) <= {
+        "optics"
+    }  # intended: pixsim.optics.irradiance_factor
 
 
 @pytest.mark.parametrize("name", pixsim.__all__)
@@ -300,7 +395,9 @@ def test_public_name_exists_and_is_documented(name: str) -> None:
 
 def test_type_checking_imports_match_lazy_names() -> None:
     (block,) = filter(is_type_checking, tree("__init__").body)
-    assert all(alias.name == alias.asname for node in block.body for alias in node.names), "not re-exported"
+    assert all(alias.name == alias.asname for node in block.body for alias in node.names), (
+        "not re-exported"
+    )
     names = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
     names |= {f"pixsim.{module}" for module in pixsim._MODULES.values()}
     assert {f"{node.module}.{alias.name}" for node in block.body for alias in node.names} == names
@@ -311,7 +408,10 @@ def test_version_is_consistent() -> None:
 
     assert pixsim.__version__ == version("pixsim")
     project = Path(__file__).parents[1] / "pyproject.toml"
-    assert pixsim.__version__ == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+    assert (
+        pixsim.__version__
+        == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+    )
 
 
 # What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.
@@ -325,6 +425,14 @@ DOORS = {
 
 @pytest.mark.parametrize("module", [name for name in MODULES if not name.startswith("scene.guard")])
 def test_guard_is_entered_by_its_doors(module: str) -> None:
-    taken = {name.removeprefix("pixsim.").rpartition(".")[::2] for name in imports(tree(module)) if ".scene.guard" in name}
-    outside = {(room, name) for room, name in taken if name not in DOORS.get(room, ()) and f"{room}.{name}" not in DOORS}
+    taken = {
+        name.removeprefix("pixsim.").rpartition(".")[::2]
+        for name in imports(tree(module))
+        if ".scene.guard" in name
+    }
+    outside = {
+        (room, name)
+        for room, name in taken
+        if name not in DOORS.get(room, ()) and f"{room}.{name}" not in DOORS
+    }
     assert not outside

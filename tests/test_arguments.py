@@ -1,7 +1,8 @@
-"""Every public function, class and method against arguments that make no sense, generated from the signatures.
+"""Every public function, class and method against arguments that make no sense, generated from the
+signatures.
 
-A call raises PixsimError that names the argument, or returns a result without NaN. A value of another kind than the
-annotation's must raise.
+A call raises PixsimError that names the argument, or returns a result without NaN. A value of
+another kind than the annotation's must raise.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.reading import Readout
 
-LIMIT_S = 20.0  # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
+# of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
+LIMIT_S = 20.0
 NM = np.array([450.0, 550.0, 650.0])
 JUNK: dict[str, Any] = {
     "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
@@ -65,8 +67,15 @@ def limited() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-CAMERA, PIXEL, DISPLAY, EXPOSURE = pixsim.Camera(), pixsim.Pixel(pitch_um=100.0), pixsim.Display(dots=8), pixsim.Exposure()
-LIGHT = pixsim.SpectralImage(NM, 10.0, 2713.6 / 8, data=np.full((8, 8, 3), 1e-3), header={"luminance_cd_per_m2": 100.0})
+CAMERA, PIXEL, DISPLAY, EXPOSURE = (
+    pixsim.Camera(),
+    pixsim.Pixel(pitch_um=100.0),
+    pixsim.Display(dots=8),
+    pixsim.Exposure(),
+)
+LIGHT = pixsim.SpectralImage(
+    NM, 10.0, 2713.6 / 8, data=np.full((8, 8, 3), 1e-3), header={"luminance_cd_per_m2": 100.0}
+)
 PHYSICS = pixsim.derive(PIXEL)
 READOUT = Readout.of(PHYSICS)
 TECHNOLOGY = pixsim.load_technology("0.35um")
@@ -173,7 +182,8 @@ OWN: dict[str, Any] = {
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
 ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
-    (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")), ("width", "height")
+    (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
+    ("width", "height"),
 )
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
@@ -186,7 +196,18 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 MADE_BY_FUNCTIONS = (  # not by users
-    *("EdgeResponse", "Frame", "FrameScore", "Optimum", "Plan", "PixelPhysics", "RawFrame", "Readout", "Score", "Sensor"),
+    *(
+        "EdgeResponse",
+        "Frame",
+        "FrameScore",
+        "Optimum",
+        "Plan",
+        "PixelPhysics",
+        "RawFrame",
+        "Readout",
+        "Score",
+        "Sensor",
+    ),
 )
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
@@ -204,7 +225,11 @@ SMALL_RECORDS: dict[str, dict[str, Any]] = {
     "DarkCurrent": {"e_per_s": 1.0, "at_c": 20.0},
     "Axis": {"name": "lens", "set": "camera.f_number", "values": (2.0, 4.0)},
     "AxisValue": {"label": "f/2", "set": {"camera": {"f_number": 2.0}}},
-    "ColourOptions": {"transmittances": {letter: [[400.0 + 10 * step, 0.5] for step in range(31)] for letter in "RGB"}},
+    "ColourOptions": {
+        "transmittances": {
+            letter: [[400.0 + 10 * step, 0.5] for step in range(31)] for letter in "RGB"
+        }
+    },
     "Condition": {"name": "night", "set": {"camera": {"f_number": 2.0}}},
 }
 
@@ -219,7 +244,9 @@ def targets() -> dict[str, Callable[..., Any]]:
     """Functions, classes and methods that take arguments."""
     found: dict[str, Callable[..., Any]] = {}
     for name, thing in PUBLIC.items():
-        if not callable(getattr(thing, "__func__", thing)) or any(name.startswith(skipped) for skipped in NOT_CALLED):
+        if not callable(getattr(thing, "__func__", thing)) or any(
+            name.startswith(skipped) for skipped in NOT_CALLED
+        ):
             continue
         if name.rpartition(".")[2] in MADE_BY_FUNCTIONS:
             continue
@@ -238,7 +265,11 @@ def arguments_of(name: str) -> dict[str, inspect.Parameter]:
     thing = TARGETS[name]
     parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
     variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-    return {key: each for key, each in parameters.items() if key not in ("self", "cls") and each.kind not in variadic}
+    return {
+        key: each
+        for key, each in parameters.items()
+        if key not in ("self", "cls") and each.kind not in variadic
+    }
 
 
 def called(name: str) -> Any:
@@ -272,13 +303,22 @@ def records(name: str) -> dict[str, Any]:
     if thing.__name__ == "RawFrame":
         return {"dn": FRAME.dn}
     if thing.__name__ == "Optimum":
-        ranges = dict.fromkeys(("interval_um", "within_1_percent_um", "within_2_percent_um"), (4.0, 6.0))
-        numbers = {"pitch_um": 5.0, "mean_delta_e": 1.0, "mean_delta_e_interval": (0.9, 1.1), "between_sizes_share": 0.2}
+        ranges = dict.fromkeys(
+            ("interval_um", "within_1_percent_um", "within_2_percent_um"), (4.0, 6.0)
+        )
+        numbers = {
+            "pitch_um": 5.0,
+            "mean_delta_e": 1.0,
+            "mean_delta_e_interval": (0.9, 1.1),
+            "between_sizes_share": 0.2,
+        }
         return {**numbers, "inside": True, **ranges}
     if issubclass(thing, BaseModel):
         of = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}
         if thing.__name__ in of:
-            return {key: getattr(of[thing.__name__], key) for key in of[thing.__name__].model_fields_set}
+            return {
+                key: getattr(of[thing.__name__], key) for key in of[thing.__name__].model_fields_set
+            }
         return SMALL_RECORDS.get(thing.__name__, {})
     instance = INSTANCES[thing.__name__]()
     return {each.name: getattr(instance, each.name) for each in fields(thing) if each.init}
@@ -316,8 +356,12 @@ def kind_is_wrong(hint: str, value: Any) -> bool:
 
 
 def names(message: str, argument: str, value: Any) -> bool:
-    """Whether a message names an argument, or quotes the value: a file, a choice, or a number out of range."""
-    quoted = f"'{value}'" if isinstance(value, str | Path) else "1e+30" if value == 10**30 else argument
+    """Whether a message names an argument, or quotes the value: a file, a choice, or a number out
+    of range.
+    """
+    quoted = (
+        f"'{value}'" if isinstance(value, str | Path) else "1e+30" if value == 10**30 else argument
+    )
     return argument in message or quoted in message
 
 
@@ -351,7 +395,9 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
             else:
                 if not is_right(result):
                     wrong.append(f"{case}: NaN")
-                elif kind_is_wrong(hint := without_bounds(str(parameter.annotation), called(name)), junk):
+                elif kind_is_wrong(
+                    hint := without_bounds(str(parameter.annotation), called(name)), junk
+                ):
                     wrong.append(f"{case}: taken for {hint}")
     assert not wrong, "\n".join(wrong)
 
@@ -373,7 +419,10 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
     wrong = []
     for argument in [key for key, each in parameters.items() if each.kind is not each.VAR_KEYWORD]:
         for label in ("-1", "nan", "10**30", "object()", "None", "text"):
-            valid_kind = {"None": parameters[argument].default is None, "text": argument in ("out", "progress")}.get(label, False)
+            valid_kind = {
+                "None": parameters[argument].default is None,
+                "text": argument in ("out", "progress"),
+            }.get(label, False)
             if valid_kind or (label == "10**30" and argument == "scheduler"):
                 continue
             try:
@@ -395,8 +444,12 @@ def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> Non
         pixsim.write_report(JUNK[label], tmp_path / "out")
 
 
-@pytest.mark.parametrize(("argument", "value"), [("folder", 3), ("figures", "png"), ("seconds", 1.5)])
-def test_write_of_any_result_names_a_wrong_argument(argument: str, value: object, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("argument", "value"), [("folder", 3), ("figures", "png"), ("seconds", 1.5)]
+)
+def test_write_of_any_result_names_a_wrong_argument(
+    argument: str, value: object, tmp_path: Path
+) -> None:
     arguments = {"folder": tmp_path / "out"} | {argument: value}
     with pytest.raises(PixsimError, match=f"^{argument}: got "):
         score().write(**arguments)
@@ -413,8 +466,12 @@ def test_write_of_any_result_names_a_wrong_argument(argument: str, value: object
         ({"smaller_than_um": [1.0, "x"]}, "smaller_than_um[1]: got 'x'"),
     ],
 )
-def test_a_part_at_fault_is_named_by_its_place(arguments: dict[str, Any], said: str, tmp_path: Path) -> None:
-    """Also one whose name begins as pydantic's names of kinds do; an array without axes is no list."""
+def test_a_part_at_fault_is_named_by_its_place(
+    arguments: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    """Also one whose name begins as pydantic's names of kinds do; an array without axes is no
+    list.
+    """
     with pytest.raises(pixsim.PixsimError, match=re.escape(said)):
         pixsim.study("chen2000", tmp_path / "out", **arguments)
 
@@ -425,14 +482,26 @@ def test_a_part_at_fault_is_named_by_its_place(arguments: dict[str, Any], said: 
         (ArrayLike, True, "got True; allowed: numbers"),
         (ArrayLike, [1.0, [True]], "got [1.0, [True]]; allowed: numbers"),
         (ArrayLike, np.array([True, False]), "got an array of bool, shape (2,); allowed: numbers"),
-        (Finites, [1.0, np.ma.masked], "got masked values; allowed: numbers from -1e+30 to 1e+30; fill them"),
+        (
+            Finites,
+            [1.0, np.ma.masked],
+            "got masked values; allowed: numbers from -1e+30 to 1e+30; fill them",
+        ),
         (Finites, [np.ma.array([1.0, 2.0], mask=[True, False])], "got masked values"),
         (Finites, [1.0, 1e31], "got 1e+31 at [1]; allowed: numbers from -1e+30 to 1e+30"),
         (Finites, -1e31, "got -1e+31; allowed: numbers from -1e+30 to 1e+30"),
         (Finites, [1.0, math.nan], "got nan at [1]; allowed: numbers from -1e+30 to 1e+30"),
         (float, -1e31, "got -1e+31; allowed: a number from -1e+30 to 1e+30"),
-        (float, -1e-31, "got -1e-31; allowed: a number from -1e+30 to 1e+30, 0 or 1e-30 or more in size"),
-        (int, 10**31, "got 10000000000000000000000000000000; allowed: a whole number from -1e+30 to 1e+30"),
+        (
+            float,
+            -1e-31,
+            "got -1e-31; allowed: a number from -1e+30 to 1e+30, 0 or 1e-30 or more in size",
+        ),
+        (
+            int,
+            10**31,
+            "got 10000000000000000000000000000000; allowed: a whole number from -1e+30 to 1e+30",
+        ),
     ],
 )
 def test_numbers_that_no_quantity_has_are_refused(kind: Any, values: Any, said: str) -> None:
@@ -450,21 +519,27 @@ def test_numbers_at_the_ends_are_taken() -> None:
     def value_of(light: Finites, gain: float, full: NDArray[np.bool_]) -> Any:
         return light, gain, full
 
-    light, gain, full = door.checked(value_of, "pixsim.value_of")([1e30, 1e-40, np.ma.array([2.0], mask=[False])[0]], 1e-30, [True])
+    light, gain, full = door.checked(value_of, "pixsim.value_of")(
+        [1e30, 1e-40, np.ma.array([2.0], mask=[False])[0]], 1e-30, [True]
+    )
     assert (light.tolist(), gain, full.tolist()) == ([1e30, 1e-40, 2.0], 1e-30, [True])
 
 
 def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From NumPy 2.5 on, `ArrayLike` and `NDArray` are aliases of `type` statements; on Python 3.12 pip installs it."""
+    """From NumPy 2.5 on, `ArrayLike` and `NDArray` are aliases of `type` statements; on Python 3.12
+    pip installs it.
+    """
     kind = TypeVar("kind", bound=np.generic)
     alias = TypeAliasType("ArrayLike", float | list)
-    array = TypeAliasType("NDArray", np.ndarray[Any, np.dtype[kind]], type_params=(kind,))[np.float64]
+    array = TypeAliasType("NDArray", np.ndarray[Any, np.dtype[kind]], type_params=(kind,))[
+        np.float64
+    ]
     monkeypatch.setattr("numpy.typing.ArrayLike", alias)
 
     def value_of(light: Any, path: Any = "") -> Any:
         return light
 
-    for hint in (alias, array, Union[alias, None], Union[array, None], Union[array, float]):  # noqa: UP007 – of an alias, before 3.12
+    for hint in (alias, array, Union[alias, None], Union[array, None], Union[array, float]):  # noqa: UP007
         value_of.__annotations__ = {"light": hint, "path": str | PathLike[str]}
         door._arguments.cache_clear()
         function = door.checked(value_of, "pixsim.value_of")
@@ -477,4 +552,6 @@ def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_every_public_name_is_called() -> None:
     assert len(TARGETS) > 100
-    assert all(any(name.startswith(skipped) for name in PUBLIC) for skipped in NOT_CALLED), "a name that is gone"
+    assert all(any(name.startswith(skipped) for name in PUBLIC) for skipped in NOT_CALLED), (
+        "a name that is gone"
+    )

@@ -30,7 +30,9 @@ def double(task: int, _: None) -> tuple[int, int]:
 
 
 def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a container whose /dev/shm is missing or cannot be written, where no lock of processes can be made."""
+    """As in a container whose /dev/shm is missing or cannot be written, where no lock of processes
+    can be made.
+    """
 
     def fails(*_: Any) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
@@ -38,8 +40,13 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "_multiprocessing", types.SimpleNamespace(SemLock=fails))
     processes_work.cache_clear()
     try:
-        with pytest.warns(MachineWarning, match=r"/dev/shm cannot be written \(Read-only file system\): one process does all"):
-            results = list(results_of(double, [(task, lambda: None) for task in range(3)], Workers(2)))
+        with pytest.warns(
+            MachineWarning,
+            match=r"/dev/shm cannot be written \(Read-only file system\): one process does all",
+        ):
+            results = list(
+                results_of(double, [(task, lambda: None) for task in range(3)], Workers(2))
+            )
     finally:
         processes_work.cache_clear()
     assert results == [(0, os.getpid()), (2, os.getpid()), (4, os.getpid())]
@@ -54,9 +61,19 @@ def test_help_has_some_columns(columns: str) -> None:
 def test_few_open_files_are_a_message(tmp_path: Path) -> None:
     """The limit that the command starts with does for one process, but not for workers."""
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    run = [Path(sys.executable).with_name("pixsim"), "study", "tiny.toml", "--jobs", "2", "--out", "out"]
+    run = [
+        Path(sys.executable).with_name("pixsim"),
+        "study",
+        "tiny.toml",
+        "--jobs",
+        "2",
+        "--out",
+        "out",
+    ]
     few = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (24, 24))  # noqa: E731
-    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, preexec_fn=few)
+    done = subprocess.run(
+        run, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, preexec_fn=few
+    )
     assert done.returncode in (0, 2), done.stderr
     assert "Traceback" not in done.stderr
     assert done.returncode == 0 or "ulimit -n" in done.stderr
@@ -64,7 +81,10 @@ def test_few_open_files_are_a_message(tmp_path: Path) -> None:
 
 def rendered(answers: Any) -> None:
     try:
-        pixsim.render(pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral"), pixsim.Camera())
+        pixsim.render(
+            pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral"),
+            pixsim.Camera(),
+        )
     except PixsimError as error:
         answers.send(str(error))
 
@@ -118,7 +138,9 @@ def run_on(system: str, code: str, folder: Path) -> subprocess.CompletedProcess[
 
 
 def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path: Path) -> None:
-    """The number is that of this machine; files, which need locks of folders, are refused with what to do."""
+    """The number is that of this machine; files, which need locks of folders, are refused with what
+    to do.
+    """
     done = run_on(systems.WINDOWS, ON_WINDOWS, tmp_path)
     assert done.returncode == 0, done.stderr
     number, refused, *_ = done.stdout.splitlines()
@@ -126,7 +148,9 @@ def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path
     exec(EVALUATED, here)
     assert number == str(here["found"])
     assert float(number) > 0
-    assert refused.startswith("files: got a system whose folders cannot be opened (Windows); allowed: Linux or macOS. ")
+    assert refused.startswith(
+        "files: got a system whose folders cannot be opened (Windows); allowed: Linux or macOS. "
+    )
     assert "WSL" in refused
     assert "Measure the SFR" in done.stdout, "--help"
 
@@ -136,8 +160,13 @@ def test_names_that_windows_lacks_are_hidden_from_pixsim_alone() -> None:
     assert hidden is not None
     assert {"fork", "sched_getaffinity", "geteuid", "O_NOFOLLOW"} <= hidden
     assert not {"open", "getpid", "replace", "O_EXCL"} & hidden
-    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (systems.missing("signal", systems.WINDOWS) or frozenset())
-    assert [systems.missing(name, systems.WINDOWS) for name in ("fcntl", "resource", "termios", "pwd", "grp")] == [None] * 5
+    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (
+        systems.missing("signal", systems.WINDOWS) or frozenset()
+    )
+    assert [
+        systems.missing(name, systems.WINDOWS)
+        for name in ("fcntl", "resource", "termios", "pwd", "grp")
+    ] == [None] * 5
     assert systems.missing("json", systems.WINDOWS) == frozenset()
 
 
@@ -156,7 +185,9 @@ def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> 
     assert {"sched_getaffinity", "memfd_create", "posix_fallocate", "O_PATH"} <= hidden
     done = run_on(systems.MACOS, ON_MACOS, tmp_path)
     assert (done.returncode, done.stdout.startswith("mean ΔE ")) == (0, True), done.stderr
-    code, here, _ = command("run", LIGHT, "--pixel.pitch-um", 8, "--display.dots", 8, "--out", tmp_path / "here")
+    code, here, _ = command(
+        "run", LIGHT, "--pixel.pitch-um", 8, "--display.dots", 8, "--out", tmp_path / "here"
+    )
     assert code == 0
     assert done.stdout.splitlines()[:2] == here.splitlines()[:2]
     assert (tmp_path / "out/raw.exr").read_bytes() == (tmp_path / "here/raw.exr").read_bytes()

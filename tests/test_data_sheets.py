@@ -1,4 +1,6 @@
-"""A sensor from its data sheet: the same frames however it is given, and the numbers that a simulated measurement returns."""
+"""A sensor from its data sheet: the same frames however it is given, and the numbers that a
+simulated measurement returns.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,10 @@ SMALL = "--resolution 48 --display.dots 64 --seed 3"
 
 
 def file_of(path: Path, pixel: dict[str, Any]) -> Path:
-    path.write_text("[pixel]\n" + "".join(f"{name} = {toml_of(value)}\n" for name, value in pixel.items()), encoding="utf-8")
+    path.write_text(
+        "[pixel]\n" + "".join(f"{name} = {toml_of(value)}\n" for name, value in pixel.items()),
+        encoding="utf-8",
+    )
     return path
 
 
@@ -63,10 +68,14 @@ def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
 
 
 def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
-    """Arguments of a command that give the sensor as a file, as options, as both, and as two files, each with a half of it."""
+    """Arguments of a command that give the sensor as a file, as options, as both, and as two files,
+    each with a half of it.
+    """
     folder.mkdir(exist_ok=True)
     one, other = (dict(list(pixel.items())[start::2]) for start in (0, 1))
-    whole, first, second = (file_of(folder / f"{n}.toml", part) for n, part in enumerate((pixel, one, other)))
+    whole, first, second = (
+        file_of(folder / f"{n}.toml", part) for n, part in enumerate((pixel, one, other))
+    )
     return {
         "file": ["--config", whole],
         "options": options_of(pixel),
@@ -95,24 +104,39 @@ def test_run_same_sensor_in_every_way_gives_same_frame(
             code, out, err = command(line, *arguments, "--out", tmp_path / name)
         assert code == 0, err
         score = json.loads(out)
-        assert (score["pixel"]["technology"], score["fill_factor"], score["assumption"]) == ("none", 1.0, "")
+        assert (score["pixel"]["technology"], score["fill_factor"], score["assumption"]) == (
+            "none",
+            1.0,
+            "",
+        )
         frames[name] = pixsim.read_frame(tmp_path / name / "raw.exr")
-    irradiance, camera = pixsim.read_exr(tmp_path / "file/irradiance.exr"), pixsim.Camera.model_validate(score["camera"])
+    irradiance, camera = (
+        pixsim.read_exr(tmp_path / "file/irradiance.exr"),
+        pixsim.Camera.model_validate(score["camera"]),
+    )
     exposure, display = pixsim.Exposure(gain_db=gain_db), pixsim.Display(dots=64)
     same = SHEET if pixel is WORDS else pixel
     for technology in ({}, {"technology": None}, {"technology": "none"}):
-        python = pixsim.evaluate(irradiance, camera, Pixel(**same, **technology), exposure, display, seed=3)
+        python = pixsim.evaluate(
+            irradiance, camera, Pixel(**same, **technology), exposure, display, seed=3
+        )
         frames[f"python {technology}"] = python.frame
     assert frames["file"].dn.std() > 10, "a frame with noise and detail"
     if "dn_per_e" in pixel:
-        assert frames["file"].dn_per_e == pytest.approx(pixel["dn_per_e"] * 10 ** (gain_db / 20), rel=1e-6)
+        assert frames["file"].dn_per_e == pytest.approx(
+            pixel["dn_per_e"] * 10 ** (gain_db / 20), rel=1e-6
+        )
     for name, frame in frames.items():
         assert np.array_equal(frame.dn, frames["file"].dn), name
 
 
 @pytest.mark.slow
 def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
-    table = {"technologies": ["0.35um"], "repeats": 2, "pitch": {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}}
+    table = {
+        "technologies": ["0.35um"],
+        "repeats": 2,
+        "pitch": {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]},
+    }
     plan = tmp_path / "own.toml"
     plan.write_text(tiny_toml(**table), encoding="utf-8")
     for name, arguments in ways(SHEET, tmp_path / "sheets").items():
@@ -122,7 +146,9 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
         assert out.startswith("data sheet: "), name
     pixsim.study(plan, tmp_path / "python", pixel=SHEET, jobs=1)
     pixsim.study(plan, tmp_path / "python none", pixel=SHEET | {"technology": None}, jobs=1)
-    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 30.0}
+    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {
+        "data_sheet_pitch_um": 30.0
+    }
     values = read_toml(plan) | {"pixel": pixel}
     del values["technologies"]
     pixsim.study(Study.model_validate(values), tmp_path / "record", jobs=1)
@@ -134,18 +160,26 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
 
 def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
     """An option in a data sheet's words replaces the file's field, and the other way round."""
-    for pixel, name, other in ((SHEET, "temporal_dark_noise_e", "read_noise_e"), (WORDS, "read_noise_e", "temporal_dark_noise_e")):
+    for pixel, name, other in (
+        (SHEET, "temporal_dark_noise_e", "read_noise_e"),
+        (WORDS, "read_noise_e", "temporal_dark_noise_e"),
+    ):
         found = run_settings(file_of(tmp_path / "a.toml", pixel), {"pixel": {name: 9.0}}).pixel
-        assert (getattr(found, name), getattr(found, other), found.technology) == (9.0, None, "none")
+        assert (getattr(found, name), getattr(found, other), found.technology) == (
+            9.0,
+            None,
+            "none",
+        )
 
 
-# --- Round trip of published data sheets -------------------------------------------------------------------------------
+# --- Round trip of published data sheets
+# -------------------------------------------------------------------------------
 
 SHEETS = Path(__file__).parent / "data/sheets"
 WITHIN = 0.02  # of a number, or 3 standard errors
-# The wavelength of the quantum efficiency, nm, and the quantity that the sheet calls dynamic range: saturation over threshold as
-# in EMVA 1288, or the full well over the temporal dark noise.
-# Sheet -> wavelength of its quantum efficiency, nm.
+# The wavelength of the quantum efficiency, nm, and the quantity that the sheet calls dynamic range:
+# saturation over threshold as in EMVA 1288, or the full well over the temporal dark noise. Sheet ->
+# wavelength of its quantum efficiency, nm.
 PUBLISHED = {
     "imx174": 525.0,
     "cmv4000": 550.0,
@@ -156,11 +190,17 @@ PUBLISHED = {
     "imx455": 460.8023,
     "thorlabs_cs165": 550.0,
 }
-# Ratios that sheets state beside the numbers that make them, dB. Sources: https://fhotolab.fherb.de/2016/09/07/
-# sony-exmor-sensoren-dateblattrekonstruktion-imx157/ (73dB, 45,12dB); "CMV4000 Technical Reference for Star Tracker Design", based
-# on CMV4000 datasheet v7-00 (60 dB); https://image-sensors-world.blogspot.com/2015/04/towerjazz-and-gpixel-announce-bsi-cmos.html
-# (DR of 96dB, of the full well over the noise).
-STATED_DB = {"imx174": {"DR": 73.0, "SNR_max": 45.12}, "cmv4000": {"DR": 60.0}, "gsense400bsi": {"DR_ISO": 96.0}}
+# Ratios that sheets state beside the numbers that make them, dB. Sources:
+# https://fhotolab.fherb.de/2016/09/07/ sony-exmor-sensoren-dateblattrekonstruktion-imx157/ (73dB,
+# 45,12dB); "CMV4000 Technical Reference for Star Tracker Design", based on CMV4000 datasheet v7-00
+# (60 dB);
+# https://image-sensors-world.blogspot.com/2015/04/towerjazz-and-gpixel-announce-bsi-cmos.html (DR
+# of 96dB, of the full well over the noise).
+STATED_DB = {
+    "imx174": {"DR": 73.0, "SNR_max": 45.12},
+    "cmv4000": {"DR": 60.0},
+    "gsense400bsi": {"DR_ISO": 96.0},
+}
 # Steps of 10.8 e- hide a noise of 4 e-: EMVA 1288 gives an upper bound only.
 BOUNDED = ("thorlabs_cs165",)
 
@@ -174,7 +214,11 @@ def test_each_number_of_a_sheet_has_its_source() -> None:
     assert {"imx363", "imx477"} <= set(PACKAGED)
     for path in (*SHEETS.glob("*.toml"), *PACKAGED.values()):
         lines = path.read_text(encoding="utf-8").splitlines()
-        bare = [line for above, line in pairwise(lines) if re.match(r"\w+ = ", line) and not above.startswith("#")]
+        bare = [
+            line
+            for above, line in pairwise(lines)
+            if re.match(r"\w+ = ", line) and not above.startswith("#")
+        ]
         given = ("temperature_k",) if path.parent == SHEETS else ()  # of the sheet's own numbers
         assert not [line for line in bare if not line.startswith(given)], path.name
 
@@ -185,17 +229,26 @@ def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
     expected = run_settings(path, {}).pixel
     assert run_settings(name, {}).pixel == expected
     assert sensor_layer(name).table == settings_layer(path).table
-    assert load_study("pixel-size", config=name).pixel == load_study("pixel-size", config=path).pixel
-    with pytest.warns(UserWarning, match=r"imx477: \[camera\] is not used: .* only \[pixel\] is used"):
+    assert (
+        load_study("pixel-size", config=name).pixel == load_study("pixel-size", config=path).pixel
+    )
+    with pytest.warns(
+        UserWarning, match=r"imx477: \[camera\] is not used: .* only \[pixel\] is used"
+    ):
         study = load_study("pixel-size", technologies=[name, "4t-bsi"], pixel={"bits": 12})
     assert study.sensors[name].dn_per_e == expected.dn_per_e
     assert datasheet_settings(name, [], None, None, None).pixel == expected
 
 
 def test_unknown_name_of_a_sensor_names_the_packaged_ones() -> None:
-    with pytest.raises(PixsimError, match=r"got 'imx36'; allowed: a TOML file, or a packaged sensor: imx363, imx477"):
+    with pytest.raises(
+        PixsimError,
+        match=r"got 'imx36'; allowed: a TOML file, or a packaged sensor: imx363, imx477",
+    ):
         run_settings("imx36", {})
-    with pytest.raises(PixsimError, match=r"sensor: got 'imx36'; allowed: .*imx363.* Did you mean 'imx363'"):
+    with pytest.raises(
+        PixsimError, match=r"sensor: got 'imx36'; allowed: .*imx363.* Did you mean 'imx363'"
+    ):
         sensor_layer("imx36")
 
 
@@ -212,7 +265,9 @@ def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
         **STATED_DB.get(name, {}),
         "PRNU_1288": pixel.prnu_percent,
         "DSNU_1288": pixel.dsnu_e,
-        "μ_I.mean": pixel.dark_current.e_per_s if pixel.dark_current else pixel.dark_current_e_per_s,
+        "μ_I.mean": (
+            pixel.dark_current.e_per_s if pixel.dark_current else pixel.dark_current_e_per_s
+        ),
         "ϑ_d": pixel.dark_current and pixel.dark_current.doubling_k,
     }
     return {symbol: value for symbol, value in expected.items() if value is not None}
@@ -222,7 +277,10 @@ def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
 MORE_OF_A_KIND = ("cmv4000", "gsense4040bsi", "imx530", "imx455", "gsense400bsi", "hwk4123")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in MORE_OF_A_KIND else n for n in PUBLISHED])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n in MORE_OF_A_KIND else n for n in PUBLISHED],
+)
 def test_datasheet_returns_published_numbers(name: str) -> None:
     """False alarms: 0.3 % a number of 3 standard errors; most are far within 2 %. Nothing warns."""
     settings = SceneOptions([SHEETS / f"{name}.toml"]).settings()
@@ -236,10 +294,16 @@ def test_datasheet_returns_published_numbers(name: str) -> None:
         if sheet.transfer.limited and symbol == "σ_d":
             assert value < entry.measured < 1.1 * value, "an upper bound"
             continue
-        assert abs(entry.measured - value) <= max(WITHIN * value, 3 * entry.standard_error), (symbol, value, entry)
+        assert abs(entry.measured - value) <= max(WITHIN * value, 3 * entry.standard_error), (
+            symbol,
+            value,
+            entry,
+        )
     columns, rows = settings.camera.pixels
     die_mm = settings.camera.die_mm, settings.camera.die_height_mm
-    assert die_mm == pytest.approx((1e-3 * columns * pixel.pitch_um, 1e-3 * rows * pixel.pitch_um), rel=1e-12)
+    assert die_mm == pytest.approx(
+        (1e-3 * columns * pixel.pitch_um, 1e-3 * rows * pixel.pitch_um), rel=1e-12
+    )
     assert [pixels_along(1e3 * side_mm, pixel.pitch_um) for side_mm in die_mm] == [columns, rows]
 
 
@@ -258,9 +322,16 @@ def test_published_sheets_have_no_unit_slips() -> None:
 
 def test_sheets_in_docs_have_no_unit_slips() -> None:
     pages = (Path(__file__).parents[1] / "docs").rglob("*.md")
-    blocks = [text for page in pages for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)]
+    blocks = [
+        text
+        for page in pages
+        for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    ]
     of_pixels = [tomllib.loads(text).get("pixel", {}) for text in blocks]
-    tables = [{name: value for name, value in table.items() if name != "uncertainty"} for table in of_pixels]
+    tables = [
+        {name: value for name, value in table.items() if name != "uncertainty"}
+        for table in of_pixels
+    ]
     sheets = [
         Pixel(**table)
         for table in tables
@@ -275,13 +346,19 @@ UNITS: dict[str, Any] = SHEET | {"full_well_e": 12.0, "prnu": 0.2}
 GAIN: dict[str, Any] = SHEET | {"gain_e_per_dn": 0.4}
 
 
-@pytest.mark.parametrize(("pixel", "count"), [(SHEET, 0), (UNITS, 2), (GAIN, 1)], ids=["sheet", "units", "gain"])
-def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("pixel", "count"), [(SHEET, 0), (UNITS, 2), (GAIN, 1)], ids=["sheet", "units", "gain"]
+)
+def test_unit_slips_are_noted_by_every_entry(
+    pixel: dict[str, Any], count: int, tmp_path: Path
+) -> None:
     wanted = unit_slips(Pixel(**pixel))
     assert len(wanted) == count
     file = file_of(tmp_path / "a.toml", pixel)
     with warnings.catch_warnings(action="always"):
-        code, out, err = command(f"run csf {SMALL} --json", "--config", file, "--out", tmp_path / "run")
+        code, out, err = command(
+            f"run csf {SMALL} --json", "--config", file, "--out", tmp_path / "run"
+        )
     assert code == 0, err
     assert [err.count(f"warning: {text}\n") for text in wanted] == [1] * count
     assert [note["text"] for note in json.loads(out)["notes"] if note["text"] in wanted] == wanted
@@ -289,11 +366,27 @@ def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int, 
     camera = pixsim.Camera.model_validate(irradiance.header["camera"])
     with warnings.catch_warnings(record=True, action="always") as caught:
         pixsim.evaluate(irradiance, camera, Pixel(**pixel), display=pixsim.Display(dots=64))
-    assert [str(warning.message).removesuffix(".") for warning in caught if "pixel: " in str(warning.message)] == wanted
-    in_study = {name: value for name, value in pixel.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 30.0}
+    assert [
+        str(warning.message).removesuffix(".")
+        for warning in caught
+        if "pixel: " in str(warning.message)
+    ] == wanted
+    in_study = {name: value for name, value in pixel.items() if name != "pitch_um"} | {
+        "data_sheet_pitch_um": 30.0
+    }
     with warnings.catch_warnings(record=True, action="always") as caught:
-        prepare(tiny(technologies=["none"], pixel=in_study, pitch={"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}))
-    assert [str(warning.message).removesuffix(".") for warning in caught if "pixel: " in str(warning.message)] == wanted
+        prepare(
+            tiny(
+                technologies=["none"],
+                pixel=in_study,
+                pitch={"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]},
+            )
+        )
+    assert [
+        str(warning.message).removesuffix(".")
+        for warning in caught
+        if "pixel: " in str(warning.message)
+    ] == wanted
 
 
 def test_compare_names_the_sensor_of_a_unit_slip_or_unused_uncertainty(tmp_path: Path) -> None:
@@ -303,18 +396,31 @@ def test_compare_names_the_sensor_of_a_unit_slip_or_unused_uncertainty(tmp_path:
     with warnings.catch_warnings(record=True, action="always"):
         result = pixsim.compare(files, repeats=2, jobs=1, resolution=48, display={"dots": 32})
     (note,) = [note for note in result.notes if "is unusual" in note]
-    assert note == "bad: pixel: gain_e_per_dn = 0.4 is unusual. In DN per electron? Write dn_per_e = 0.4"
+    assert (
+        note
+        == "bad: pixel: gain_e_per_dn = 0.4 is unusual. In DN per electron? Write dn_per_e = 0.4"
+    )
     (note,) = [note for note in result.notes if "uncertainty" in note]
-    assert note == "bad.toml: [pixel.uncertainty] of read_noise_e is not used: it is used with uncertainty only"
+    assert (
+        note
+        == "bad.toml: [pixel.uncertainty] of read_noise_e is not used: it is used with uncertainty"
+        " only"
+    )
 
 
-@pytest.mark.parametrize(("pitch_um", "hint"), [(3450.0, " In nm? Write pitch_um = 3.45."), (99.0, "")])
+@pytest.mark.parametrize(
+    ("pitch_um", "hint"), [(3450.0, " In nm? Write pitch_um = 3.45."), (99.0, "")]
+)
 def test_pitch_beyond_the_die_raises_with_other_unit(pitch_um: float, hint: str) -> None:
-    with pytest.raises(pixsim.PixsimError, match=rf"got {pitch_um:g}; allowed: at most the die, 90 µm\.{re.escape(hint)}$"):
+    with pytest.raises(
+        pixsim.PixsimError,
+        match=rf"got {pitch_um:g}; allowed: at most the die, 90 µm\.{re.escape(hint)}$",
+    ):
         pixels_along(90.0, pitch_um)
 
 
-# --- Several sensors ----------------------------------------------------------------------------------------------------
+# --- Several sensors
+# ----------------------------------------------------------------------------------------------------
 
 OTHER: dict[str, Any] = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
 # As many samples, whichever sensor comes first.
@@ -326,49 +432,78 @@ ONE_RENDER: dict[str, Any] = {
 
 def numbers(folder: Path, technology: str | None = None) -> list[list[str]]:
     """Rows without key, technology and check."""
-    return [list(row.values())[2:-1] for row in rows(folder) if technology in (None, row["technology"])]
+    return [
+        list(row.values())[2:-1] for row in rows(folder) if technology in (None, row["technology"])
+    ]
 
 
 def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None:
-    """Each scaled from its own pitch, under the stem of its file; an option replaces a value of both."""
+    """Each scaled from its own pitch, under the stem of its file; an option replaces a value of
+    both.
+    """
     plan, alone = tmp_path / "own.toml", tmp_path / "alone.toml"
-    plan.write_text(tiny_toml(technologies=["one.toml", "other.toml"], **ONE_RENDER), encoding="utf-8")
+    plan.write_text(
+        tiny_toml(technologies=["one.toml", "other.toml"], **ONE_RENDER), encoding="utf-8"
+    )
     alone.write_text(tiny_toml(**ONE_RENDER), encoding="utf-8")
-    paths = [file_of(tmp_path / f"{name}.toml", pixel) for name, pixel in (("one", SHEET), ("other", OTHER))]
+    paths = [
+        file_of(tmp_path / f"{name}.toml", pixel)
+        for name, pixel in (("one", SHEET), ("other", OTHER))
+    ]
     result = pixsim.study(plan, tmp_path / "both", pixel={"bits": 11}, jobs=1)
     assert all(f"{name}: " in repr(result) for name in ("one", "other"))
     captions = [table.caption for table in settings_tables(result)]
-    assert [caption for caption in captions if str(caption).startswith("pixel of ")] == ["pixel of one", "pixel of other"]
+    assert [caption for caption in captions if str(caption).startswith("pixel of ")] == [
+        "pixel of one",
+        "pixel of other",
+    ]
     for path in paths:
         pixsim.study(alone, tmp_path / path.stem, config=path, pixel={"bits": 11}, jobs=1)
         expected = numbers(tmp_path / path.stem)
         assert len(expected) == 10
         assert numbers(tmp_path / "both", str(path)) == expected
-    wells_e = [float(row["full_well_e"]) for row in rows(tmp_path / "both") if row["pitch_um"] == "30.0"]
+    wells_e = [
+        float(row["full_well_e"]) for row in rows(tmp_path / "both") if row["pitch_um"] == "30.0"
+    ]
     assert wells_e == pytest.approx([12000.0] * 2 + [30000.0 * (30 / 20) ** 2] * 2)
 
 
 def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:
     for name, pixel in (("one", SHEET), ("other", OTHER), ("same", SHEET)):
         file_of(tmp_path / f"{name}.toml", pixel)
-    (tmp_path / "half.toml").write_text("[pixel]\npitch_um = 6\nfull_well_e = 12000\n[camera]\nf_number = 2\n", encoding="utf-8")
+    (tmp_path / "half.toml").write_text(
+        "[pixel]\npitch_um = 6\nfull_well_e = 12000\n[camera]\nf_number = 2\n", encoding="utf-8"
+    )
 
     def study_of(*names: str, more: str = "") -> Study:
         plan = tmp_path / "plan.toml"
-        plan.write_text(f'name = "x"\ntechnologies = {json.dumps(list(names))}\n{more}', encoding="utf-8")
+        plan.write_text(
+            f'name = "x"\ntechnologies = {json.dumps(list(names))}\n{more}', encoding="utf-8"
+        )
         return load_study(plan)
 
     study = study_of("one.toml", "other.toml")
     assert study.open_range_um == (5.0, 120.0), "a quarter of the smaller, four times the larger"
     with pytest.raises(pixsim.PixsimError, match="same data sheet; allowed: each data sheet once"):
         check_technologies(study_of("one.toml", "same.toml"))
-    with pytest.raises(pixsim.PixsimError, match=r"pitch\.min_um: got no value.*A data sheet has no fill factors"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"pitch\.min_um: got no value.*A data sheet has no fill factors"
+    ):
         prepare(study_of("one.toml", "0.35um"))
     mixed = study_of("one.toml", "0.35um", more="[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n")
     assert [technology_of(mixed, name).name for name in mixed.technologies] == ["none", "0.35um"]
     with (
-        pytest.warns(UserWarning, match=r"\[camera\] is not used: of a sensor among technologies, only \[pixel\] is used"),
-        pytest.warns(UserWarning, match=r"technology 0\.35um assumed, without read_noise_e, dark_current_e_per_s, quantum_effic"),
+        pytest.warns(
+            UserWarning,
+            match=r"\[camera\] is not used: of a sensor among technologies, only \[pixel\] is used",
+        ),
+        pytest.warns(
+            UserWarning,
+            match=(
+                r"technology 0\.35um assumed, without read_noise_e, dark_current_e_per_s,"
+                r" quantum_effic"
+            ),
+        ),
     ):
         half = study_of("half.toml")
     assert technology_of(half, half.technologies[0]).name == "0.35um"

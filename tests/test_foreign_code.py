@@ -1,4 +1,6 @@
-"""Nothing in the current folder is run, by a command, its workers, or any other process that it starts."""
+"""Nothing in the current folder is run, by a command, its workers, or any other process that it
+starts.
+"""
 
 from __future__ import annotations
 
@@ -39,12 +41,25 @@ COMMANDS = {  # each command, with two jobs where it takes them
 }
 NAMES = [
     name
-    for name in sorted({*sys.stdlib_module_names, *packages_distributions(), "sitecustomize", "usercustomize"})
+    for name in sorted(
+        {*sys.stdlib_module_names, *packages_distributions(), "sitecustomize", "usercustomize"}
+    )
     if name.isidentifier()
 ]
 CODE = "open({log!r}, 'a').write({name!r} + '\\n')\nraise ImportError('of the current folder')\n"
 SCRIPT = '#!/bin/sh\necho {name} >> "{log}"\n'
-PROGRAMS = ("nvidia-smi", "ldconfig", "fc-list", "lscpu", "gcc", "cc", "ld", "uname", "python", "python3")
+PROGRAMS = (
+    "nvidia-smi",
+    "ldconfig",
+    "fc-list",
+    "lscpu",
+    "gcc",
+    "cc",
+    "ld",
+    "uname",
+    "python",
+    "python3",
+)
 
 
 @pytest.fixture
@@ -56,12 +71,16 @@ def folder(tmp_path: Path) -> Path:
     for name in ("spectra", "charts"):
         shutil.copytree(Path(HOME, "scenes", name), place / name)
     scene = Path(HOME, "scenes/line_lamp.xml").read_text(encoding="utf-8")
-    (place / "own.xml").write_text(f"{scene}<!-- not pixsim's: a child renders it -->", encoding="utf-8")
+    (place / "own.xml").write_text(
+        f"{scene}<!-- not pixsim's: a child renders it -->", encoding="utf-8"
+    )
     return place
 
 
 def plant(folder: Path, names: Sequence[str]) -> Path:
-    """Put a module of each name, and programs, into a folder; return the file where they write their names when they are run."""
+    """Put a module of each name, and programs, into a folder; return the file where they write
+    their names when they are run.
+    """
     log = folder.parent / "log"
     for name in names:
         (folder / f"{name}.py").write_text(CODE.format(log=str(log), name=name), encoding="utf-8")
@@ -73,16 +92,23 @@ def plant(folder: Path, names: Sequence[str]) -> Path:
 
 def run(name: str, folder: Path, **variables: str) -> None:
     done = process(COMMANDS[name], folder=folder, **variables)
-    assert done.returncode in (0, 2 if name == "sfr" else 0, 1 if name == "doctor" else 0), done.stderr
+    assert done.returncode in (0, 2 if name == "sfr" else 0, 1 if name == "doctor" else 0), (
+        done.stderr
+    )
 
 
 def test_each_command_is_here() -> None:
-    others = {"accuracy", "explore"}  # the first starts no process of its own, the second stays until its page is closed
+    others = {
+        "accuracy",
+        "explore",
+    }  # the first starts no process of its own, the second stays until its page is closed
     assert {*COMMANDS, *others} == {name for name in app if not name.startswith("-")}
 
 
 def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
-    """Of any name of the standard library and of the packages that are installed; by a child that renders, and by workers."""
+    """Of any name of the standard library and of the packages that are installed; by a child that
+    renders, and by workers.
+    """
     log = plant(folder, NAMES)
     for name in ("run", "compare"):
         run(name, folder, PYTHONPATH=HOME)
@@ -109,17 +135,34 @@ print(sorted(results_of(operator.add, [(task, int) for task in (1, 2, 3)], Worke
 
 
 def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> None:
-    """Of PYTHONPATH and PATH; but for what Python itself imports before the first line of a command."""
-    log = plant(folder, ["joblib", "multiprocessing", "numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "PIL"])
+    """Of PYTHONPATH and PATH; but for what Python itself imports before the first line of a
+    command.
+    """
+    log = plant(
+        folder,
+        ["joblib", "multiprocessing", "numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "PIL"],
+    )
     variables = {"PYTHONPATH": f":{HOME}:", "PATH": f":{os.environ['PATH']}"}
     run("plan", folder, **variables)
     command = [sys.executable, "-P", "-c", WITH_WORKERS]
-    done = subprocess.run(command, cwd=folder, env=os.environ | variables, capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=os.environ | variables,
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
     assert (done.stdout, log.exists()) == ("[1, 2, 3]\n", False), done.stderr
 
 
 def test_without_empty_parts_keeps_the_others() -> None:
-    assert [without_empty_parts(text) for text in ("", ":", ":/a::b:", ".:/a")] == ["", "", "/a:b", ".:/a"]
+    assert [without_empty_parts(text) for text in ("", ":", ":/a::b:", ".:/a")] == [
+        "",
+        "",
+        "/a:b",
+        ".:/a",
+    ]
 
 
 MINE = "def double(task, _):\n    return 2 * task\n"
@@ -141,7 +184,11 @@ def test_a_users_own_modules_reach_the_workers(folder: Path, tmp_path: Path) -> 
     (tmp_path / "mine.py").write_text(MINE, encoding="utf-8")
     (tmp_path / "script.py").write_text(SCRIPT_OF_USER, encoding="utf-8")
     log = plant(folder, ["joblib", "multiprocessing", "numpy"])
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"} | {"PYTHONPATH": HOME}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"
+    } | {"PYTHONPATH": HOME}
     command = [sys.executable, tmp_path / "script.py"]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=HANG_S
+    )
     assert (done.stdout, log.exists()) == ("[2, 4, 6]\nTrue False\n", False), done.stderr

@@ -1,4 +1,6 @@
-"""Malicious or damaged input is rejected with a message, in limited time and memory, without partial files."""
+"""Malicious or damaged input is rejected with a message, in limited time and memory, without
+partial files.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ from pixsim.studies.files import load_study
 from pixsim.studies.table import CHECK, COLUMNS, Store, check_of
 
 DATA = Path(pixsim.__file__).parent / "data"
-FEW = {"shape": (60, 60), "stack_frames": 8}  # size of a data sheet's experiment whose numbers do not matter
+FEW = {
+    "shape": (60, 60),
+    "stack_frames": 8,
+}  # size of a data sheet's experiment whose numbers do not matter
 FEW_FRAMES = f"""
 import functools
 from pixsim import cli
@@ -98,7 +103,8 @@ def assert_command_rejects(line: str, *arguments: object) -> None:
     assert "unexpected" not in err
 
 
-# --- Not regular files ---------------------------------------------------------------------------------------------------
+# --- Not regular files
+# ---------------------------------------------------------------------------------------------------
 
 
 def irregular_files(folder: Path, suffix: str) -> Iterator[Path]:
@@ -106,9 +112,21 @@ def irregular_files(folder: Path, suffix: str) -> Iterator[Path]:
     (loop := folder / f"loop{suffix}").symlink_to(loop)
     (device := folder / f"zero{suffix}").symlink_to("/dev/zero")
     (folder / f"folder{suffix}").mkdir()
-    (system := folder / f"pagemap{suffix}").symlink_to("/proc/self/pagemap")  # regular, of size 0, and without an end
+    (system := folder / f"pagemap{suffix}").symlink_to(
+        "/proc/self/pagemap"
+    )  # regular, of size 0, and without an end
     os.mknod(socket := folder / f"socket{suffix}", stat.S_IFSOCK | 0o600)
-    return iter([pipe, loop, device, folder / f"folder{suffix}", folder / ("x" * 300 + suffix), system, socket])
+    return iter(
+        [
+            pipe,
+            loop,
+            device,
+            folder / f"folder{suffix}",
+            folder / ("x" * 300 + suffix),
+            system,
+            socket,
+        ]
+    )
 
 
 @pytest.mark.parametrize(
@@ -149,10 +167,18 @@ OTHER_STARTS = [b"1", b"1,", b"PK\x03\x04", b"#?RADIANCE\n"]  # a dozen commands
 
 @pytest.mark.parametrize(
     "before",
-    [b"", b"\x93NUMPY\x01\x00\x40\x00", b"ENVI\n", b"<a ", *(pytest.param(x, marks=pytest.mark.slow) for x in OTHER_STARTS)],
+    [
+        b"",
+        b"\x93NUMPY\x01\x00\x40\x00",
+        b"ENVI\n",
+        b"<a ",
+        *(pytest.param(x, marks=pytest.mark.slow) for x in OTHER_STARTS),
+    ],
 )
 def test_command_does_not_quote_a_file_of_another_format(tmp_path, before):
-    """A study of a stranger may name the user's own files, and the output may go back to the stranger."""
+    """A study of a stranger may name the user's own files, and the output may go back to the
+    stranger.
+    """
     for suffix, line in [
         *((suffix, "run {}") for suffix in (".xml", ".exr", ".npz", ".hdr")),
         *((suffix, "sfr {}") for suffix in (".png", ".npy", ".tiff")),
@@ -173,7 +199,8 @@ def test_invalid_escapes_control_characters():
     assert len(str(invalid("x", "y" * 10**6, "z"))) < 21_000
 
 
-# --- TOML --------------------------------------------------------------------------------------------------------------
+# --- TOML
+# --------------------------------------------------------------------------------------------------------------
 
 TOMLS = {
     "large": b"#" * ((1 << 20) + 1),
@@ -197,19 +224,28 @@ TOMLS = {
 @pytest.mark.parametrize("content", TOMLS.values(), ids=TOMLS.keys())
 def test_read_toml_hostile_file_raises(tmp_path, content):
     (path := tmp_path / "a.toml").write_bytes(content)
-    for read in (lambda: SceneOptions([path]).settings(), lambda: load_study(path), lambda: load_technology(str(path))):
+    for read in (
+        lambda: SceneOptions([path]).settings(),
+        lambda: load_study(path),
+        lambda: load_technology(str(path)),
+    ):
         with rejected("a.toml"):
             read()
 
 
-@pytest.mark.parametrize("name", ["..", ".", "../x", "a/b", "-x", "", "a" * 200, "a\\u0000b", "a\\n"])
+@pytest.mark.parametrize(
+    "name", ["..", ".", "../x", "a/b", "-x", "", "a" * 200, "a\\u0000b", "a\\n"]
+)
 def test_load_study_name_with_path_raises(tmp_path, name):
     (tmp_path / "a.toml").write_text(f'name = "{name}"')
     with rejected("name"):
         load_study(tmp_path / "a.toml")
 
 
-@pytest.mark.parametrize("more", ['[sources]\nx = "y"', "[name]\nvalue = 1", "[prnu]\nvalue = []", "[junction]\nvalue = 3"])
+@pytest.mark.parametrize(
+    "more",
+    ['[sources]\nx = "y"', "[name]\nvalue = 1", "[prnu]\nvalue = []", "[junction]\nvalue = 3"],
+)
 def test_load_technology_invalid_entry_raises(tmp_path, more):
     text = (DATA / "technologies/0.35um.toml").read_text().replace("[prnu]", "[other]")
     (tmp_path / "t.toml").write_text(text + "\n" + more)
@@ -217,7 +253,8 @@ def test_load_technology_invalid_entry_raises(tmp_path, more):
         load_technology(str(tmp_path / "t.toml"))
 
 
-# --- XML ---------------------------------------------------------------------------------------------------------------
+# --- XML
+# ---------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -242,7 +279,9 @@ def load(path: Path, **parameters: object) -> pixsim.scene.Scene:
 LAUGHS = "<!DOCTYPE scene [" + "".join(
     f'<!ENTITY l{n} "{f"&l{n - 1};" * 10 if n else "ha"}">' for n in range(10)
 )  # fmt: skip
-DEFAULTS = "".join(f'<default name="p{n}" value="{f"$p{n - 1}" * 10 if n else "ha"}"/>' for n in range(10))
+DEFAULTS = "".join(
+    f'<default name="p{n}" value="{f"$p{n - 1}" * 10 if n else "ha"}"/>' for n in range(10)
+)
 TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
     f'<bsdf type="twosided" id="t{n}"><ref id="t{n - 1}"/></bsdf>' for n in range(1, 40)
 )
@@ -291,7 +330,10 @@ def test_load_scene_hostile_xml_raises(folder, before, more, words):
         pixsim.render(scene, scene.camera(), seed=0)
 
 
-@pytest.mark.parametrize("content", [b"", b"\0", b"<scene version='3.0.0'", b"{}", b"\x7fELF", b"<" * (9 << 20), b"<a " * 10**6])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\0", b"<scene version='3.0.0'", b"{}", b"\x7fELF", b"<" * (9 << 20), b"<a " * 10**6],
+)
 def test_load_scene_not_xml_raises(tmp_path, content):
     (tmp_path / "a.xml").write_bytes(content)
     with rejected("a.xml"):
@@ -299,11 +341,15 @@ def test_load_scene_not_xml_raises(tmp_path, content):
 
 
 def test_load_scene_parameter_file_may_be_anywhere(folder, tmp_path):
-    path = with_more(folder, '<default name="part" value="part.xml"/><include filename="$part"/>', "<include")
+    path = with_more(
+        folder, '<default name="part" value="part.xml"/><include filename="$part"/>', "<include"
+    )
     path.write_text(path.read_text().replace('<include filename="part.xml"/>', ""))
     assert load(path, part=tmp_path / "outside.xml").names == {"part", "scale", "spp"}
     (folder / "sub").mkdir()
-    (folder / "sub/part.xml").write_text('<scene version="3.0.0"><include filename="more.xml"/></scene>')
+    (folder / "sub/part.xml").write_text(
+        '<scene version="3.0.0"><include filename="more.xml"/></scene>'
+    )
     (folder / "sub/more.xml").write_text('<scene version="3.0.0"/>')
     load(path, part="sub/part.xml")
 
@@ -312,7 +358,13 @@ def test_load_scene_malformed_comments_are_harmless(folder):
     """Mitsuba's parser accepts them; a comment mark in quotes does not hide an include."""
     load(with_more(folder, '<!-- -- a "quote -- <include filename="ghost.xml"/> --->'))
     with rejected("scene.xml"):
-        load(with_more(folder, '<string name="a" value="<!--"/><include filename="../outside.xml"/><string name="b" value="-->"/>'))
+        load(
+            with_more(
+                folder,
+                '<string name="a" value="<!--"/><include filename="../outside.xml"/><string'
+                ' name="b" value="-->"/>',
+            )
+        )
 
 
 @pytest.mark.parametrize(
@@ -329,7 +381,8 @@ def test_run_hostile_parameter_is_rejected(tmp_path, setting):
     assert not (tmp_path / "out").exists()
 
 
-# --- EXR, npz, ENVI, PNG -----------------------------------------------------------------------------------------------
+# --- EXR, npz, ENVI, PNG
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sides", [(1 << 31) - 1, 65535, 99_999, -5])
@@ -359,7 +412,9 @@ def test_read_exr_unsupported_kinds_raise(tmp_path, capfd):
     (tmp_path / "deep.exr").write_bytes(whole)
     with rejected("a deep image"):
         read_channels(tmp_path / "deep.exr")
-    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{n}": y[:1, :1] for n in range(5000)}) as file:
+    with OpenEXR.File(
+        {"type": OpenEXR.scanlineimage}, {f"c{n}": y[:1, :1] for n in range(5000)}
+    ) as file:
         file.write(str(tmp_path / "many.exr"))
     with rejected("5000 channels"):
         read_channels(tmp_path / "many.exr")
@@ -372,7 +427,9 @@ def test_read_exr_unsupported_kinds_raise(tmp_path, capfd):
 
 @pytest.mark.parametrize("bits", ["x", 1e9, -1, float("nan")])
 def test_read_edge_picture_invalid_bits_raises(tmp_path, bits):
-    with OpenEXR.File({"type": OpenEXR.scanlineimage, "bits": bits}, {"Y": np.ones((8, 8), np.float32)}) as file:
+    with OpenEXR.File(
+        {"type": OpenEXR.scanlineimage, "bits": bits}, {"Y": np.ones((8, 8), np.float32)}
+    ) as file:
         file.write(str(tmp_path / "a.exr"))
     with rejected("bits"):
         read_edge_picture(tmp_path / "a.exr")
@@ -396,7 +453,9 @@ def test_read_picture_invalid_header_raises(tmp_path, header):
 
 def npy(shape: tuple[int, ...], descr: str = "<f4", content: bytes = b"") -> bytes:
     file = io.BytesIO()
-    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        file, {"descr": descr, "fortran_order": False, "shape": shape}
+    )
     return file.getvalue() + content
 
 
@@ -425,11 +484,16 @@ def test_read_npz_hostile_array_raises(tmp_path, data):
 
 def test_read_npz_zip_bomb_raises(tmp_path):
     path = tmp_path / "a.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("data.npy", "w") as member:
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file,
+        file.open("data.npy", "w") as member,
+    ):
         member.write(npy((1 << 20,), "|u1"))
         for _ in range(16):
             member.write(b"\0" * (1 << 20))
-    path.write_bytes(path.read_bytes().replace(struct.pack("<I", (1 << 24) + 128), struct.pack("<I", 1 << 31)))
+    path.write_bytes(
+        path.read_bytes().replace(struct.pack("<I", (1 << 24) + 128), struct.pack("<I", 1 << 31))
+    )
     with rejected("a.npz"):
         read_edge_picture(path)
     with zipfile.ZipFile(tmp_path / "b.npz", "w") as file:
@@ -442,7 +506,9 @@ def test_read_npz_zip_bomb_raises(tmp_path):
 def test_read_frame_leaves_unwanted_members_packed(tmp_path):
     """Neither their content nor their size matters."""
     dn = np.arange(6, dtype="<u2").reshape(2, 3)
-    path = npz(tmp_path / "a.npz", dn=npy((2, 3), "<u2", dn.tobytes()), other=npy((1 << 40,)), damaged=b"x")
+    path = npz(
+        tmp_path / "a.npz", dn=npy((2, 3), "<u2", dn.tobytes()), other=npy((1 << 40,)), damaged=b"x"
+    )
     assert np.array_equal(pixsim.read_frame(path).dn, dn)
 
 
@@ -455,7 +521,9 @@ def test_read_frame_unusual_packing_raises(tmp_path, packing):
         pixsim.read_frame(tmp_path / "a.npz")
 
 
-@pytest.mark.parametrize("kind", ["light.exr", "light.npz", "cube.hdr", "edge.npy", "edge.png", "raw.npz"])
+@pytest.mark.parametrize(
+    "kind", ["light.exr", "light.npz", "cube.hdr", "edge.npy", "edge.png", "raw.npz"]
+)
 def test_reader_has_one_limit_of_size_that_can_be_set(targets, kind, monkeypatch):
     path, _, reader = targets[kind]
     monkeypatch.setenv(MAX_FILE_VARIABLE, "1e-8")  # 10 bytes
@@ -470,9 +538,15 @@ def test_reader_has_one_limit_of_size_that_can_be_set(targets, kind, monkeypatch
 
 
 def test_read_picture_bomb_takes_no_memory(tmp_path, monkeypatch):
-    """Declared content counts, not the size of the file: 17 MB of zeros are 17 kB in a zip, and nothing in a sparse file."""
+    """Declared content counts, not the size of the file: 17 MB of zeros are 17 kB in a zip, and
+    nothing in a sparse file.
+    """
     monkeypatch.setenv(MAX_FILE_VARIABLE, "0.01")
-    npz(tmp_path / "a.npz", data=npy((1 << 11, 1 << 10, 2), content=bytes(1 << 24)), wavelength_nm=npy((2,), content=bytes(8)))
+    npz(
+        tmp_path / "a.npz",
+        data=npy((1 << 11, 1 << 10, 2), content=bytes(1 << 24)),
+        wavelength_nm=npy((2,), content=bytes(8)),
+    )
     with rejected("a.npz", MAX_FILE_VARIABLE):
         read_picture(tmp_path / "a.npz")
     with (tmp_path / "a.npy").open("wb") as file:
@@ -488,7 +562,9 @@ def test_read_picture_bomb_takes_no_memory(tmp_path, monkeypatch):
 @pytest.mark.parametrize("gap", [None, (2999, 3999, 2)])
 def test_read_envi_search_for_missing_values_takes_no_memory(tmp_path, gap):
     """36 MB: a list of all gaps would take 24 bytes for each, 0.9 GB."""
-    header = ENVI.replace("samples = 5\nlines = 4", "samples = 4000\nlines = 3000").replace("data type = 4", "data type = 1")
+    header = ENVI.replace("samples = 5\nlines = 4", "samples = 4000\nlines = 3000").replace(
+        "data type = 4", "data type = 1"
+    )
     (tmp_path / "a.hdr").write_text(f"{header}data ignore value = {0 if gap is None else 7}\n")
     with (tmp_path / "a.img").open("wb") as file:
         file.truncate(3000 * 4000 * 3)
@@ -496,7 +572,9 @@ def test_read_envi_search_for_missing_values_takes_no_memory(tmp_path, gap):
             file.seek(-1, os.SEEK_END)
             file.write(b"\x07")
     row, column, band = gap or (0, 0, 0)
-    with rejected(f"no data ({0 if gap is None else 7}) at row {row}, column {column}, band {band}"):
+    with rejected(
+        f"no data ({0 if gap is None else 7}) at row {row}, column {column}, band {band}"
+    ):
         read_picture(tmp_path / "a.hdr")
 
 
@@ -507,10 +585,17 @@ def png_bomb(side: int = 40_000) -> bytes:
     packed = b"".join(rows_of_zeros.compress(line) for _ in range(64)) + rows_of_zeros.flush()
 
     def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        return (
+            struct.pack(">I", len(content))
+            + kind
+            + content
+            + struct.pack(">I", zlib.crc32(kind + content))
+        )
 
     head = struct.pack(">2I5B", side, side, 16, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    )
 
 
 @pytest.mark.parametrize("side", [40_000, 16_000, 100])
@@ -539,10 +624,13 @@ def test_read_envi_hostile_header_raises(tmp_path, old, new):
         read_picture(tmp_path / "a.hdr")
 
 
-# --- Results and cache -----------------------------------------------------------------------------------------------------
+# --- Results and cache
+# -----------------------------------------------------------------------------------------------------
 
 HEAD = ",".join([*COLUMNS, KEY, CHECK]).encode() + b"\n"
-ENDLESS = f"key1,0.35um,1.5,1e18{',1.5' * (len(COLUMNS) - 4)},{SCHEMA}"  # of a repeat that no study has
+ENDLESS = (  # of a repeat that no study has
+    f"key1,0.35um,1.5,1e18{',1.5' * (len(COLUMNS) - 4)},{SCHEMA}"
+)
 
 
 @pytest.mark.parametrize(
@@ -591,7 +679,8 @@ def test_cache_of_garbage_is_ignored(tmp_path, monkeypatch):
     cache.clear()
 
 
-# --- Names and output files ----------------------------------------------------------------------------------------
+# --- Names and output files
+# ----------------------------------------------------------------------------------------
 
 NAMES = ["a b", "a'b\"c", "ünï", "n\nl", "$x$", "[b]", "%s{}", "-dash", "...", "caf\udce9"]
 
@@ -611,7 +700,10 @@ def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name)
         code, out, err = run_command(*arguments)
         assert code in (0, 2), err
         assert "Traceback" not in err + out
-    assert {path.name for path in tmp_path.iterdir()} <= {name, *(path.name for path in seeds_folder.iterdir())}
+    assert {path.name for path in tmp_path.iterdir()} <= {
+        name,
+        *(path.name for path in seeds_folder.iterdir()),
+    }
     assert not list(tmp_path.rglob("*.part"))
 
 
@@ -635,24 +727,38 @@ def test_command_full_disk_leaves_no_partial_file(tmp_path, line, max_bytes):
     np.save(tmp_path / "edge.npy", 1 / (1 + np.exp(-x)))
     if "-o " in line:
         (tmp_path / "out").mkdir()
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # truncated bytecode would break later processes
-    options = {"cwd": tmp_path, "preexec_fn": limit, "timeout": HANG_S, "capture_output": True, "text": True, "env": environment}
+    environment = os.environ | {
+        "PYTHONDONTWRITEBYTECODE": "1"
+    }  # truncated bytecode would break later processes
+    options = {
+        "cwd": tmp_path,
+        "preexec_fn": limit,
+        "timeout": HANG_S,
+        "capture_output": True,
+        "text": True,
+        "env": environment,
+    }
     done = subprocess.run([sys.executable, "-c", FEW_FRAMES, *line.split()], **options, check=False)
     assert (done.returncode, done.stdout) == (2, ""), done.stderr
     assert "Traceback" not in done.stderr
     files = [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "edge.npy"]
     assert all(path.stat().st_size < max_bytes for path in files), "a truncated file"
-    assert not [path for path in files if path.suffix == ".part" or path.parent.name.startswith(".")]
+    assert not [
+        path for path in files if path.suffix == ".part" or path.parent.name.startswith(".")
+    ]
 
 
-# --- Terminal ----------------------------------------------------------------------------------------------------------
+# --- Terminal
+# ----------------------------------------------------------------------------------------------------------
 
 ESCAPES = "\x1b[2J\x07\x9b31m\u202e\x7f"
 
 
 @pytest.mark.slow
 def test_commands_print_no_control_characters(tmp_path, monkeypatch):
-    """Names of files and texts of their headers, in results, tables, messages, warnings and lines of progress."""
+    """Names of files and texts of their headers, in results, tables, messages, warnings and lines
+    of progress.
+    """
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / ESCAPES
     folder.mkdir()
@@ -679,18 +785,28 @@ def test_commands_print_no_control_characters(tmp_path, monkeypatch):
 
 
 def test_every_print_is_printable():
-    """Nothing in the package prints but through `printable`, save the fixed words of an interruption, and JSON, which is ASCII."""
+    """Nothing in the package prints but through `printable`, save the fixed words of an
+    interruption, and JSON, which is ASCII.
+    """
     calls = [
         (path.name, line.strip())
         for path in sorted(Path(pixsim.__file__).parent.rglob("*.py"))
         for line in path.read_text(encoding="utf-8").splitlines()
-        if re.match(r"\s*(print\(|.*\.(stdout|stderr|stream)\.write\(|traceback\.print_|stream\.write\()", line)
+        if re.match(
+            r"\s*(print\(|.*\.(stdout|stderr|stream)\.write\(|traceback\.print_|stream\.write\()",
+            line,
+        )
     ]
     assert len(calls) >= 5
-    assert [call for call in calls if not re.search(r"printable\(|interruption\.words|json\.dumps\(", call[1])] == []
+    assert [
+        call
+        for call in calls
+        if not re.search(r"printable\(|interruption\.words|json\.dumps\(", call[1])
+    ] == []
 
 
-# --- Reports -----------------------------------------------------------------------------------------------------------
+# --- Reports
+# -----------------------------------------------------------------------------------------------------------
 
 MARKUP = "</h1><script>alert(1)</script>\"'&<img src=x onerror=alert(1)>"
 
@@ -703,7 +819,9 @@ def test_templates_escape_markup(path):
     assert "autoescape" not in text
 
 
-@pytest.mark.parametrize("name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"])
+@pytest.mark.parametrize(
+    "name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"]
+)
 @figures.own_style()
 def test_literal_shows_name_unchanged(name):
     figure = figures.new_figure(12, 4)
@@ -715,19 +833,24 @@ def test_literal_shows_name_unchanged(name):
     assert "<script" not in svg.replace("<!--", "").partition("<script")[0]
 
 
-@pytest.mark.parametrize("line", ["study study.toml --jobs 1", pytest.param("datasheet 't$<b>$.toml'", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "line",
+    ["study study.toml --jobs 1", pytest.param("datasheet 't$<b>$.toml'", marks=pytest.mark.slow)],
+)
 def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
-    """Title, technology and sources of a study, and the name of a data sheet, are markup and mathematics."""
+    """Title, technology and sources of a study, and the name of a data sheet, are markup and
+    mathematics.
+    """
     monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, **FEW))
     monkeypatch.chdir(tmp_path)
     text = (DATA / "technologies/0.35um.toml").read_text()
     name = next(line for line in text.splitlines() if line.startswith("name"))
     (tmp_path / "t$<b>$.toml").write_text(text.replace(name, f"name = '''{MARKUP}$\\frac[bold]'''"))
     (tmp_path / "study.toml").write_text(
-        f"name = 'x'\ntitle = '''{MARKUP} $\\frac{{$'''\nrepeats = 2\ntechnologies = ['t$<b>$.toml']\n"
-        "pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0] }\ndisplay = { dots = 32, samples_per_deg = 10.0 }\n"
-        "resolution = 32\ncamera = { die_mm = 0.7 }\nscene = { file = 'csf' }\n"
-        f"[sources]\n'camera.f_number' = '''{MARKUP}'''\n"
+        f"name = 'x'\ntitle = '''{MARKUP} $\\frac{{$'''\nrepeats = 2\ntechnologies ="
+        " ['t$<b>$.toml']\npitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0] }\ndisplay = { dots"
+        " = 32, samples_per_deg = 10.0 }\nresolution = 32\ncamera = { die_mm = 0.7 }\nscene ="
+        f" {{ file = 'csf' }}\n[sources]\n'camera.f_number' = '''{MARKUP}'''\n"
     )
     code, _, err = run_command(f"{line} --out out")
     assert code == 0, err
@@ -739,10 +862,20 @@ def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
         ET.fromstring(path.read_text(encoding="utf-8"))
 
 
-# --- Random changes ---------------------------------------------------------------------------------------------------------
+# --- Random changes
+# ---------------------------------------------------------------------------------------------------------
 
 PICTURES = ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy", "raw.npz"]
-KINDS = ["config.toml", "study.toml", "technology.toml", "lens.toml", "lens.zmx", "curve.csv", "scene.xml", "shipped.xml"]
+KINDS = [
+    "config.toml",
+    "study.toml",
+    "technology.toml",
+    "lens.toml",
+    "lens.zmx",
+    "curve.csv",
+    "scene.xml",
+    "shipped.xml",
+]
 KINDS += ["cube.hdr", "edge.png", "results.csv", *PICTURES]
 
 
@@ -770,8 +903,26 @@ def test_reader_truncated_picture_raises(targets, kind, capfd):
     assert capfd.readouterr().out == "", "stdout is for results only"
 
 
-TOKENS = [b"\0", b"\xff", b"[", b"{", b'"', b"-1", b"1e999", b"nan", b"9" * 40, b"\xff\xff\xff\x7f", b"<", b"$spp", b"null", b""]
-CHANGES = st.lists(st.tuples(st.floats(0, 1), st.sampled_from(TOKENS) | st.binary(min_size=1, max_size=4)), max_size=6)
+TOKENS = [
+    b"\0",
+    b"\xff",
+    b"[",
+    b"{",
+    b'"',
+    b"-1",
+    b"1e999",
+    b"nan",
+    b"9" * 40,
+    b"\xff\xff\xff\x7f",
+    b"<",
+    b"$spp",
+    b"null",
+    b"",
+]
+CHANGES = st.lists(
+    st.tuples(st.floats(0, 1), st.sampled_from(TOKENS) | st.binary(min_size=1, max_size=4)),
+    max_size=6,
+)
 
 
 @contextmanager
@@ -788,9 +939,20 @@ def restored(path: Path, whole: bytes) -> Iterator[None]:
 @pytest.mark.parametrize(("contents", "examples"), [("changed", 30), ("random", 10)])
 def test_reader_changed_file_is_read_or_rejected(targets, kind, contents, examples):
     path, whole, reader = targets[kind]
-    a_change = st.builds(partial(changed, whole), CHANGES, st.just(1.0) | st.floats(0, 1), st.sampled_from([0, 0, 0, 2]))
+    a_change = st.builds(
+        partial(changed, whole),
+        CHANGES,
+        st.just(1.0) | st.floats(0, 1),
+        st.sampled_from([0, 0, 0, 2]),
+    )
 
-    @settings(derandomize=True, max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(
+        derandomize=True,
+        max_examples=examples,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        database=None,
+    )
     @given(a_change if contents == "changed" else st.binary(max_size=300))
     def check(content: bytes) -> None:
         path.write_bytes(content)

@@ -1,4 +1,6 @@
-"""Scenes of strangers run no foreign code, read no other files, and end: what Mitsuba gets was judged, or is refused."""
+"""Scenes of strangers run no foreign code, read no other files, and end: what Mitsuba gets was
+judged, or is refused.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +47,15 @@ from pixsim.scene.tree import nodes_of, parse_tree, tree_of
 
 VARIANT = "scalar_spectral"
 SIDE = 8
-FILM = f'<film type="hdrfilm"><integer name="width" value="{SIDE}"/><integer name="height" value="{SIDE}"/></film>'
+FILM = (
+    f'<film type="hdrfilm"><integer name="width" value="{SIDE}"/><integer name="height"'
+    f' value="{SIDE}"/></film>'
+)
 SAMPLER = '<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>'
-LENS = '<float name="fov" value="40"/><float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="1"/>'
+LENS = (
+    '<float name="fov" value="40"/><float name="aperture_radius" value="0.0005"/><float'
+    ' name="focus_distance" value="1"/>'
+)
 SENSOR = f'<sensor type="thinlens">{LENS}{SAMPLER}{FILM}</sensor>'
 LIT = '<integrator type="path"/>' + SENSOR + '<emitter type="constant"/>'
 HEAD = '<scene version="3.0.0">'
@@ -67,10 +75,12 @@ def rendered(path: Path, **parameters: object) -> pixsim.SpectralImage:
     return pixsim.render(load(path, **parameters).with_resolution(2))
 
 
-# --- Foreign code -----------------------------------------------------------------------------------------------------------
+# --- Foreign code
+# -----------------------------------------------------------------------------------------------------------
 
 PLUGIN_FOLDER = Path(importlib.util.find_spec("mitsuba").origin).parent / "plugins"
-# Loads and renders a scene in a fresh process, in the current folder, and prints which of the attacker's files were mapped.
+# Loads and renders a scene in a fresh process, in the current folder, and prints which of the
+# attacker's files were mapped.
 ATTACKED = """
 import json, sys
 from pathlib import Path
@@ -103,7 +113,12 @@ print(json.dumps({"found": found + mapped("self"), "error": error}))
 SPHERE = '<shape type="sphere"><transform name="to_world"><translate z="3"/></transform>{}</shape>'
 # Way -> (files that the attacker puts there, how it is loaded, the scene, text of the error).
 WAYS = {
-    "another plugin beside the scene": ("plugins/evil.so", "pixsim", SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
+    "another plugin beside the scene": (
+        "plugins/evil.so",
+        "pixsim",
+        SPHERE.format('<bsdf type="evil"/>'),
+        "bsdf: got 'evil'",
+    ),
     # Beside the scene and in the current folder at once, since each takes a process that renders.
     "known plugins": (
         ("plugins/thinlens.so", "plugins/rectangle.so", "plugins/sphere.so"),
@@ -111,9 +126,19 @@ WAYS = {
         '<shape type="rectangle"/>' + SPHERE.format(""),
         "",
     ),
-    "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got a text of 7 characters"),
+    "a path in the name": (
+        "trav.so",
+        "pixsim",
+        SPHERE.format('<bsdf type="../trav"/>'),
+        "bsdf: got a text of 7 characters",
+    ),
     # The emitter of a packaged scene; a spectrum and a film by load_dict.
-    "plugins of a packaged scene": (("plugins/area.so", "plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),
+    "plugins of a packaged scene": (
+        ("plugins/area.so", "plugins/d65.so", "plugins/specfilm.so"),
+        "resolver",
+        "csf",
+        "",
+    ),
 }
 
 
@@ -121,10 +146,16 @@ def attacked(folder: Path, way: str, how: str | None = None) -> dict:
     files, usual, body, _ = WAYS[way]
     for file in (files,) if isinstance(files, str) else files:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(PLUGIN_FOLDER / ("diffuse.so" if Path(file).stem in ("evil", "trav") else Path(file).name), folder / file)
+        shutil.copy(
+            PLUGIN_FOLDER
+            / ("diffuse.so" if Path(file).stem in ("evil", "trav") else Path(file).name),
+            folder / file,
+        )
     scene = str(scene_of(folder, body)) if body.startswith("<") else body
     arguments = [sys.executable, "-c", ATTACKED, str(folder), how or usual, scene]
-    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=HANG_S, check=True)
+    done = subprocess.run(
+        arguments, cwd=folder, capture_output=True, text=True, timeout=HANG_S, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -132,7 +163,9 @@ def attacked(folder: Path, way: str, how: str | None = None) -> dict:
 BY_NAME = ("a path in the name",)
 
 
-@pytest.mark.parametrize("way", [pytest.param(way, marks=pytest.mark.slow) if way in BY_NAME else way for way in WAYS])
+@pytest.mark.parametrize(
+    "way", [pytest.param(way, marks=pytest.mark.slow) if way in BY_NAME else way for way in WAYS]
+)
 def test_foreign_plugin_is_not_loaded(way, tmp_path):
     result = attacked(tmp_path, way)
     assert result["found"] == []
@@ -146,19 +179,26 @@ def test_foreign_plugin_would_be_seen(tmp_path):
     assert result["found"][0] == str(tmp_path / "plugins/evil.so")
 
 
-# --- The text that Mitsuba gets ----------------------------------------------------------------------------------------------
+# --- The text that Mitsuba gets
+# ----------------------------------------------------------------------------------------------
 
 
 def test_judged_text_has_what_the_file_has(tmp_path):
-    """ASCII without comments, parameters or includes; the same elements otherwise, and files as absolute paths."""
-    (tmp_path / "part.xml").write_text(f'<?xml version="1.0"?>{HEAD}<!-- part --><bsdf type="null" id="b"/></scene>')
+    """ASCII without comments, parameters or includes; the same elements otherwise, and files as
+    absolute paths.
+    """
+    (tmp_path / "part.xml").write_text(
+        f'<?xml version="1.0"?>{HEAD}<!-- part --><bsdf type="null" id="b"/></scene>'
+    )
     pixsim.write_chart(tmp_path / "ü.exr", np.ones((2, 2), np.float32))
     body = """<?php x?><!-- - -- --><default name="file" value="ü.exr"/><include filename="part.xml"/>
         <bsdf type="diffuse" id="grün &lt; &amp; &quot; 'x' \\$5"><texture name="reflectance" type="bitmap">
         <string name="filename" value="$file"/></texture></bsdf>"""
     text = open_scene(scene_of(tmp_path, body), {})
     assert text.text.isascii()
-    assert not any(word in text.text for word in ("<!", "<?", "<include", "<default", "&lt", "&#0;"))
+    assert not any(
+        word in text.text for word in ("<!", "<?", "<include", "<default", "&lt", "&#0;")
+    )
     root = ET.fromstring(text.text)
     assert root.attrib == {"version": "3.0.0"}
     assert [child.tag for child in root] == ["integrator", "sensor", "emitter", "bsdf", "bsdf"]
@@ -174,14 +214,18 @@ def test_judged_text_has_what_the_file_has(tmp_path):
 def test_other_encoding_is_refused(encoding, tmp_path):
     """By the bytes of the file, not by what it declares: Mitsuba gets ASCII."""
     head = f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'
-    (tmp_path / "scene.xml").write_bytes(f'{head}<bsdf type="null" id="grün"/></scene>'.encode(encoding))
+    (tmp_path / "scene.xml").write_bytes(
+        f'{head}<bsdf type="null" id="grün"/></scene>'.encode(encoding)
+    )
     with pytest.raises(PixsimError, match="UTF-8"):
         open_scene(tmp_path / "scene.xml", {})
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII", "latin1", "utf-7"])
 def test_utf_8_is_read(encoding, tmp_path):
-    assert open_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}).text.startswith("<scene")
+    assert open_scene(
+        scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}
+    ).text.startswith("<scene")
 
 
 @pytest.mark.parametrize("version", ["0.5.0", "1.9.9", "3", "x", ""])
@@ -191,21 +235,26 @@ def test_old_version_is_refused(version, tmp_path):
 
 
 def test_parameter_goes_in_as_in_mitsuba(tmp_path):
-    """The longest name that fits; what a parameter holds is text, also where it looks like another parameter."""
+    """The longest name that fits; what a parameter holds is text, also where it looks like another
+    parameter.
+    """
     body = """<default name="a" value="1"/><default name="ab" value="2"/><default name="c" value="$ab"/>
         <default name="d" value="\\$ab"/><bsdf type="null" id="$a $ab $abc $c $d \\$a"/>"""
     path = scene_of(tmp_path, body)
     state = parse(open_scene(path, {}).text, VARIANT)
     assert state.nodes[-1].props.id() == "1 2 2c 2 $ab $a"
     with speaking_mitsuba(VARIANT) as mi:
-        path.write_text(path.read_text().replace(" $d", ""))  # Mitsuba puts parameters into parameters
+        path.write_text(
+            path.read_text().replace(" $d", "")
+        )  # Mitsuba puts parameters into parameters
         stock = mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))
     assert stock.nodes[-1].props.id() == "1 2 2c 2 $a"
     with pytest.raises(PixsimError, match=r"no value for '\$x' in line"):
         open_scene(scene_of(tmp_path, '<bsdf type="null" id="$x"/>'), {})
 
 
-# --- What a scene may say -----------------------------------------------------------------------------------------------------
+# --- What a scene may say
+# -----------------------------------------------------------------------------------------------------
 
 PICTURE = '<texture name="reflectance" type="bitmap">{}</texture>'
 CUBE = '<shape type="cube"><transform name="to_world">{}</transform></shape>'
@@ -252,14 +301,22 @@ def test_refused_with_its_reason(what, tmp_path):
 
 
 def test_parameter_of_a_wrong_value_is_named(tmp_path):
-    body = '<default name="size" value="1"/><shape type="sphere"><float name="radius" value="$size"/></shape>'
-    with pytest.raises(PixsimError, match=r"In line 1 of 'scene\.xml': could not parse floating point value 'no number'"):
+    body = (
+        '<default name="size" value="1"/><shape type="sphere"><float name="radius"'
+        ' value="$size"/></shape>'
+    )
+    with pytest.raises(
+        PixsimError,
+        match=r"In line 1 of 'scene\.xml': could not parse floating point value 'no number'",
+    ):
         load(scene_of(tmp_path, body), size="no number")
 
 
 def test_nested_defaults_take_no_time(tmp_path):
     """Each of 500 names the one before: 90 s in the past."""
-    body = '<default name="p0" value="x"/>' + "".join(f'<default name="p{n}" value="$p{n - 1}x"/>' for n in range(1, 500))
+    body = '<default name="p0" value="x"/>' + "".join(
+        f'<default name="p{n}" value="$p{n - 1}x"/>' for n in range(1, 500)
+    )
     start = time.process_time()
     assert open_scene(scene_of(tmp_path, body), {}).defaults["p499"] == "x" * 500
     assert time.process_time() - start < 5
@@ -292,12 +349,20 @@ NEEDED = {
 WEIGHT = '<float name="weight" value="0.5"/>'
 BUILT = {
     "bsdf": '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape>',
-    "texture": '<shape type="sphere"><bsdf type="diffuse"><texture name="reflectance" type="{}">{}</texture></bsdf></shape>',
+    "texture": (
+        '<shape type="sphere"><bsdf type="diffuse"><texture name="reflectance"'
+        ' type="{}">{}</texture></bsdf></shape>'
+    ),
     "shape": '<shape type="{}">{}</shape>',
     "medium": '<shape type="sphere"><medium name="interior" type="{}">{}</medium></shape>',
-    "phase": '<shape type="sphere"><medium name="interior" type="homogeneous"><phase type="{}">{}</phase></medium></shape>',
-    "volume": '<shape type="sphere"><medium name="interior" type="heterogeneous"><volume name="albedo" type="{}">{}</volume>'
-    "</medium></shape>",
+    "phase": (
+        '<shape type="sphere"><medium name="interior" type="homogeneous"><phase'
+        ' type="{}">{}</phase></medium></shape>'
+    ),
+    "volume": (
+        '<shape type="sphere"><medium name="interior" type="heterogeneous"><volume name="albedo"'
+        ' type="{}">{}</volume></medium></shape>'
+    ),
     "emitter": '<emitter type="{}">{}</emitter>',
 }
 
@@ -312,38 +377,71 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_channels(folder / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
     (folder / "a.ply").write_bytes(PLY)
     (folder / "a.serialized").write_bytes(SERIALIZED)
-    (folder / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n")
+    (folder / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n"
+    )
     (folder / "a.vol").write_bytes(VOLUME)
     (folder / "a.spd").write_text("# nm, value\n400 0.2\n700 0.4\n")
     return folder
 
 
-VOLUME = b"VOL\x03" + struct.pack("<5i6f", 1, 2, 2, 2, 1, 0, 0, 0, 1, 1, 1) + np.full(8, 0.5, "<f4").tobytes()
+VOLUME = (
+    b"VOL\x03"
+    + struct.pack("<5i6f", 1, 2, 2, 2, 1, 0, 0, 0, 1, 1, 1)
+    + np.full(8, 0.5, "<f4").tobytes()
+)
 
 
 @pytest.mark.parametrize("kind", BUILT)
 def test_allowed_plugins_are_built(kind, assets):
-    """Mitsuba takes each allowed plugin with every one of its flags and numbers that the table lets be 1."""
+    """Mitsuba takes each allowed plugin with every one of its flags and numbers that the table lets
+    be 1.
+    """
     for name in PLUGINS[kind]:
-        if name in ("instance", "area", "directionalarea", "projector", "mesh_attribute"):  # of a shape, or of two pictures
+        if name in (
+            "instance",
+            "area",
+            "directionalarea",
+            "projector",
+            "mesh_attribute",
+        ):  # of a shape, or of two pictures
             continue
         inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
         lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
         text = open_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
-        assert OwnTracer(TraceJob(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())).loaded, name
+        assert OwnTracer(
+            TraceJob(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())
+        ).loaded, name
 
 
-# --- Files that a scene names ----------------------------------------------------------------------------------------------------
+# --- Files that a scene names
+# ----------------------------------------------------------------------------------------------------
 
 NAMED = {
     "spectrum": ("spd", '<bsdf type="diffuse"><spectrum name="reflectance" filename="{}"/></bsdf>'),
-    "bitmap": ("exr", '<bsdf type="diffuse">' + PICTURE.format('<string name="filename" value="{}"/>') + "</bsdf>"),
-    "png": ("png", '<bsdf type="diffuse">' + PICTURE.format('<string name="filename" value="{}"/>') + "</bsdf>"),
+    "bitmap": (
+        "exr",
+        '<bsdf type="diffuse">'
+        + PICTURE.format('<string name="filename" value="{}"/>')
+        + "</bsdf>",
+    ),
+    "png": (
+        "png",
+        '<bsdf type="diffuse">'
+        + PICTURE.format('<string name="filename" value="{}"/>')
+        + "</bsdf>",
+    ),
     "hdr": ("hdr", '<emitter type="envmap"><string name="filename" value="{}"/></emitter>'),
     "ply": ("ply", '<shape type="ply"><string name="filename" value="{}"/></shape>'),
     "obj": ("obj", '<shape type="obj"><string name="filename" value="{}"/></shape>'),
-    "serialized": ("serialized", '<shape type="serialized"><string name="filename" value="{}"/></shape>'),
-    "gridvolume": ("vol", '<volume type="gridvolume"><string name="filename" value="{}"/></volume>'),
+    "serialized": (
+        "serialized",
+        '<shape type="serialized"><string name="filename" value="{}"/></shape>',
+    ),
+    "gridvolume": (
+        "vol",
+        '<volume type="gridvolume"><string name="filename" value="{}"/></volume>',
+    ),
 }
 VOLUME_NAME = '<string name="filename" value="a.vol"/>'
 SECRET = "root:hunter2:0"
@@ -351,7 +449,9 @@ SECRET = "root:hunter2:0"
 
 @pytest.mark.parametrize("kind", NAMED)
 def test_only_whole_regular_files_are_read(kind, tmp_path):
-    """No pipe, device or file of the system without an end; what another file holds is not in the message."""
+    """No pipe, device or file of the system without an end; what another file holds is not in the
+    message.
+    """
     suffix, body = NAMED[kind]
     os.mkfifo(tmp_path / f"pipe.{suffix}")
     (tmp_path / f"zero.{suffix}").symlink_to("/dev/zero")
@@ -361,7 +461,16 @@ def test_only_whole_regular_files_are_read(kind, tmp_path):
     (tmp_path / f"secret.{suffix}").write_text(SECRET + "\nnext\n")
     with (tmp_path / f"sparse.{suffix}").open("wb") as file:
         file.truncate(1 << 40)
-    for name in ("pipe", "zero", "pagemap", "folder", "empty", "sparse", "absent", *["secret"] * (kind == "spectrum")):
+    for name in (
+        "pipe",
+        "zero",
+        "pagemap",
+        "folder",
+        "empty",
+        "sparse",
+        "absent",
+        *["secret"] * (kind == "spectrum"),
+    ):
         start = time.process_time()
         with pytest.raises(PixsimError, match=name) as error:
             open_scene(scene_of(tmp_path, body.format(f"{name}.{suffix}")), {})
@@ -374,11 +483,16 @@ MITSUBAS = [kind for kind in NAMED if kind != "spectrum"]
 
 @pytest.mark.parametrize("kind", MITSUBAS)
 def test_what_a_file_holds_is_not_quoted(kind, tmp_path):
-    """It can be another file than the user believes; Mitsuba's own words are passed on, with the line that names the file."""
+    """It can be another file than the user believes; Mitsuba's own words are passed on, with the
+    line that names the file.
+    """
     suffix, body = NAMED[kind]
     (tmp_path / f"a.{suffix}").write_text(SECRET + "\nnext\n")
     body = body.format(f"a.{suffix}")
-    wrapped = {"bsdf": f'<shape type="sphere">{body}</shape>', "volume": BUILT["volume"].format("gridvolume", VOLUME_NAME)}
+    wrapped = {
+        "bsdf": f'<shape type="sphere">{body}</shape>',
+        "volume": BUILT["volume"].format("gridvolume", VOLUME_NAME),
+    }
     volume = {"lit": LIT.replace('"path"', '"volpath"')} if kind == "gridvolume" else {}
     path = scene_of(tmp_path, "\n" + wrapped.get(body[1:].split()[0], body), **volume)
     with pytest.raises(PixsimError, match=rf"In line 2 of 'scene\.xml', 'a\.{suffix}'") as error:
@@ -387,7 +501,9 @@ def test_what_a_file_holds_is_not_quoted(kind, tmp_path):
 
 
 def test_files_of_other_folders_are_refused(tmp_path):
-    """Where links lead counts; a file or a folder that the user names is allowed, as are packaged files."""
+    """Where links lead counts; a file or a folder that the user names is allowed, as are packaged
+    files.
+    """
     (tmp_path / "inside").mkdir()
     (tmp_path / "a.obj").write_text(OBJ + "f 1 2 3\n")
     (tmp_path / "inside/linked.obj").symlink_to(tmp_path / "a.obj")
@@ -395,7 +511,9 @@ def test_files_of_other_folders_are_refused(tmp_path):
     mesh = NAMED["obj"][1]
     for name in ("../a.obj", "linked.obj", tmp_path / "a.obj"):
         path = scene_of(tmp_path / "inside", mesh.format(name))
-        with pytest.raises(PixsimError, match=r"mesh: got '.*\.obj', of another folder, in line 1.*assets='FOLDER'"):
+        with pytest.raises(
+            PixsimError, match=r"mesh: got '.*\.obj', of another folder, in line 1.*assets='FOLDER'"
+        ):
             open_scene(path, {})
         assert open_scene(path, {"assets": str(tmp_path)}).text
     assert open_scene(scene_of(tmp_path / "inside", mesh.format("a.obj")), {"assets": ".."}).text
@@ -405,58 +523,92 @@ def test_files_of_other_folders_are_refused(tmp_path):
     assert open_scene(scene_of(tmp_path / "inside", named), {"part": "../part.xml"}).text
     with pytest.raises(PixsimError, match=r"scene\.assets: got 'nowhere'; allowed: a folder"):
         open_scene(path, {"assets": "nowhere"})
-    assert load(scene_of(tmp_path / "inside", mesh.format("../a.obj")), assets=str(tmp_path)).parameters["assets"]
+    assert load(
+        scene_of(tmp_path / "inside", mesh.format("../a.obj")), assets=str(tmp_path)
+    ).parameters["assets"]
 
 
 def test_link_in_the_scenes_folder_is_not_what_a_parameter_names(tmp_path):
-    """Whoever wrote the scene can name a link as a number that pixsim or the user sets, and as a word that the user types."""
+    """Whoever wrote the scene can name a link as a number that pixsim or the user sets, and as a
+    word that the user types.
+    """
     (tmp_path / "inside/parts").mkdir(parents=True)
     for folder in (tmp_path, tmp_path / "inside/parts"):
         (folder / "a.obj").write_text(OBJ + "f 1 2 3\n")
     for name in ("1.0", "16", "word"):
         (tmp_path / "inside" / name).symlink_to(tmp_path)
     for name, value in (("chart_ratio_x", 1.0), ("samples", 16), ("material", "word")):
-        path = scene_of(tmp_path / "inside", f'<default name="{name}" value="parts"/>' + NAMED["obj"][1].format(f"${name}/a.obj"))
+        path = scene_of(
+            tmp_path / "inside",
+            f'<default name="{name}" value="parts"/>' + NAMED["obj"][1].format(f"${name}/a.obj"),
+        )
         assert open_scene(path, {}).text
         with pytest.raises(PixsimError, match=r"mesh: got '.*a\.obj', of another folder"):
             open_scene(path, {name: str(value)})
 
 
 def test_spectrum_of_a_file_equals_mitsubas(assets):
-    """The table goes into the text with all its digits: Mitsuba reads the same numbers from the file itself."""
+    """The table goes into the text with all its digits: Mitsuba reads the same numbers from the
+    file itself.
+    """
     path = scene_of(assets, NAMED["spectrum"][1].format(assets / "a.spd"))
-    (assets / "a.spd").write_text("# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n")
+    (assets / "a.spd").write_text(
+        "# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n"
+    )
     ((_, ours),) = nodes_of(tree_of(parse(open_scene(path, {}).text, VARIANT)), "BSDF")
     with speaking_mitsuba(VARIANT) as mi:
-        ((_, stock),) = nodes_of(tree_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))), "BSDF")
+        ((_, stock),) = nodes_of(
+            tree_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))), "BSDF"
+        )
     assert ours["reflectance"] == stock["reflectance"]
 
 
 def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):
     """They become part of the text: the same large file many times would fill the memory."""
     monkeypatch.setattr(inspector, "MAX_TABLES", 10_000)
-    (tmp_path / "a.spd").write_text("".join(f"{nm} 0.5\n" for nm in range(360, 831)))  # 471 values of 9 characters: 4237
+    (tmp_path / "a.spd").write_text(
+        "".join(f"{nm} 0.5\n" for nm in range(360, 831))
+    )  # 471 values of 9 characters: 4237
     body = '<bsdf type="diffuse"><spectrum name="reflectance" filename="a.spd"/></bsdf>'
     assert len(open_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
     with pytest.raises(PixsimError, match="files of spectra of more than 10000 characters"):
         open_scene(scene_of(tmp_path, body * 3), {})
 
 
-# --- Meshes ---------------------------------------------------------------------------------------------------------------------
+# --- Meshes
+# ---------------------------------------------------------------------------------------------------------------------
 
 
-def ply(corners: str = "3 0 1 2\n3 1 2 3\n", faces: int = 2, of: str = "list uchar int vertex_indices", more: str = "") -> bytes:
+def ply(
+    corners: str = "3 0 1 2\n3 1 2 3\n",
+    faces: int = 2,
+    of: str = "list uchar int vertex_indices",
+    more: str = "",
+) -> bytes:
     vertices = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n"
     position = "property float x\nproperty float y\nproperty float z\n"
-    head = f"ply\nformat ascii 1.0\ncomment x\nelement vertex 4\n{position}element face {faces}\nproperty {of}\n{more}end_header\n"
+    head = (
+        f"ply\nformat ascii 1.0\ncomment x\nelement vertex 4\n{position}element face"
+        f" {faces}\nproperty {of}\n{more}end_header\n"
+    )
     return (head + vertices + corners).encode()
 
 
 def serialized(corners: list[int], vertices: int = 3, faces: int = 1, version: int = 4) -> bytes:
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
     name = b"name\0" if version == 4 else b""
-    body = struct.pack("<I", 0x1000) + name + struct.pack("<QQ", vertices, faces) + positions + np.array(corners, "<u4").tobytes()
-    return struct.pack("<HH", 0x041C, version) + zlib.compress(body) + struct.pack("<QI" if version == 4 else "<II", 0, 1)
+    body = (
+        struct.pack("<I", 0x1000)
+        + name
+        + struct.pack("<QQ", vertices, faces)
+        + positions
+        + np.array(corners, "<u4").tobytes()
+    )
+    return (
+        struct.pack("<HH", 0x041C, version)
+        + zlib.compress(body)
+        + struct.pack("<QI" if version == 4 else "<II", 0, 1)
+    )
 
 
 POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -500,31 +652,57 @@ def curved_ply(side: int = 300) -> bytes:
     vertices = np.stack([x, y, 3 + 0.1 * np.sin(9 * x) * np.cos(7 * y)], -1).astype("<f4")
     corner = np.arange(side * side).reshape(side, side)
     one, two, three, four = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
-    corners = np.concatenate([np.stack(part, -1).reshape(-1, 3) for part in ((one, two, four), (one, four, three))])
+    corners = np.concatenate(
+        [np.stack(part, -1).reshape(-1, 3) for part in ((one, two, four), (one, four, three))]
+    )
     faces = np.zeros(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, np.random.default_rng(0).permutation(corners)
     position = "property float x\nproperty float y\nproperty float z\n"
-    counts = f"element vertex {side * side}\n{position}element face {len(faces)}\nproperty list uchar int vertex_indices\n"
-    return f"ply\nformat binary_little_endian 1.0\n{counts}end_header\n".encode() + vertices.tobytes() + faces.tobytes()
+    counts = (
+        f"element vertex {side * side}\n{position}element face {len(faces)}\nproperty list uchar"
+        " int vertex_indices\n"
+    )
+    return (
+        f"ply\nformat binary_little_endian 1.0\n{counts}end_header\n".encode()
+        + vertices.tobytes()
+        + faces.tobytes()
+    )
 
 
 @NEEDS_LLVM
 def test_computed_normals_repeat_bit_for_bit(tmp_path):
-    """Mitsuba sums them up on all threads in any order; an EXR, which it cannot read on one thread, is beside them."""
+    """Mitsuba sums them up on all threads in any order; an EXR, which it cannot read on one thread,
+    is beside them.
+    """
     from pixsim.light.exr import write_channels
 
     (tmp_path / "curved.ply").write_bytes(curved_ply())
     write_channels(tmp_path / "a.exr", {"Y": np.full((64, 64), 0.5, np.float32)}, {})
     write_channels(tmp_path / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
-    picture = NAMED["bitmap"][1].format("a.exr").replace("/></texture>", '/><boolean name="raw" value="true"/></texture>')
+    picture = (
+        NAMED["bitmap"][1]
+        .format("a.exr")
+        .replace("/></texture>", '/><boolean name="raw" value="true"/></texture>')
+    )
     mesh = NAMED["ply"][1].format("curved.ply").replace("</shape>", f"{picture}</shape>")
-    text = open_scene(scene_of(tmp_path, mesh + NAMED["hdr"][1].format("sky.exr"), lit='<integrator type="path"/>'), {}).text
+    text = open_scene(
+        scene_of(
+            tmp_path, mesh + NAMED["hdr"][1].format("sky.exr"), lit='<integrator type="path"/>'
+        ),
+        {},
+    ).text
 
     def normals() -> np.ndarray:
         with speaking_mitsuba("llvm_ad_spectral") as mi:
             tracer = OwnTracer(TraceJob("llvm_ad_spectral", text, (None,), 0, {}, None, ()))
             parameters = mi.traverse(tracer._build(mi, None))
-            return np.array(next(parameters[name] for name in parameters.keys() if name.endswith("vertex_normals")))  # noqa: SIM118
+            return np.array(
+                next(
+                    parameters[name]
+                    for name in parameters.keys()  # noqa: SIM118
+                    if name.endswith("vertex_normals")
+                )
+            )
 
     first = normals()
     assert np.linalg.norm(first.reshape(-1, 3), axis=1) == pytest.approx(1, abs=1e-5)
@@ -534,7 +712,9 @@ def test_computed_normals_repeat_bit_for_bit(tmp_path):
 def mesh_job(path: Path) -> TraceJob:
     body = f'<shape type="{path.suffix[1:]}"><string name="filename" value="{path.name}"/></shape>'
     text = open_scene(scene_of(path.parent, body, lit=""), {}).text
-    return TraceJob(VARIANT, text, (None,), 0, {}, None, (), files=asset_files(parse_tree(text, VARIANT)))
+    return TraceJob(
+        VARIANT, text, (None,), 0, {}, None, (), files=asset_files(parse_tree(text, VARIANT))
+    )
 
 
 @pytest.mark.parametrize("name", GOOD_MESHES)
@@ -545,26 +725,44 @@ def test_mesh_is_read(name, tmp_path):
 
 @pytest.mark.parametrize("name", BAD_MESHES)
 def test_damaged_mesh_is_refused(name, tmp_path):
-    """By Mitsuba, or by the corners and vertices that it has read; if it crashes, only the child ends."""
+    """By Mitsuba, or by the corners and vertices that it has read; if it crashes, only the child
+    ends.
+    """
     content, words = BAD_MESHES[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(PixsimError, match=words):
         ChildTracer(mesh_job(tmp_path / name)).sample_count("independent", 4)
 
 
-@pytest.mark.parametrize("name", ["ascii.ply", "little.ply", "v3.serialized", "v4.serialized", "a.obj"])
+@pytest.mark.parametrize(
+    "name", ["ascii.ply", "little.ply", "v3.serialized", "v4.serialized", "a.obj"]
+)
 def test_random_mesh_is_read_or_refused(name, tmp_path):
     """This process never ends, whatever becomes of the child."""
     kind, whole, path = name.rpartition(".")[2], GOOD_MESHES[name], tmp_path / name
     place = st.tuples(st.integers(0, len(whole) - 1), st.binary(min_size=1, max_size=4))
 
     def packed(content: bytes) -> bytes:  # change what is within the compressed stream too
-        return content if kind != "serialized" else content[:4] + zlib.compress(content[4:]) + whole[-12:]
+        return (
+            content
+            if kind != "serialized"
+            else content[:4] + zlib.compress(content[4:]) + whole[-12:]
+        )
 
-    @settings(derandomize=True, max_examples=20, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(
+        derandomize=True,
+        max_examples=20,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        database=None,
+    )
     @given(st.lists(place, max_size=4), st.integers(0, len(whole)))
     def check(changes: list[tuple[int, bytes]], end: int) -> None:
-        work = bytearray(whole if kind != "serialized" else whole[:4] + zlib.decompressobj().decompress(whole[4:]))
+        work = bytearray(
+            whole
+            if kind != "serialized"
+            else whole[:4] + zlib.decompressobj().decompress(whole[4:])
+        )
         for at, new in changes:
             work[at : at + len(new)] = new
         path.write_bytes(packed(bytes(work if end % 2 else work[:end])) or b"x")
@@ -574,14 +772,21 @@ def test_random_mesh_is_read_or_refused(name, tmp_path):
     check()
 
 
-# --- Random scenes ---------------------------------------------------------------------------------------------------------------
+# --- Random scenes
+# ---------------------------------------------------------------------------------------------------------------
 
 
 def test_random_scene_is_loaded_or_refused(assets):
     """A grammar of elements, right and wrong: PixsimError or a plan, and most of both."""
     ends: list[bool] = []
 
-    @settings(derandomize=True, max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(
+        derandomize=True,
+        max_examples=150,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        database=None,
+    )
     @given(random_scene())
     def check(body: str) -> None:
         path = scene_of(assets, body)
@@ -595,9 +800,12 @@ def test_random_scene_is_loaded_or_refused(assets):
     assert 15 < sum(ends) < len(ends) - 15
 
 
-# --- The child process -------------------------------------------------------------------------------------------------------
+# --- The child process
+# -------------------------------------------------------------------------------------------------------
 
-TRACED = LIT + SPHERE.format('<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.2, 700:0.4"/></bsdf>')
+TRACED = LIT + SPHERE.format(
+    '<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.2, 700:0.4"/></bsdf>'
+)
 
 
 def job_of(folder: Path, variant: str = VARIANT) -> TraceJob:
@@ -607,9 +815,21 @@ def job_of(folder: Path, variant: str = VARIANT) -> TraceJob:
 
 
 def film_of(side: int = SIDE) -> dict:
-    whole = {"type": "specfilm", "width": side, "height": side, "component_format": "float32", "rfilter": {"type": "box"}}
+    whole = {
+        "type": "specfilm",
+        "width": side,
+        "height": side,
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+    }
     band = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 600.0, "values": "1, 1"}
-    return whole | {"crop_offset_x": 0, "crop_offset_y": 0, "crop_width": side, "crop_height": side, "band0": band}
+    return whole | {
+        "crop_offset_x": 0,
+        "crop_offset_y": 0,
+        "crop_width": side,
+        "crop_height": side,
+        "band0": band,
+    }
 
 
 @pytest.mark.parametrize("variant", [VARIANT, pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM)])
@@ -647,7 +867,10 @@ def test_plan_opens_no_file_of_a_scene(tmp_path):
     scene = load(scene_of(tmp_path, NAMED["ply"][1].format("a.ply"))).with_resolution(2)
     assert make_render_plan(scene).samples.spp > 0
     assert child._child is None
-    with pytest.raises(PixsimError, match=r"In line 1 of 'scene\.xml', 'a\.ply': mesh .*got corner 4; allowed: .* 0 to 3"):
+    with pytest.raises(
+        PixsimError,
+        match=r"In line 1 of 'scene\.xml', 'a\.ply': mesh .*got corner 4; allowed: .* 0 to 3",
+    ):
         pixsim.render(scene)
 
 
@@ -655,10 +878,14 @@ def test_negative_texels_are_refused_whatever_the_name_of_the_file(tmp_path):
     """Mitsuba reads a picture by its content."""
     from pixsim.light.exr import write_channels
 
-    write_channels(tmp_path / "a.exr", {name: np.full((2, 2), -1, np.float32) for name in "RGB"}, {})
+    write_channels(
+        tmp_path / "a.exr", {name: np.full((2, 2), -1, np.float32) for name in "RGB"}, {}
+    )
     (tmp_path / "a.exr").rename(tmp_path / "a.png")
     body = SPHERE.format(NAMED["png"][1].format("a.png"))
-    with pytest.raises(PixsimError, match=r"texture '.*a\.png': got .*-1.*; allowed: finite texels of 0 or more"):
+    with pytest.raises(
+        PixsimError, match=r"texture '.*a\.png': got .*-1.*; allowed: finite texels of 0 or more"
+    ):
         rendered(scene_of(tmp_path, body))
 
 
@@ -669,15 +896,23 @@ def test_memory_of_the_child_is_bounded(tmp_path):
     limits = Path(f"/proc/{child._child.process.pid}/limits").read_text()
     limit_bytes = int(re.search(r"Max address space +(\d+) ", limits)[1])
     room_bytes = LEAST_BYTES + BYTES_PER_BYTE * len(PLY)
-    assert min(room_bytes, memory().total) < limit_bytes < room_bytes + (2 << 30)  # Mitsuba and LLVM map less than 1 GiB
+    assert (
+        min(room_bytes, memory().total) < limit_bytes < room_bytes + (2 << 30)
+    )  # Mitsuba and LLVM map less than 1 GiB
 
 
 def test_error_within_the_child_is_an_error_here(tmp_path):
     numbers = '<string name="wavelengths" value="500"/><string name="values" value="1"/>'
     table = f'<spectrum type="irregular" name="reflectance">{numbers}</spectrum>'
     with pytest.raises(PixsimError, match="Mitsuba cannot load or render the scene"):
-        pixsim.render(load(scene_of(tmp_path, SPHERE.format(f'<bsdf type="diffuse">{table}</bsdf>'))))
-    assert ChildTracer(job_of(tmp_path)).trace(0, film_of(), "multijitter", 4, 0).shape == (SIDE, SIDE, 1)
+        pixsim.render(
+            load(scene_of(tmp_path, SPHERE.format(f'<bsdf type="diffuse">{table}</bsdf>')))
+        )
+    assert ChildTracer(job_of(tmp_path)).trace(0, film_of(), "multijitter", 4, 0).shape == (
+        SIDE,
+        SIDE,
+        1,
+    )
 
 
 def stopped(folder: Path) -> int:
@@ -701,7 +936,9 @@ def test_crash_of_the_child_is_an_error(tmp_path):
     process = stopped(tmp_path)
     threading.Timer(0.3, os.kill, (process, signal.SIGSEGV)).start()
     threading.Timer(0.4, os.kill, (process, signal.SIGCONT)).start()
-    with pytest.raises(PixsimError, match=r"scene: got one that ends Mitsuba's process \(SIGSEGV\)"):
+    with pytest.raises(
+        PixsimError, match=r"scene: got one that ends Mitsuba's process \(SIGSEGV\)"
+    ):
         tracer.sample_count("multijitter", 4)
     assert tracer.sample_count("multijitter", 4) == 4  # by a new child
 
@@ -709,12 +946,16 @@ def test_crash_of_the_child_is_an_error(tmp_path):
 def test_child_that_takes_too_long_is_killed(tmp_path):
     process = stopped(tmp_path)
     ends_at_s = time.monotonic() + 0.2
-    with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish"):
+    with pytest.raises(
+        OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish"
+    ):
         ChildTracer(job_of(tmp_path), lambda: ends_at_s).sample_count("multijitter", 4)
     assert not is_running(process)
 
 
-@pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
 def test_signal_ends_the_child(number, kind, tmp_path):
     process = stopped(tmp_path)
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
@@ -727,7 +968,8 @@ def test_signal_ends_the_child(number, kind, tmp_path):
     assert not is_running(process)
 
 
-# Traces with far more samples than end in the time of a test, after it has printed the process of its child.
+# Traces with far more samples than end in the time of a test, after it has printed the process of
+# its child.
 BUSY = """
 import sys
 from pathlib import Path
@@ -756,15 +998,20 @@ def test_killed_parent_leaves_no_child(tmp_path):
     parent.stdout.close()
 
 
-# --- The terminal ----------------------------------------------------------------------------------------------------------------
+# --- The terminal
+# ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ["plan {}", "run {}", "run csf -D chart={}", "run csf --config {}"])
+@pytest.mark.parametrize(
+    "line", ["plan {}", "run {}", "run csf -D chart={}", "run csf --config {}"]
+)
 def test_control_characters_do_not_reach_the_terminal(line, tmp_path):
     path = tmp_path / "\x1b]0;x\x07\x9b31m\u202e.xml"
     path.write_text(f'{HEAD}<bsdf type="&#x9b;"/></scene>')
     code, out, err = (
-        command(line.format("{}"), path) if line.endswith(" {}") else command("run csf --resolution 4 -D", f"chart={path}")
+        command(line.format("{}"), path)
+        if line.endswith(" {}")
+        else command("run csf --resolution 4 -D", f"chart={path}")
     )
     assert code == 2
     assert err.replace("\n", "").isprintable(), err
@@ -775,7 +1022,11 @@ def test_openexr_writes_no_name_to_the_terminal(tmp_path, capfd):
     """Its C library has words of its own for damaged pixels, with the name of the file as it is."""
     from pixsim.light.exr import read_channels, write_channels
 
-    write_channels(tmp_path / "\x1b]0;x.exr", {"Y": np.random.default_rng(0).random((64, 64)).astype(np.float32)}, {})
+    write_channels(
+        tmp_path / "\x1b]0;x.exr",
+        {"Y": np.random.default_rng(0).random((64, 64)).astype(np.float32)},
+        {},
+    )
     (path,) = tmp_path.glob("*.exr")
     path.write_bytes(path.read_bytes()[:-999])
     with pytest.raises(PixsimError, match="EXR file: got"):
@@ -791,7 +1042,11 @@ def test_control_characters_of_a_header_are_escaped(tmp_path):
     image.header["scene"] = name = "a\x9b31m\u202e.xml"
     pixsim.write_exr(tmp_path / "a.exr", image)
     for flags in ((), ("--json",)):
-        code, out, err = command("run", tmp_path / "a.exr", "--display.dots", "8", "--out", tmp_path / "out", *flags)
+        code, out, err = command(
+            "run", tmp_path / "a.exr", "--display.dots", "8", "--out", tmp_path / "out", *flags
+        )
         assert code == 0, err
         assert (out + err).replace("\n", "").isprintable()
-    assert name in json.dumps(json.loads(out), ensure_ascii=False) or name not in json.dumps(image.header)
+    assert name in json.dumps(json.loads(out), ensure_ascii=False) or name not in json.dumps(
+        image.header
+    )

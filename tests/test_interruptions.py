@@ -1,4 +1,6 @@
-"""What a shell, an impatient user or a full machine does to a command: one message, a known exit code, nothing half or left."""
+"""What a shell, an impatient user or a full machine does to a command: one message, a known exit
+code, nothing half or left.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +40,19 @@ LINES = {
     "study": "study tiny.toml --jobs 2 --out out",
     "datasheet": "datasheet 0.35um --out out",
     "accuracy": "accuracy csf --quick -D resolution=32 --out out",
-    "compare": f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 2 --repeats 300 --out out",
+    "compare": (
+        f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 2 --repeats 300 --out out"
+    ),
 }
-WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
+WORDS = {
+    signal.SIGINT: "interrupted",
+    signal.SIGTERM: "terminated",
+    signal.SIGHUP: "the terminal was closed",
+}
 GONE_S = 5.0  # for processes to notice that their parent has ended
-proc = pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="processes are looked up in /proc")
+proc = pytest.mark.skipif(
+    not Path("/proc/self/status").is_file(), reason="processes are looked up in /proc"
+)
 
 
 def environment_in(folder: Path) -> dict[str, str]:
@@ -57,7 +67,8 @@ def forked(script: str, folder: Path) -> Forked:
 
 
 def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
-    """A command, or the lines of a script, as the leader of its own process group, whose temporary files go to `folder`/tmp.
+    """A command, or the lines of a script, as the leader of its own process group, whose temporary
+    files go to `folder`/tmp.
 
     `run` and `datasheet` are started by the installed `pixsim`, the others by `python -m pixsim`.
     """
@@ -68,7 +79,10 @@ def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]
     words = [sys.executable, "script.py"]
     if "\n" not in line:
         installed = line.startswith(("run", "datasheet"))
-        words = [*([COMMAND] if installed else [sys.executable, "-m", "pixsim"]), *shlex.split(line)]
+        words = [
+            *([COMMAND] if installed else [sys.executable, "-m", "pixsim"]),
+            *shlex.split(line),
+        ]
     return subprocess.Popen(words, cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
@@ -108,7 +122,9 @@ def notes_of(stderr: str) -> list[str]:
     return [line for line in stderr.splitlines() if not line.startswith("[")]
 
 
-def interrupt(name: str, number: signal.Signals, of_group: bool, delay_s: float, folder: Path) -> None:
+def interrupt(
+    name: str, number: signal.Signals, of_group: bool, delay_s: float, folder: Path
+) -> None:
     """Send a signal to a command after a delay, and check that nothing half is left."""
     (folder / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     process = started(LINES[name], folder)
@@ -117,7 +133,8 @@ def interrupt(name: str, number: signal.Signals, of_group: bool, delay_s: float,
     (os.killpg if of_group else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=HANG_S)
     seen = (
-        f"{name}, {number.name} to the {'group' if of_group else 'process'} after {delay_s:.3f} s: {process.returncode}\n{err}{out}"
+        f"{name}, {number.name} to the {'group' if of_group else 'process'} after {delay_s:.3f} s:"
+        f" {process.returncode}\n{err}{out}"
     )
     written = {str(path.relative_to(folder / "out")) for path in (folder / "out").rglob("*")}
     if LIST in written:  # it had moved its files
@@ -133,8 +150,12 @@ def interrupt(name: str, number: signal.Signals, of_group: bool, delay_s: float,
     wait_for(lambda: not processes_of(process.pid), GONE_S)
 
 
-def moments(count: int, longest_s: float, seed: int) -> list[tuple[str, signal.Signals, bool, float]]:
-    """Random commands, signals, receivers and times: every second one during the imports, which take half a second."""
+def moments(
+    count: int, longest_s: float, seed: int
+) -> list[tuple[str, signal.Signals, bool, float]]:
+    """Random commands, signals, receivers and times: every second one during the imports, which
+    take half a second.
+    """
     source = random.Random(seed)
     return [
         (
@@ -152,7 +173,8 @@ def moments(count: int, longest_s: float, seed: int) -> list[tuple[str, signal.S
     ("name", "number", "of_group", "delay_s"),
     [
         *moments(8, 1.5, seed=1)[::2],
-        # What is wrong during a twentieth of these times is met with a probability of 95 %: 1 - 0.95⁶⁰.
+        # What is wrong during a twentieth of these times is met with a probability of 95 %: 1 -
+        # 0.95⁶⁰.
         *(pytest.param(*moment, marks=pytest.mark.slow) for moment in moments(60, 3.0, seed=2)),
     ],
 )
@@ -174,7 +196,9 @@ leave(3)
 
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
 def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Path) -> None:
-    """Python clears its modules after it has taken away its handlers: a signal ended the process then, with everything written."""
+    """Python clears its modules after it has taken away its handlers: a signal ended the process
+    then, with everything written.
+    """
     process = started(FINISHED.format(number=number), tmp_path)
     assert (*process.communicate(timeout=HANG_S), process.returncode) == ("", "", 3)
 
@@ -182,7 +206,9 @@ def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Pat
 @proc
 def test_command_closed_terminal_or_nohup(tmp_path: Path) -> None:
     interrupt("run", signal.SIGHUP, False, 0.1, tmp_path)
-    ignoring = started("cache", tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    ignoring = started(
+        "cache", tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    )
     wait_for(lambda: takes_signals(ignoring.pid))
     os.kill(ignoring.pid, signal.SIGHUP)
     ignoring.communicate(timeout=HANG_S)
@@ -220,10 +246,17 @@ if __name__ == "__main__":
     ("module", "owner", "name", "when"),
     [
         ("backend", "fork_exec", "fork_exec", "after"),  # a worker runs that has not got its data
-        ("process_executor", "ProcessPoolExecutor", "_start_executor_manager_thread", "before"),  # nobody would end the workers
+        (
+            "process_executor",
+            "ProcessPoolExecutor",
+            "_start_executor_manager_thread",
+            "before",
+        ),  # nobody would end the workers
     ],
 )
-def test_signal_while_workers_start_ends_them(module: str, owner: str, name: str, when: str, tmp_path: Path) -> None:
+def test_signal_while_workers_start_ends_them(
+    module: str, owner: str, name: str, when: str, tmp_path: Path
+) -> None:
     """A worker that joblib does not know printed a traceback, or stayed."""
     process = started(STARTING.format(module=module, owner=owner, name=name, when=when), tmp_path)
     assert (*process.communicate(timeout=HANG_S), process.returncode) == ("interrupted\n", "", 0)
@@ -262,11 +295,19 @@ cli.command()
 
 @pytest.mark.parametrize(
     ("way", "number"),
-    [("imports", signal.SIGINT), ("turns", signal.SIGTERM), ("drops", signal.SIGINT)],  # one handler takes both signals
+    [
+        ("imports", signal.SIGINT),
+        ("turns", signal.SIGTERM),
+        ("drops", signal.SIGINT),
+    ],  # one handler takes both signals
 )
-def test_interruption_is_not_turned_into_another_error(way: str, number: signal.Signals, tmp_path: Path) -> None:
+def test_interruption_is_not_turned_into_another_error(
+    way: str, number: signal.Signals, tmp_path: Path
+) -> None:
     """As libraries in C++ do, above all while they are imported."""
-    dropping = f"import signal\ntry:\n    signal.raise_signal({number})\nexcept BaseException:\n    pass\n"
+    dropping = (
+        f"import signal\ntry:\n    signal.raise_signal({number})\nexcept BaseException:\n    pass\n"
+    )
     (tmp_path / "dropping.py").write_text(dropping, encoding="utf-8")
     process = forked(COMMAND_THAT_TURNS_SIGNALS.format(number=int(number), way=way), tmp_path)
     _, err = process.communicate(timeout=HANG_S)
@@ -303,14 +344,20 @@ LENS, LENS_FILES = "lens singlet --out out", {"report.html", "summary.json", LIS
         ("chart siemens_star --width 16 --height 16 -o out/star.exr", "charts.writing", set(), 143),
     ],
 )
-def test_signal_beside_files_leaves_all_or_none(line: str, place: str, files: set[str], code: int, tmp_path: Path) -> None:
+def test_signal_beside_files_leaves_all_or_none(
+    line: str, place: str, files: set[str], code: int, tmp_path: Path
+) -> None:
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
     process = forked(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
     out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, bool(out)) == (code, code == 0), err
     assert ("pixsim: terminated" in notes_of(err)) is (code != 0)
-    written = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    written = {
+        path.relative_to(tmp_path / "out").as_posix()
+        for path in (tmp_path / "out").rglob("*")
+        if path.is_file()
+    }
     assert written >= files if files else not written
     if files:
         assert written == {LIST, *read_list(tmp_path / "out")["files"]}
@@ -346,7 +393,8 @@ def test_signal_while_a_stack_enters_a_file_leaves_none(tmp_path: Path) -> None:
     assert (sorted(json.loads(out)), err) == (["tmp"], "")
 
 
-# --- Killed --------------------------------------------------------------------------------------------------------------
+# --- Killed
+# --------------------------------------------------------------------------------------------------------------
 
 
 LASTING = """
@@ -365,7 +413,9 @@ if __name__ == "__main__":
 
 @proc
 @pytest.mark.parametrize("delay_s", [0.0, pytest.param(0.3, marks=pytest.mark.slow), 1.0])
-def test_killed_process_leaves_no_workers_and_next_command_cleans_up(delay_s: float, tmp_path: Path, monkeypatch) -> None:
+def test_killed_process_leaves_no_workers_and_next_command_cleans_up(
+    delay_s: float, tmp_path: Path, monkeypatch
+) -> None:
     """Killed while its workers start, and while they work."""
     process = started(LASTING, tmp_path)
     wait_for(lambda: sum("popen_loky" in line for line in processes_of(process.pid)) == 2)
@@ -396,8 +446,12 @@ with output_folder("out") as out, replacing(out / "a.txt") as part, publishing(o
 
 
 @proc
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
-def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(seed: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
+)
+def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(
+    seed: int, tmp_path: Path
+) -> None:
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     source, out = random.Random(seed), tmp_path / "out"
     for delay_s in (source.uniform(0, 3), source.uniform(1, 4)):
@@ -407,23 +461,38 @@ def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(s
         process.kill()
         process.communicate(timeout=HANG_S)
         wait_for(lambda group=process.pid: not processes_of(group), GONE_S)
-        left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {LOCK, LIST, "results.csv"}
-        assert {name for name in left if not name.startswith(UNFINISHED)} <= set(read_list(out).get("files", ())), delay_s
+        left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {
+            LOCK,
+            LIST,
+            "results.csv",
+        }
+        assert {name for name in left if not name.startswith(UNFINISHED)} <= set(
+            read_list(out).get("files", ())
+        ), delay_s
         if "report.html" in left:
             assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>"), delay_s
     assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {out}")[0] == 0
     assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {tmp_path / 'whole'}")[0] == 0
     assert (out / "results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
-    names = [sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*")) for folder in (out, tmp_path / "whole")]
+    names = [
+        sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+        for folder in (out, tmp_path / "whole")
+    ]
     assert names[0] == names[1]
 
 
-def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_folder_removes_leftovers_of_killed_process_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, check=False, timeout=HANG_S)
     out = tmp_path / "out"
     names = sorted(path.name for path in out.iterdir())
-    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [f"{UNFINISHED}#", f"{UNFINISHED}#", LOCK]
+    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [
+        f"{UNFINISHED}#",
+        f"{UNFINISHED}#",
+        LOCK,
+    ]
     users = [".pixsim-notes", ".pixsim-0123abcde", "a.pixsim-0123abcd"]  # of other names
     for name in users:
         (out / name).touch()
@@ -435,17 +504,22 @@ def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, 
                 pass
         assert living.exists()
         assert temporary.exists()
-        assert sorted(path.name for path in out.iterdir()) == sorted([*users, ".pixsim-0123abcd", living.name])
+        assert sorted(path.name for path in out.iterdir()) == sorted(
+            [*users, ".pixsim-0123abcd", living.name]
+        )
     assert not temporary.exists()
     assert {path.name for path in tmp_path.iterdir()} >= {"out", f"{UNFINISHED}mine"}
 
 
-# --- Two at the same time ------------------------------------------------------------------------------------------------
+# --- Two at the same time
+# ------------------------------------------------------------------------------------------------
 
 
 @contextmanager
 def in_use(folder: Path) -> Iterator[None]:
-    """A folder that another thread has locked, as another process would: the system does not tell them apart."""
+    """A folder that another thread has locked, as another process would: the system does not tell
+    them apart.
+    """
     locked, end = threading.Event(), threading.Event()
 
     def hold() -> None:
@@ -464,20 +538,28 @@ def in_use(folder: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("line", [*LINES.values(), "sfr edge.npy --out out"])
-def test_command_refuses_folder_in_use(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_refuses_folder_in_use(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))
     with in_use(tmp_path / "out"):
         before = sorted(path.name for path in (tmp_path / "out").rglob("*"))
-        assert_refused(*command(line), ["output folder: got 'out', in use by another process", "--out"])
+        assert_refused(
+            *command(line), ["output folder: got 'out', in use by another process", "--out"]
+        )
         assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before == [LOCK]
 
 
 def test_locked_folder_again_in_thread_and_after(tmp_path: Path) -> None:
     with locked_folder(tmp_path), locked_folder(tmp_path):
         pass
-    with in_use(tmp_path), pytest.raises(PixsimError, match="in use by another process"), output_folder(tmp_path):
+    with (
+        in_use(tmp_path),
+        pytest.raises(PixsimError, match="in use by another process"),
+        output_folder(tmp_path),
+    ):
         pass
     with output_folder(tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == [LOCK]
@@ -485,14 +567,21 @@ def test_locked_folder_again_in_thread_and_after(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_without_locks_nothing_is_refused_or_removed(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_locks_nothing_is_refused_or_removed(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", refuse)
     left = tmp_path / ".pixsim-0123abcd"
     left.mkdir()
-    with in_use(tmp_path), output_folder(tmp_path), output_folder(tmp_path), replacing(tmp_path / "a.txt") as part:
+    with (
+        in_use(tmp_path),
+        output_folder(tmp_path),
+        output_folder(tmp_path),
+        replacing(tmp_path / "a.txt") as part,
+    ):
         part.write_text("a")
     assert {path.name for path in tmp_path.iterdir()} == {left.name, "a.txt"}
 
@@ -525,13 +614,17 @@ def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
     assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "usual.txt").stat().st_mode
 
 
-# --- Streams, folders, disks -----------------------------------------------------------------------------------------------
+# --- Streams, folders, disks
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("closed", "line", "expected"), [((0,), "--version", 0), ((0, 1, 2), "schema study", 0), ((0, 1, 2), "schema nothing", 2)]
+    ("closed", "line", "expected"),
+    [((0,), "--version", 0), ((0, 1, 2), "schema study", 0), ((0, 1, 2), "schema nothing", 2)],
 )
-def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line: str, expected: int, tmp_path: Path) -> None:
+def test_command_closed_streams_are_like_dev_null(
+    closed: tuple[int, ...], line: str, expected: int, tmp_path: Path
+) -> None:
     def close() -> None:
         for number in closed:
             os.close(number)
@@ -545,7 +638,9 @@ def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-@pytest.mark.parametrize(("stream", "line", "expected"), [("stdout", "cache", 2), ("stderr", "schema nothing", 2)])
+@pytest.mark.parametrize(
+    ("stream", "line", "expected"), [("stdout", "cache", 2), ("stderr", "schema nothing", 2)]
+)
 def test_command_full_stream(stream: str, line: str, expected: int, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         process = started(line, tmp_path, **{stream: full})
@@ -562,13 +657,21 @@ def test_command_no_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     """Of a user that the system does not know."""
     for name in (FOLDER_VARIABLE, "XDG_CACHE_HOME", "DRJIT_CACHE_DIR", "MPLCONFIGDIR"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("Could not determine home directory.")))
+    monkeypatch.setattr(
+        Path,
+        "home",
+        lambda: (_ for _ in ()).throw(RuntimeError("Could not determine home directory.")),
+    )
     assert command("--version")[0] == 0
-    assert_refused(*command("cache"), [FOLDER_VARIABLE, "without a home folder", f"export {FOLDER_VARIABLE}="])
+    assert_refused(
+        *command("cache"), [FOLDER_VARIABLE, "without a home folder", f"export {FOLDER_VARIABLE}="]
+    )
 
 
 @pytest.mark.parametrize("line", ["cache", f"run flat {SMALL}", "study chen2000 --quick"])
-def test_command_deleted_current_folder(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_deleted_current_folder(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
@@ -577,21 +680,40 @@ def test_command_deleted_current_folder(line: str, tmp_path: Path, monkeypatch: 
 
 @pytest.mark.slow  # it imports Dask; test_engine tries such addresses in one process
 def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
-    """In a process of its own: Dask reports the end of a client that could not connect when Python ends."""
-    pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    """In a process of its own: Dask reports the end of a client that could not connect when Python
+    ends.
+    """
+    pytest.importorskip(
+        "distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')"
+    )
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     process = started("study tiny.toml --scheduler x --out out", tmp_path)
     out, err = process.communicate(timeout=HANG_S)
-    assert_refused(process.returncode, out, err, ["--scheduler: got 'x'", "allowed: the address of a running Dask scheduler"])
+    assert_refused(
+        process.returncode,
+        out,
+        err,
+        ["--scheduler: got 'x'", "allowed: the address of a running Dask scheduler"],
+    )
     assert not (tmp_path / "out").exists()
 
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
     row, results = dict.fromkeys(COLUMNS, "1"), Store(tmp_path / "results.csv")
-    kept = f"3 finished evaluations are kept in '{tmp_path}', and the same command continues from them"
-    with pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"), said_what_is_kept(tmp_path):
-        raise UnwritableError(results.write([(row | {"key": key}).values() for key in "abc"]) or "a full disk.")
-    with pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"), said_what_is_kept(tmp_path):
+    kept = (
+        f"3 finished evaluations are kept in '{tmp_path}', and the same command continues from them"
+    )
+    with (
+        pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"),
+        said_what_is_kept(tmp_path),
+    ):
+        raise UnwritableError(
+            results.write([(row | {"key": key}).values() for key in "abc"]) or "a full disk."
+        )
+    with (
+        pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"),
+        said_what_is_kept(tmp_path),
+    ):
         raise KeyboardInterrupt(results.add([]) or os.utime(results.path, ns=(0, 0)))
     # Rows that the study has not rewritten may be of other settings.
     with pytest.raises(KeyboardInterrupt, match=r"^$"), said_what_is_kept(tmp_path):
@@ -605,18 +727,27 @@ def test_publishing_full_disk_names_file_and_what_is_kept(has_name: bool, tmp_pa
         (folder / "a.txt").write_text("before")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     place = tmp_path / "figures/b.txt" if has_name else tmp_path
-    pattern = rf"'{place}' cannot be written \(No space left on device\)\. The files .* before are unchanged\."
+    pattern = (
+        rf"'{place}' cannot be written \(No space left on device\)\. The files .* before are"
+        r" unchanged\."
+    )
 
     def write(folder: Path) -> None:
         (folder / "a.txt").write_text("after")
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *([str(folder / "figures/b.txt")] if has_name else []))
+        raise OSError(
+            errno.ENOSPC,
+            os.strerror(errno.ENOSPC),
+            *([str(folder / "figures/b.txt")] if has_name else []),
+        )
 
     with pytest.raises(UnwritableError, match=pattern), publishing(tmp_path) as folder:
         write(folder)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_publishing_on_a_disk_without_room_for_a_folder_moves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_publishing_on_a_disk_without_room_for_a_folder_moves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Moves need no room, folders and the list of files do: they are made before."""
 
     def write(text: str) -> None:
@@ -633,7 +764,9 @@ def test_publishing_on_a_disk_without_room_for_a_folder_moves_no_file(tmp_path: 
 
     write("before")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(UnwritableError, match=r"figures' cannot be written .* before are unchanged"):
+    with pytest.raises(
+        UnwritableError, match=r"figures' cannot be written .* before are unchanged"
+    ):
         write("after")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 

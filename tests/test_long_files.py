@@ -1,6 +1,8 @@
-"""Time is bounded by size: a file of one endless line, or of many tiny ones, is read or refused in seconds, and not quoted.
+"""Time is bounded by size: a file of one endless line, or of many tiny ones, is read or refused in
+seconds, and not quoted.
 
-Each case took minutes to hours before, since an expression or a search looked at the rest of the line from every place in it.
+Each case took minutes to hours before, since an expression or a search looked at the rest of the
+line from every place in it.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from pixsim.optics.glass import read_catalogue
 from pixsim.scene.scene import load_scene
 from pixsim.studies.files import load_study
 
-MOST_CPU_S = 10.0  # each takes up to 2 s on the machine of development; those that are quadratic take minutes
+# each takes up to 2 s on the machine of development; those that are quadratic take minutes
+MOST_CPU_S = 10.0
 LONGEST_MESSAGE = 1500
 SCENE = '<scene version="3.0.0">{}</scene>'
 ENVI = """ENVI

@@ -1,4 +1,6 @@
-"""The tests themselves: they leave the machine that they run on as it was, which `machine_as_it_was` sees after each module."""
+"""The tests themselves: they leave the machine that they run on as it was, which
+`machine_as_it_was` sees after each module.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ def test_home_and_temporary_files_are_of_the_run(own_places: tuple[Path, Path]) 
 
 
 def test_changes_name_each_file(tmp_path: Path) -> None:
-    """New, gone, written, replaced by another of the same content, and of other permissions; in folders, too."""
+    """New, gone, written, replaced by another of the same content, and of other permissions; in
+    folders, too.
+    """
     names = "gone", "written", "replaced", "open", "same", "below/written"
     (tmp_path / "below").mkdir()
     for name in names:
@@ -41,7 +45,11 @@ def test_changes_name_each_file(tmp_path: Path) -> None:
 
 
 def test_devices_are_seen() -> None:
-    """A file of the same name in place of a device, as a command that replaces its output would leave it for root."""
+    """A file of the same name in place of a device, as a command that replaces its output would
+    leave it for root.
+    """
     assert "null" in (before := devices())
     assert changes(before, before | {"null": (0o100644, 0, 0, 0)}) == ["null has changed"]
-    assert devices(before.keys() - {"null"}) == {name: found for name, found in before.items() if name != "null"}
+    assert devices(before.keys() - {"null"}) == {
+        name: found for name, found in before.items() if name != "null"
+    }

@@ -1,6 +1,8 @@
-"""Property tests of the whole chain: for all settings the result is finite, in range and repeatable, or an error with a message.
+"""Property tests of the whole chain: for all settings the result is finite, in range and
+repeatable, or an error with a message.
 
-The strategies read the bounds from the records, so that new fields are covered. The examples are the same in every run.
+The strategies read the bounds from the records, so that new fields are covered. The examples are
+the same in every run.
 """
 
 from __future__ import annotations
@@ -32,7 +34,14 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, PixelOptions, excluded_by
+from pixsim.sensor.pixel_options import (
+    MISMATCH,
+    STANDS_FOR,
+    DarkCurrent,
+    Pixel,
+    PixelOptions,
+    excluded_by,
+)
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
@@ -40,7 +49,12 @@ from pixsim.studies.settings import PitchRange
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort
 
-REPEATABLE = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
+REPEATABLE = {
+    "derandomize": True,
+    "database": None,
+    "deadline": None,
+    "suppress_health_check": list(HealthCheck),
+}
 MAX_LINEAR_DECADES = 2.0  # wider ranges are drawn uniformly in the logarithm
 
 
@@ -81,7 +95,12 @@ def number_of(record: type[BaseModel], name: str) -> Number | None:
 def choices_of(record: type[BaseModel], name: str) -> list[str]:
     """The choices of a field; empty for other fields."""
     kinds, _ = _unfolded(record.model_fields[name].annotation)
-    return [choice for kind in kinds if typing.get_origin(kind) is typing.Literal for choice in typing.get_args(kind)]
+    return [
+        choice
+        for kind in kinds
+        if typing.get_origin(kind) is typing.Literal
+        for choice in typing.get_args(kind)
+    ]
 
 
 def _unfolded(annotation: Any) -> tuple[set[Any], list[Any]]:
@@ -92,23 +111,31 @@ def _unfolded(annotation: Any) -> tuple[set[Any], list[Any]]:
         return kinds, [*metadata, *more]
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         parts = [_unfolded(member) for member in typing.get_args(annotation)]
-        return set().union(*(kinds for kinds, _ in parts)), [item for _, metadata in parts for item in metadata]
+        return set().union(*(kinds for kinds, _ in parts)), [
+            item for _, metadata in parts for item in metadata
+        ]
     return {annotation}, []
 
 
 @lru_cache
 def numbers(number: Number) -> st.SearchStrategy[Any]:
-    """The whole range with both ends and an allowed zero, uniform in the logarithm if it spans decades."""
+    """The whole range with both ends and an allowed zero, uniform in the logarithm if it spans
+    decades.
+    """
     low, high = max(number.low, -1e308), min(number.high, 1e308)
     if number.whole:
         return st.integers(int(low), int(high))
     smallest = low if low > 0 else 1e-12 * min(high, 1.0)
     if low >= 0 and math.log10(high / smallest) > MAX_LINEAR_DECADES:
-        spread = st.floats(math.log10(smallest), math.log10(high)).map(lambda power: min(max(10.0**power, smallest), high))
+        spread = st.floats(math.log10(smallest), math.log10(high)).map(
+            lambda power: min(max(10.0**power, smallest), high)
+        )
         ends = [high] if number.open_low or low == 0 else [low, high]
         zero = [0.0] if low == 0 and not number.open_low else []
         return st.one_of(spread, spread, spread, spread, st.sampled_from(ends + zero))
-    return st.floats(low, high, exclude_min=number.open_low).map(lambda value: value if abs(value) >= SMALLEST else 0.0)
+    return st.floats(low, high, exclude_min=number.open_low).map(
+        lambda value: value if abs(value) >= SMALLEST else 0.0
+    )
 
 
 @lru_cache
@@ -129,22 +156,39 @@ USUALLY = st.integers(0, 9).map(lambda tenth: tenth != 6)  # Hypothesis draws th
 TECHNOLOGIES = ("0.35um", "0.18um", "4t-bsi", "4t-fsi")
 KINDS = ("dark", "even", "random", "halves", "point", "one lit corner")
 SHAPES = st.tuples(st.integers(1, 24), st.integers(1, 24))
-WAVELENGTHS = st.tuples(st.floats(400, 700), st.lists(st.floats(300, 1200), max_size=3)).map(lambda drawn: [drawn[0], *drawn[1]])
-# Largest irradiance in W m^-2 nm^-1, from 1e-9 cd/m² at f/1000 to a focused laser; then the contrast, and a seed.
-LEVELS = st.tuples(st.floats(-21, 12).map(lambda x: 10.0**x), st.floats(0, 12).map(lambda x: 10.0**x), st.integers(0, 99))
-PICTURES = st.lists(st.tuples(st.sampled_from(KINDS), LEVELS).map(lambda drawn: (drawn[0], *drawn[1])), min_size=1, max_size=2)
+WAVELENGTHS = st.tuples(st.floats(400, 700), st.lists(st.floats(300, 1200), max_size=3)).map(
+    lambda drawn: [drawn[0], *drawn[1]]
+)
+# Largest irradiance in W m^-2 nm^-1, from 1e-9 cd/m² at f/1000 to a focused laser; then the
+# contrast, and a seed.
+LEVELS = st.tuples(
+    st.floats(-21, 12).map(lambda x: 10.0**x),
+    st.floats(0, 12).map(lambda x: 10.0**x),
+    st.integers(0, 99),
+)
+PICTURES = st.lists(
+    st.tuples(st.sampled_from(KINDS), LEVELS).map(lambda drawn: (drawn[0], *drawn[1])),
+    min_size=1,
+    max_size=2,
+)
 # Factored, with diffraction, logarithms of the scene's white in cd/m² and of the band width in nm.
 LIGHTS = st.tuples(st.booleans(), st.booleans(), st.floats(-9, 12), st.floats(-3, 2))
 
 
-def picture(kind: str, shape: tuple[int, int], level: float, contrast: float, seed: int) -> np.ndarray:
+def picture(
+    kind: str, shape: tuple[int, int], level: float, contrast: float, seed: int
+) -> np.ndarray:
     """A small image of values between `level / contrast` and `level`."""
     dark = np.full(shape, level / contrast)
     if kind == "dark":
         return np.zeros(shape)
     if kind == "random":
         return level * contrast ** -np.random.default_rng(seed).random(shape)
-    lit = {"even": np.s_[:, :], "halves": np.s_[:, : (shape[1] + 1) // 2], "one lit corner": np.s_[0, 0]}
+    lit = {
+        "even": np.s_[:, :],
+        "halves": np.s_[:, : (shape[1] + 1) // 2],
+        "one lit corner": np.s_[0, 0],
+    }
     dark[lit.get(kind, np.s_[shape[0] // 2, shape[1] // 2])] = level  # else a point
     return dark
 
@@ -158,10 +202,21 @@ def irradiances(draw: st.DrawFn, pitch_um: float) -> SpectralImage:
     spectra = 10.0 ** np.random.default_rng(nm.size).uniform(-3, 0, (len(pictures), nm.size))
     factored, diffraction, white, width = draw(LIGHTS)
     header = {"luminance_cd_per_m2": 10.0**white, "diffraction": diffraction}
-    light: dict[str, Any] = {"factors": (spectra, pictures)} if factored else {"data": np.einsum("rb,ryx->yxb", spectra, pictures)}
-    # The shorter side holds 8 pixels or more, the longer at most about 24; one in 30 images is smaller than a pixel.
-    pixels_of_side = draw(st.floats(8.0, max(8.0, 24 * min(shape) / max(shape)))) if draw(st.integers(0, 29)) != 17 else 0.7
-    return SpectralImage(nm, 10.0**width, pitch_um * pixels_of_side / min(shape), header=header, **light)
+    light: dict[str, Any] = (
+        {"factors": (spectra, pictures)}
+        if factored
+        else {"data": np.einsum("rb,ryx->yxb", spectra, pictures)}
+    )
+    # The shorter side holds 8 pixels or more, the longer at most about 24; one in 30 images is
+    # smaller than a pixel.
+    pixels_of_side = (
+        draw(st.floats(8.0, max(8.0, 24 * min(shape) / max(shape))))
+        if draw(st.integers(0, 29)) != 17
+        else 0.7
+    )
+    return SpectralImage(
+        nm, 10.0**width, pitch_um * pixels_of_side / min(shape), header=header, **light
+    )
 
 
 @st.composite
@@ -195,7 +250,9 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
     top = 2 ** pixel.get("bits", 10) - 1
     if draw(USUALLY):
         pixel["black_level_dn"] = top * draw(st.sampled_from([0.0, 0.01, 0.5, 0.999999]))
-        pixel.setdefault("fill_factor", draw(numbers(number_of(Pixel, "fill_factor"))))  # most pitches are outside the law
+        pixel.setdefault(
+            "fill_factor", draw(numbers(number_of(Pixel, "fill_factor")))
+        )  # most pitches are outside the law
         if pixel["technology"].startswith("4t"):
             for name in ("capacitance", "well_limit", "conversion"):
                 pixel.pop(name, None)
@@ -204,12 +261,21 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
         elif draw(USUALLY):  # below the swing
             pixel["a_vt_mv_um"] = draw(st.floats(0, 900)) * math.sqrt(pixel["follower_area_um2"])
         if "prnu_um" in pixel:
-            pixel["prnu_um"] = draw(st.floats(0, 0.3)) * math.sqrt(pixel["fill_factor"]) * min(pixel.get("pitch_um", 6.5), 1e3)
+            pixel["prnu_um"] = (
+                draw(st.floats(0, 0.3))
+                * math.sqrt(pixel["fill_factor"])
+                * min(pixel.get("pitch_um", 6.5), 1e3)
+            )
         if {"hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"} & pixel.keys():
             pixel.setdefault("hot_pixel_fraction", draw(st.floats(0, 1)))
-            pixel.setdefault("hot_pixel_median", 1 + draw(numbers(number_of(Pixel, "hot_pixel_median"))) / 2)
+            pixel.setdefault(
+                "hot_pixel_median", 1 + draw(numbers(number_of(Pixel, "hot_pixel_median"))) / 2
+            )
         if "data_sheet_pitch_um" in pixel:  # a well and a gain that scale to possible ones
-            limits, near = number_of(Pixel, "data_sheet_pitch_um"), pixel.get("pitch_um", 6.5) * draw(st.floats(0.1, 10.0))
+            limits, near = (
+                number_of(Pixel, "data_sheet_pitch_um"),
+                pixel.get("pitch_um", 6.5) * draw(st.floats(0.1, 10.0)),
+            )
             pixel["data_sheet_pitch_um"] = min(max(near, limits.low), limits.high)
         if "infrared_cut_nm" in pixel:
             pixel["infrared_cut_nm"] = draw(st.floats(400, 1300))
@@ -238,12 +304,19 @@ def records_of(chain: dict[str, Any]) -> dict[str, Any]:
 
 # Errors of conflicting fields do not have the form "got …; allowed: …".
 MESSAGE = re.compile(
-    r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|"
+    r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the"
+    r" highest code|"
     r"state the same quantity|Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
 # Of numbers that are possible, but more likely in another unit.
 EXPECTED_WARNINGS = (
-    *("brighter than display white", "Usual causes", r"pixel\.stack at ", "changes? nothing here", "is unusual"),
+    *(
+        "brighter than display white",
+        "Usual causes",
+        r"pixel\.stack at ",
+        "changes? nothing here",
+        "is unusual",
+    ),
     "the frame tells nothing",
 )
 EXPECTED_WARNING = f".*({'|'.join(EXPECTED_WARNINGS)})"
@@ -251,7 +324,9 @@ EXPECTED_WARNING = f".*({'|'.join(EXPECTED_WARNINGS)})"
 
 @contextmanager
 def only_explained_errors(outcomes: Counter[str]) -> Iterator[None]:
-    """Only validation errors with the given and the allowed value may occur, and no other warnings."""
+    """Only validation errors with the given and the allowed value may occur, and no other
+    warnings.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", EXPECTED_WARNING, UserWarning)
@@ -290,9 +365,10 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    # Most of the other chains have a white that fills no well, or pixels larger than the die. 20 to 50 % are accepted: which ones
-    # are drawn depends on the constants in the files that are imported, and the first ones are extreme. Of 130 with 20 %, 9 or
-    # fewer have a probability of 3e-5.
+    # Most of the other chains have a white that fills no well, or pixels larger than the die. 20 to
+    # 50 % are accepted: which ones are drawn depends on the constants in the files that are
+    # imported, and the first ones are extreme. Of 130 with 20 %, 9 or fewer have a probability of
+    # 3e-5.
     assert outcomes["accepted"] >= 10, outcomes
 
 
@@ -300,24 +376,35 @@ def any_technology() -> st.SearchStrategy[Technology]:
     """A 3T or 4T technology within the bounds of its record."""
     usual = {name: load_technology(name) for name in ("0.35um", "4t-bsi")}
     junctions = values(Junction).map(lambda drawn: usual["0.35um"].junction.model_dump() | drawn)
-    fields = values(Technology).map(lambda drawn: {name: value for name, value in drawn.items() if value is not None})
+    fields = values(Technology).map(
+        lambda drawn: {name: value for name, value in drawn.items() if value is not None}
+    )
 
     def of_a_kind(drawn: dict[str, Any], junction: dict[str, Any], pinned: bool) -> dict[str, Any]:
         well = drawn.pop("full_well_e_per_um2", 3e3)
         swing_v, reset_v = sorted((junction["voltage_swing_v"], junction["reset_voltage_v"]))
         junction = junction | {"voltage_swing_v": swing_v, "reset_voltage_v": reset_v}
-        kind = {"full_well_e_per_um2": well, "junction": None} if pinned else {"junction": junction, "full_well_e_per_um2": None}
+        kind = (
+            {"full_well_e_per_um2": well, "junction": None}
+            if pinned
+            else {"junction": junction, "full_well_e_per_um2": None}
+        )
         if "prnu_um" in drawn:
             kind |= {"prnu": None, "prnu_um": min(drawn["prnu_um"], 0.1)}
         if pinned or not drawn.keys() >= MISMATCH:
             drawn = {name: value for name, value in drawn.items() if name not in MISMATCH}
         else:
-            kind |= {"offset_fpn": None, "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"]))}
+            kind |= {
+                "offset_fpn": None,
+                "a_vt_mv_um": min(drawn["a_vt_mv_um"], 100 * math.sqrt(drawn["follower_area_um2"])),
+            }
         if drawn.get("hot_pixel_fraction"):
             drawn.setdefault("hot_pixel_median", 30.0)
         if any(name.startswith("stack_") for name in drawn):
             drawn = {"stack_height_um": 4.0, "stack_index": 1.5} | drawn
-            if drawn.get("stack_microlens") == "square":  # a lower one is refused above large pixels
+            if (
+                drawn.get("stack_microlens") == "square"
+            ):  # a lower one is refused above large pixels
                 drawn["stack_height_um"] = 1e4
             diffusion = {"stack_depletion_um", "stack_diffusion_length_um"}
             if "stack_crosstalk" in drawn or not drawn.keys() >= diffusion:
@@ -332,7 +419,12 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
 
     @settings(max_examples=80, **REPEATABLE)
     @given(any_technology(), pixels(), LEVELS, values(Exposure))
-    def captured(process: dict[str, Any], fields: dict[str, Any], level: tuple[Any, ...], exposure: dict[str, Any]) -> None:
+    def captured(
+        process: dict[str, Any],
+        fields: dict[str, Any],
+        level: tuple[Any, ...],
+        exposure: dict[str, Any],
+    ) -> None:
         fields.pop("capacitance", None)
         if process["junction"] is None:
             fields = {name: value for name, value in fields.items() if name not in MISMATCH}
@@ -342,11 +434,15 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
                 readout = Readout.of(derive(Pixel.model_validate(fields)))
             sensor = sample_sensor(readout, (3, 4), np.random.default_rng(level[2]))
             rate = picture("random", (3, 4), *level) * 1e20 * readout.physics.photodiode_area_um2
-            assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
+            assert_possible(
+                capture_from_rates(
+                    rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)
+                )
+            )
 
     captured()
-    # 30 to 60 % of 80: which ones are drawn depends on the modules that are imported. Of 80 with 30 %, fewer than 10 have a
-    # probability of 6e-5.
+    # 30 to 60 % of 80: which ones are drawn depends on the modules that are imported. Of 80 with 30
+    # %, fewer than 10 have a probability of 6e-5.
     assert outcomes["accepted"] >= 10, outcomes
 
 
@@ -361,22 +457,47 @@ def test_evaluate_same_seed_is_identical(chain: dict[str, Any]) -> None:
 
 # --- Invalid values ---
 
-OPTIONAL_FIELDS = (Camera, CameraOptions, Pixel, PixelOptions, Exposure, Display, Effort, PitchRange)
+OPTIONAL_FIELDS = (
+    Camera,
+    CameraOptions,
+    Pixel,
+    PixelOptions,
+    Exposure,
+    Display,
+    Effort,
+    PitchRange,
+)
 RECORDS: dict[type[Record], dict[str, Any]] = {record: {} for record in OPTIONAL_FIELDS} | {
     Junction: load_technology("0.35um").junction.model_dump(),
     Technology: load_technology("0.35um").model_dump(),
 }
-FIELDS = [(record, name) for record in RECORDS for name in record.model_fields if number_of(record, name)]
+FIELDS = [
+    (record, name) for record in RECORDS for name in record.model_fields if number_of(record, name)
+]
 
 
-@pytest.mark.parametrize(("record", "name"), FIELDS, ids=lambda part: getattr(part, "__name__", part))
+@pytest.mark.parametrize(
+    ("record", "name"), FIELDS, ids=lambda part: getattr(part, "__name__", part)
+)
 def test_record_number_outside_bounds_raises(record: type[Record], name: str) -> None:
     number = number_of(record, name)
     assert math.isfinite(number.low)
     assert math.isfinite(number.high)
     beyond = [-1.0, 2 * number.high + 1, math.nan, math.inf, -math.inf, 1e308, -5e-324, 10**400]
     beyond += [number.low] if number.open_low else [number.low - 1e-9 * (1 + abs(number.low))]
-    for value in [*beyond, "wide", "", [], {}, [1.0], True, 1j, object(), b"\xff", *([] if number.optional else [None])]:
+    for value in [
+        *beyond,
+        "wide",
+        "",
+        [],
+        {},
+        [1.0],
+        True,
+        1j,
+        object(),
+        b"\xff",
+        *([] if number.optional else [None]),
+    ]:
         with pytest.raises(ValidationError) as error:
             record.model_validate(RECORDS[record] | {name: value})
         message = explain(error.value)
@@ -385,10 +506,21 @@ def test_record_number_outside_bounds_raises(record: type[Record], name: str) ->
 
 
 def test_record_invalid_choice_lists_choices() -> None:
-    named = [(record, name) for record in RECORDS for name in record.model_fields if choices_of(record, name)]
+    named = [
+        (record, name)
+        for record in RECORDS
+        for name in record.model_fields
+        if choices_of(record, name)
+    ]
     assert len(named) > 8
     for record, name in named:
-        values = ["round", 3, ["linear"], math.nan, *([] if record.model_fields[name].default is None else [None])]
+        values = [
+            "round",
+            3,
+            ["linear"],
+            math.nan,
+            *([] if record.model_fields[name].default is None else [None]),
+        ]
         for value in values:
             with pytest.raises(ValidationError) as error:
                 record.model_validate(RECORDS[record] | {name: value})
@@ -398,15 +530,26 @@ def test_record_invalid_choice_lists_choices() -> None:
 
 
 JUNK = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.floats(), st.integers(), st.text(max_size=8), st.binary(max_size=4)),
-    lambda inside: st.one_of(st.lists(inside, max_size=2), st.dictionaries(st.text(max_size=3), inside, max_size=2)),
+    st.one_of(
+        st.none(),
+        st.booleans(),
+        st.floats(),
+        st.integers(),
+        st.text(max_size=8),
+        st.binary(max_size=4),
+    ),
+    lambda inside: st.one_of(
+        st.lists(inside, max_size=2), st.dictionaries(st.text(max_size=3), inside, max_size=2)
+    ),
     max_leaves=3,
 )
 
 
 @settings(max_examples=150, **REPEATABLE)
 @given(st.sampled_from(FIELDS), JUNK)
-def test_record_any_value_is_within_bounds_or_raises(field: tuple[type[Record], str], junk: object) -> None:
+def test_record_any_value_is_within_bounds_or_raises(
+    field: tuple[type[Record], str], junk: object
+) -> None:
     record, name = field
     number = number_of(record, name)
     with suppress(ValidationError):

@@ -1,4 +1,6 @@
-"""Arrays: type alias, in-place DCT, strips and parts of a picture, random streams, and validated reading of .npy and .npz files."""
+"""Arrays: type alias, in-place DCT, strips and parts of a picture, random streams, and validated
+reading of .npy and .npz files.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from pixsim.base.files import check_compression, opened, reason
 from pixsim.base.lazy import load_when_used
 from pixsim.base.machine import threads
 
-load_when_used("f2py", "testing")  # before SciPy is imported, which uses neither: a third of the time of its import
+load_when_used(
+    "f2py", "testing"
+)  # before SciPy is imported, which uses neither: a third of the time of its import
 
 Array = NDArray[np.float64]
 # Arrays as arguments, with the bounds of all of their values, or the number of their axes.
@@ -41,15 +45,19 @@ NotNegativePicture = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 Item = TypeVar("Item")
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE_BYTES = 64
-STRIP_SAMPLES = 1 << 15  # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
-STRIP_DOTS = 1 << 17  # float64, 1 MiB, of the fewer dots of a display: with shorter strips, an evaluation takes up to 3 % longer
+# float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
+STRIP_SAMPLES = 1 << 15
+# float64, 1 MiB, of the fewer dots of a display: with shorter strips, an evaluation takes up to 3 %
+# longer
+STRIP_DOTS = 1 << 17
 
 
 def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Uninitialised array (…, H, W) whose row stride is no even number of cache lines.
 
-    A stride of a power of two maps all rows to the same few cache lines: transforms along columns would take 3 times as long. Other
-    rows lie one behind the other, since loops over gaps between rows take longer too.
+    A stride of a power of two maps all rows to the same few cache lines: transforms along columns
+    would take 3 times as long. Other rows lie one behind the other, since loops over gaps between
+    rows take longer too.
     """
     reuse_freed_memory()
     size = np.dtype(dtype).itemsize
@@ -59,12 +67,16 @@ def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
 
 
 def _strides_clash(row_bytes: int) -> bool:
-    """Return whether rows of a length in bytes begin in no more than half of the cache's sets, as an even number of lines do."""
+    """Return whether rows of a length in bytes begin in no more than half of the cache's sets, as
+    an even number of lines do.
+    """
     return row_bytes % (2 * CACHE_LINE_BYTES) == 0
 
 
 def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice]:
-    """Slices that divide `count` rows of `width` numbers into strips of about `samples` numbers, at least one row each."""
+    """Slices that divide `count` rows of `width` numbers into strips of about `samples` numbers, at
+    least one row each.
+    """
     lines = max(1, (samples or STRIP_SAMPLES) // max(width, 1))
     return (slice(first, min(first + lines, count)) for first in range(0, count, lines))
 
@@ -72,9 +84,11 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
 def strips_of(
     shape: tuple[int, ...], dtype: DTypeLike = np.float64, samples: int | None = None
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W), as large as those of float64.
+    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H,
+    W), as large as those of float64.
 
-    All strips share one work array: allocating the pages of a new one costs more than the arithmetic.
+    All strips share one work array: allocating the pages of a new one costs more than the
+    arithmetic.
 
     samples : float64 numbers of a strip, as of `strips`
     """
@@ -86,17 +100,22 @@ def strips_of(
 
 
 PARTS = 4  # down and across, of a picture too large to be measured whole
-MEASURED = 1 << 21  # film cells, pixels or a quarter of the display's dots that are measured of a picture
+MEASURED = (
+    1 << 21
+)  # film cells, pixels or a quarter of the display's dots that are measured of a picture
 
 
 def spread_parts(count: int, size: int) -> list[slice]:
-    """Slices of `size` cells, each in the middle of one of `PARTS` equal shares of `count` cells."""
+    """Slices of `size` cells, each in the middle of one of `PARTS` equal shares of `count`
+    cells.
+    """
     firsts = (round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS))
     return [slice(max(0, first), max(0, first) + size) for first in firsts]
 
 
 def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
-    """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends on the number of threads.
+    """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends
+    on the number of threads.
 
     Planes of float32 give float32.
     """
@@ -112,7 +131,9 @@ def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
 
 
 def transposed(plane: NDArray[Any]) -> NDArray[Any]:
-    """Return the transpose of a plane (H, W) as an array of its own, (W, H), in a third of the time where W is a power of two."""
+    """Return the transpose of a plane (H, W) as an array of its own, (W, H), in a third of the time
+    where W is a power of two.
+    """
     if _strides_clash(plane.strides[0]):
         padded = empty_planes(*plane.shape, dtype=plane.dtype)
         padded[...] = plane
@@ -124,18 +145,22 @@ def transposed(plane: NDArray[Any]) -> NDArray[Any]:
 def reuse_freed_memory() -> None:
     """Make glibc reuse freed arrays of up to 32 MiB.
 
-    glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of the time of an image of 512².
+    glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of
+    the time of an image of 512².
     """
     np.empty(MAX_FREED, np.uint8)
 
 
 WORTH_THREADS = 1 << 20  # numbers; fewer take less time than threads need to start
 
-WORTH_WORKERS = 1 << 14  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
+WORTH_WORKERS = (
+    1 << 14
+)  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
 
 
 def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: int) -> None:
-    """Call a function for each item, such as a strip of rows, on several threads if all items together have `size` numbers or more.
+    """Call a function for each item, such as a strip of rows, on several threads if all items
+    together have `size` numbers or more.
 
     The calls must not depend on their order. An error, or Ctrl-C, ends them before the next item.
     """
@@ -156,9 +181,11 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
 
 
 def dct(planes: NDArray[Any], in_place: bool = True) -> NDArray[Any]:
-    """DCT-II over the last two axes of (…, H, W), in float32 or float64; any number of threads gives the same.
+    """DCT-II over the last two axes of (…, H, W), in float32 or float64; any number of threads
+    gives the same.
 
-    in_place : overwrite the planes, which should come from `empty_planes`; else they are left as they are
+    in_place : overwrite the planes, which should come from `empty_planes`; else they are left as
+        they are
     """
     from scipy.fft import dctn  # imported here: it takes 0.1 s
 
@@ -166,14 +193,18 @@ def dct(planes: NDArray[Any], in_place: bool = True) -> NDArray[Any]:
         copy = empty_planes(*planes.shape, dtype=planes.dtype)
         copy[...] = planes
         planes, in_place = copy, True
-    return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=_dct_workers(planes)))
+    return np.asarray(
+        dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=_dct_workers(planes))
+    )
 
 
 def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
     """Inverse of `dct`, in place."""
     from scipy.fft import idctn
 
-    return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=_dct_workers(planes)))
+    return np.asarray(
+        idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=_dct_workers(planes))
+    )
 
 
 def _dct_workers(planes: NDArray[Any]) -> int:
@@ -181,33 +212,45 @@ def _dct_workers(planes: NDArray[Any]) -> int:
 
 
 def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
-    """Index of the first true value, or None. `np.argwhere` would list all of them, in 8 bytes for each axis."""
+    """Index of the first true value, or None. `np.argwhere` would list all of them, in 8 bytes for
+    each axis.
+    """
     if not mask.any():
         return None
     return tuple(int(place) for place in np.unravel_index(mask.argmax(), mask.shape))
 
 
 MAX_ARRAYS = 4096
-PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; the others allocate what a member declares
+PACKINGS = (
+    zipfile.ZIP_STORED,
+    zipfile.ZIP_DEFLATED,
+)  # of NumPy; the others allocate what a member declares
 
 
 Check = Callable[[str, NDArray[Any]], object]  # of the name of an array, raises PixsimError
 
 
 def read_arrays(
-    path: Path, name: str, expected: str, choose: Callable[[list[str]], Iterable[str]] = list, check: Check = lambda *_: None
+    path: Path,
+    name: str,
+    expected: str,
+    choose: Callable[[list[str]], Iterable[str]] = list,
+    check: Check = lambda *_: None,
 ) -> dict[str, NDArray[Any]]:
     """Read arrays of an `.npz` by name.
 
     choose : returns the names of the arrays to read from the names of all; the others stay packed
     check : is called with the name of each array and the array
 
-    Raises PixsimError if the file is damaged, too large (`max_file_bytes`) or holds pickled objects, and as `choose` and `check`.
+    Raises PixsimError if the file is damaged, too large (`max_file_bytes`) or holds pickled
+    objects, and as `choose` and `check`.
     """
     with _open_numpy(path, name, expected) as file, zipfile.ZipFile(file) as archive:
         members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
         if len(archive.infolist()) > MAX_ARRAYS:
-            raise invalid(f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {MAX_ARRAYS}")
+            raise invalid(
+                f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {MAX_ARRAYS}"
+            )
         wanted = {array: members[array] for array in choose(list(members))}
         # zipfile reads no more than its directory lists.
         declared = sum(entry.file_size for entry in wanted.values())
@@ -216,7 +259,11 @@ def read_arrays(
         result = {}
         for array, entry in wanted.items():
             if entry.compress_type not in PACKINGS:
-                raise invalid(name, f"'{path}' with {array} packed by method {entry.compress_type}", "stored or deflated arrays")
+                raise invalid(
+                    name,
+                    f"'{path}' with {array} packed by method {entry.compress_type}",
+                    "stored or deflated arrays",
+                )
             with archive.open(entry) as member:
                 result[array] = np.lib.format.read_array(member, allow_pickle=False)
                 member.read(1)  # zipfile compares the CRC at the end of the member
@@ -224,8 +271,12 @@ def read_arrays(
     return result
 
 
-def read_array(path: Path, name: str, expected: str, check: Check = lambda *_: None) -> NDArray[Any]:
-    """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one or too large, and as `check` does."""
+def read_array(
+    path: Path, name: str, expected: str, check: Check = lambda *_: None
+) -> NDArray[Any]:
+    """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one or too large,
+    and as `check` does.
+    """
     with _open_numpy(path, name, expected) as file:
         array = np.lib.format.read_array(file, allow_pickle=False)
     check(path.stem, array)
@@ -244,7 +295,9 @@ def _open_numpy(path: Path, name: str, expected: str) -> Iterator[IO[bytes]]:
             raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
 
 
-_key_text = json.JSONEncoder(default=operator.index).encode  # `operator.index` treats NumPy integers as Python integers
+_key_text = json.JSONEncoder(
+    default=operator.index
+).encode  # `operator.index` treats NumPy integers as Python integers
 
 
 def stream(*key: object) -> np.random.Generator:
@@ -253,7 +306,9 @@ def stream(*key: object) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))
 
 
-def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *arguments: object) -> Array:
+def values_of(
+    name: str, function: Callable[..., Any], shape: tuple[int, ...], *arguments: object
+) -> Array:
     """What a function that was given as an argument returns: numbers of a shape, or one number.
 
     Raises PixsimError that names the argument if it fails, or returns something else.
@@ -264,7 +319,9 @@ def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *
     except PixsimError:
         raise
     except Exception as error:  # a user's function may raise anything
-        raise invalid(name, f"one that fails ({type(error).__name__}: {one_line(str(error), 200)})", expected) from error
+        raise invalid(
+            name, f"one that fails ({type(error).__name__}: {one_line(str(error), 200)})", expected
+        ) from error
     if values.shape not in ((), shape):
         raise invalid(name, f"one that returns an array of shape {values.shape}", expected)
     return values

@@ -16,8 +16,11 @@ from pixsim.base.errors import invalid
 MAX_SHOWN = 80  # characters of a value in a message
 
 
-SMALLEST = 1e-30  # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
-LARGEST = 1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
+# of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
+SMALLEST = 1e-30
+LARGEST = (
+    1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
+)
 
 
 @dataclass(frozen=True)
@@ -69,14 +72,18 @@ Jobs = Annotated[int, Bounds(1, 1 << 16)]
 
 
 def check_broadcast(**shapes: tuple[int, ...]) -> None:
-    """Raise PixsimError, which names the arguments, if arrays of these shapes do not broadcast together."""
+    """Raise PixsimError, which names the arguments, if arrays of these shapes do not broadcast
+    together.
+    """
     import numpy as np
 
     try:
         np.broadcast_shapes(*shapes.values())
     except ValueError:
         got = ", ".join(map(str, shapes.values()))
-        raise invalid(" and ".join(shapes), f"shapes {got}", "shapes that broadcast together") from None
+        raise invalid(
+            " and ".join(shapes), f"shapes {got}", "shapes that broadcast together"
+        ) from None
 
 
 def field_bounds(stated: Sequence[object]) -> Bounds | None:
@@ -84,7 +91,12 @@ def field_bounds(stated: Sequence[object]) -> Bounds | None:
     from pydantic.fields import FieldInfo
 
     parts = [part for field in stated if isinstance(field, FieldInfo) for part in field.metadata]
-    limits = {name: getattr(part, name) for part in parts for name in ("ge", "gt", "le", "lt") if hasattr(part, name)}
+    limits = {
+        name: getattr(part, name)
+        for part in parts
+        for name in ("ge", "gt", "le", "lt")
+        if hasattr(part, name)
+    }
     if not limits:
         return next((part for part in stated if isinstance(part, Bounds)), None)
 
@@ -95,7 +107,8 @@ def field_bounds(stated: Sequence[object]) -> Bounds | None:
 
 
 def without_bounds(annotation: str, owner: Any) -> str:
-    """An annotation as the source spells it, with plain types in place of those with bounds, as float for Positive.
+    """An annotation as the source spells it, with plain types in place of those with bounds, as
+    float for Positive.
 
     owner : function or class in whose module the names are known
     """
@@ -109,7 +122,13 @@ def without_bounds(annotation: str, owner: Any) -> str:
         if get_origin(named) is not Annotated:
             return match[0]
         bare = get_args(named)[0]
-        return "Array" if get_origin(bare) is np.ndarray else "ArrayLike" if bare == ArrayLike else str(bare.__name__)
+        return (
+            "Array"
+            if get_origin(bare) is np.ndarray
+            else "ArrayLike"
+            if bare == ArrayLike
+            else str(bare.__name__)
+        )
 
     return re.sub(r"(?<![.\w])[A-Z]\w+", plain, annotation)
 

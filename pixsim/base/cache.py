@@ -1,9 +1,12 @@
-"""Cache of computed results in the user's cache folder; the file name of an entry is the hash of all its inputs.
+"""Cache of computed results in the user's cache folder; the file name of an entry is the hash of
+all its inputs.
 
-An entry is a line with its kind, its key and the digest of its content, and then the content: JSON, or the arrays of an .npz.
-Textures, which Mitsuba reads, are EXR with a label in their header, and their digest is an entry. What has another label, or lies
-behind a link, is not read, and never removed; what was changed is computed again, never believed. Entries are written atomically,
-so that processes and users can share the folder. Above its size limit the cache removes the least recently used entries.
+An entry is a line with its kind, its key and the digest of its content, and then the content: JSON,
+or the arrays of an .npz. Textures, which Mitsuba reads, are EXR with a label in their header, and
+their digest is an entry. What has another label, or lies behind a link, is not read, and never
+removed; what was changed is computed again, never believed. Entries are written atomically, so that
+processes and users can share the folder. Above its size limit the cache removes the least recently
+used entries.
 
 Compiled kernels are code. Their folder is used only if nobody else can write there.
 """
@@ -42,27 +45,44 @@ GIB = 1 << 30
 MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would displace all others
 TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
 # Folders that Mitsuba and Matplotlib manage themselves, and the names of their files there.
-HELPERS = {"kernels": re.compile(r"[0-9a-f]{32}\.[\w.]+"), "matplotlib": re.compile(r"fontlist-v[\w.]+\.json")}
+HELPERS = {
+    "kernels": re.compile(r"[0-9a-f]{32}\.[\w.]+"),
+    "matplotlib": re.compile(r"fontlist-v[\w.]+\.json"),
+}
 ENTRY = "entry"  # the name of a label in the header of an EXR
 HEAD_BYTES = 4096  # of a file, in which the label is looked for
 DIGITS = 64  # of a digest
 SUFFIXES = (".json", ".npz", ".exr")
 SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
-DAMAGE = (OSError, EOFError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
+DAMAGE = (
+    OSError,
+    EOFError,
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    IndexError,
+    OverflowError,
+    RecursionError,
+)
 _written_bytes = 0  # by this process since it last trimmed the cache
 folder = cache_folder
 
 
 def limit_bytes() -> int:
-    """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it is not a size."""
+    """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it
+    is not a size.
+    """
     return bytes_of_variable(LIMIT_VARIABLE, DEFAULT_GIB)
 
 
 @lru_cache
 def version_fingerprint(*packages: str) -> str:
-    """Text that identifies pixsim's version and sources, the machine type and the versions of packages.
+    """Text that identifies pixsim's version and sources, the machine type and the versions of
+    packages.
 
-    It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
+    It is part of every key. It includes the sources, so that a changed formula or table invalidates
+    old results.
     """
     versions = [f"{name} {version_of(name)}" for name in ("numpy", "scipy", *packages)]
     return ", ".join([f"pixsim {VERSION} {_digest_of_sources()}", platform.machine(), *versions])
@@ -70,7 +90,9 @@ def version_fingerprint(*packages: str) -> str:
 
 @lru_cache
 def _digest_of_sources() -> str:
-    """Hash of all sources: an installed package and a checkout of equal sources share their results."""
+    """Hash of all sources: an installed package and a checkout of equal sources share their
+    results.
+    """
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(PACKAGE.rglob("*")):
         if path.suffix in SOURCE_SUFFIXES:
@@ -79,9 +101,15 @@ def _digest_of_sources() -> str:
 
 
 def load_or_compute(
-    kind: str, key: str, read: Callable[[Json], Result], compute: Callable[[], Result], to_json: Callable[[Result], Json]
+    kind: str,
+    key: str,
+    read: Callable[[Json], Result],
+    compute: Callable[[], Result],
+    to_json: Callable[[Result], Json],
 ) -> Result:
-    """The JSON entry of a key, computed and stored if it is missing or damaged. Warns if the folder cannot be written."""
+    """The JSON entry of a key, computed and stored if it is missing or damaged. Warns if the folder
+    cannot be written.
+    """
     result = value_of(kind, key, read)
     if result is None:
         result = compute()
@@ -106,14 +134,18 @@ def arrays(kind: str, key: str) -> Arrays | None:
 
 
 def store_arrays(kind: str, key: str, content: Arrays) -> None:
-    """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot be written."""
+    """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot
+    be written.
+    """
     named: dict[str, Any] = dict(content)
     size_bytes = sum(array.nbytes for array in content.values())
     _store(kind, key, ".npz", lambda file: np.savez(file, **named), size_bytes)
 
 
 def store_digest_of(path: Path) -> None:
-    """Store the digest of an entry that another library wrote and reads, such as a texture, as a JSON entry of the same key."""
+    """Store the digest of an entry that another library wrote and reads, such as a texture, as a
+    JSON entry of the same key.
+    """
     store_value(path.parent.name, path.stem, {"digest": _digest_of_file(path)})
 
 
@@ -121,7 +153,9 @@ def is_unchanged_file(path: Path) -> bool:
     """Whether a file is an entry, and what it holds is what was stored."""
     if not is_entry(path):
         return False
-    return value_of(path.parent.name, path.stem, lambda value: str(value["digest"])) == _digest_of_file(path)
+    return value_of(
+        path.parent.name, path.stem, lambda value: str(value["digest"])
+    ) == _digest_of_file(path)
 
 
 def _digest_of_file(path: Path) -> str:
@@ -145,7 +179,9 @@ def entry_label(kind: str, key: str) -> str:
 
 
 def is_entry(path: Path) -> bool:
-    """Whether a file is an entry of the cache by its name and its label. It is not if it is a link, or in a linked folder."""
+    """Whether a file is an entry of the cache by its name and its label. It is not if it is a link,
+    or in a linked folder.
+    """
     try:
         if path.suffix not in SUFFIXES or _is_linked(path) or not path.is_file():
             return False
@@ -182,7 +218,11 @@ def _load(kind: str, key: str, suffix: str, read: Callable[[IO[bytes]], Result])
     except FileNotFoundError:  # another process has just removed it
         return None
     except DAMAGE as error:
-        warn(Note("machine", words=f"cache entry '{path}' is damaged ({error}) and is computed again"))
+        warn(
+            Note(
+                "machine", words=f"cache entry '{path}' is damaged ({error}) and is computed again"
+            )
+        )
         return None
     with suppress(OSError):  # a read-only cache works too
         os.utime(path, follow_symlinks=False)
@@ -193,7 +233,9 @@ def _head(kind: str, key: str, digest: str) -> bytes:
     return f"{entry_label(kind, key)} {digest}\n".encode()
 
 
-def _store(kind: str, key: str, suffix: str, write: Callable[[IO[bytes]], object], size_bytes: int) -> None:
+def _store(
+    kind: str, key: str, suffix: str, write: Callable[[IO[bytes]], object], size_bytes: int
+) -> None:
     """Store an entry, whose content a function writes. Warns if the folder cannot be written."""
     global _written_bytes
     if not has_room(size_bytes) or not limit_bytes():
@@ -213,7 +255,15 @@ def _store(kind: str, key: str, suffix: str, write: Callable[[IO[bytes]], object
                 file.write(_head(kind, key, digest))
             partial.replace(path)
     except OSError as error:
-        warn(Note("machine", words=f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"))
+        warn(
+            Note(
+                "machine",
+                words=(
+                    f"cache folder '{path.parent}' cannot be written ({error.strerror}); set"
+                    f" {FOLDER_VARIABLE}"
+                ),
+            )
+        )
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():
@@ -235,7 +285,9 @@ class CacheFile:
 
 
 def entries(kind: str | None = None) -> list[CacheFile]:
-    """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only if `kind` names them."""
+    """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only
+    if `kind` names them.
+    """
     listed = []
     for path in _files():
         helper = HELPERS.get(path.parent.name)
@@ -249,7 +301,9 @@ def entries(kind: str | None = None) -> list[CacheFile]:
 
 
 def _files() -> Iterator[Path]:
-    """The files in the folders of the cache that are no links; without those of another user, or that are gone."""
+    """The files in the folders of the cache that are no links; without those of another user, or
+    that are gone.
+    """
     for name in os.listdir(folder()) if folder().is_dir() else ():
         kind = folder() / name
         if kind.is_dir() and not kind.is_symlink():
@@ -258,7 +312,9 @@ def _files() -> Iterator[Path]:
 
 
 def trim() -> int:
-    """Remove the least recently used entries above the limit, and partial files of killed processes; return bytes freed."""
+    """Remove the least recently used entries above the limit, and partial files of killed
+    processes; return bytes freed.
+    """
     oldest_first = entries()
     excess, freed = sum(entry.size_bytes for entry in oldest_first) - limit_bytes(), 0
     for entry in oldest_first:
@@ -277,7 +333,9 @@ def clear(kind: str | None = None) -> int:
 
 
 def _remove(entry: CacheFile) -> int:
-    """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is gone."""
+    """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is
+    gone.
+    """
     try:
         entry.path.unlink()
     except OSError:

@@ -1,4 +1,6 @@
-"""Who called pixsim: messages name a setting to a command line by its option, and to Python by its argument."""
+"""Who called pixsim: messages name a setting to a command line by its option, and to Python by its
+argument.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,10 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-OPTIONS = {"window_mm": "window", "smaller_than_um": "smaller-than"}  # settings whose option has another name
+OPTIONS = {
+    "window_mm": "window",
+    "smaller_than_um": "smaller-than",
+}  # settings whose option has another name
 _command_lines = 0  # those that run: of all threads, of which some belong to the command
 
 
@@ -34,7 +39,9 @@ def setting(path: str, value: float | str | None = None) -> str:
     """
     shown = f"{value:g}" if isinstance(value, int | float) else value
     if _command_lines:
-        return f"--{OPTIONS.get(path, path).replace('_', '-')}" + ("" if shown is None else f" {shown}")
+        return f"--{OPTIONS.get(path, path).replace('_', '-')}" + (
+            "" if shown is None else f" {shown}"
+        )
     *above, name = path.split(".")
     if above:
         return f"{above[-1].capitalize()}({name}={'…' if shown is None else shown})"
@@ -56,4 +63,8 @@ def evaluated(path: str) -> str:
     >>> evaluated("light.exr")
     "evaluate(read_irradiance('light.exr'), …)"
     """
-    return f"pixsim run {shlex.quote(path)}" if _command_lines else f"evaluate(read_irradiance({path!r}), …)"
+    return (
+        f"pixsim run {shlex.quote(path)}"
+        if _command_lines
+        else f"evaluate(read_irradiance({path!r}), …)"
+    )

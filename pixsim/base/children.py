@@ -1,7 +1,8 @@
 """Child processes look for no code in the current folder, which may be a stranger's.
 
-Python takes an empty part of PYTHONPATH, and the system one of PATH, for the current folder; and Python starts its own children so
-that they look there first. This file imports nothing that Python has not loaded before: a command calls it first of all.
+Python takes an empty part of PYTHONPATH, and the system one of PATH, for the current folder; and
+Python starts its own children so that they look there first. This file imports nothing that Python
+has not loaded before: a command calls it first of all.
 """
 
 import os
@@ -20,14 +21,19 @@ def without_empty_parts(folders: str) -> str:
 def safe_variables() -> dict[str, str]:
     """The variables of a child that looks for code in no folder but those that are named."""
     search = without_empty_parts(os.environ.get("PATH", os.defpath)) or os.defpath
-    return {"PYTHONSAFEPATH": "1", "PYTHONPATH": without_empty_parts(os.environ.get("PYTHONPATH", "")), "PATH": search}
+    return {
+        "PYTHONSAFEPATH": "1",
+        "PYTHONPATH": without_empty_parts(os.environ.get("PYTHONPATH", "")),
+        "PATH": search,
+    }
 
 
 def leave_current_folder() -> None:
-    """Take the current folder off the paths of this process and its children, where it is there for an empty part of a variable.
+    """Take the current folder off the paths of this process and its children, where it is there for
+    an empty part of a variable.
 
-    A folder that is named stays, also if it is the current one. So does the first folder of Python's path, that of the script; for
-    `python -m` and `python -c` it is the current one.
+    A folder that is named stays, also if it is the current one. So does the first folder of
+    Python's path, that of the script; for `python -m` and `python -c` it is the current one.
     """
     parts = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     if "" in parts and len(parts) > 1:

@@ -1,4 +1,5 @@
-"""The formatter of numbers for people: with the digits that their errors allow, as an interval, a range, a time, a probability.
+"""The formatter of numbers for people: with the digits that their errors allow, as an interval, a
+range, a time, a probability.
 
 JSON, CSV and settings.toml have numbers in full.
 """
@@ -28,7 +29,8 @@ def rounded(value: float, digits: int = 2) -> str:
 
 
 def estimate(value: float, digits: int = 3) -> str:
-    """Return an estimate whose error is not known, in significant digits, with zeros at the end; a dash where it is unknown.
+    """Return an estimate whose error is not known, in significant digits, with zeros at the end; a
+    dash where it is unknown.
 
     >>> estimate(0.9), estimate(76.543), estimate(15234.0), estimate(float("nan"))
     ('0.900', '76.5', '15200', '–')
@@ -101,8 +103,14 @@ def interval(ends: tuple[float | None, float | None]) -> str:
     """
     low, high = ends
     if low is None:
-        return "no limit among the sizes tried" if high is None else f"below {_micrometres(high)} µm"
-    return f"above {_micrometres(low)} µm" if high is None else span(_micrometres(low), _micrometres(high), unit=" µm")
+        return (
+            "no limit among the sizes tried" if high is None else f"below {_micrometres(high)} µm"
+        )
+    return (
+        f"above {_micrometres(low)} µm"
+        if high is None
+        else span(_micrometres(low), _micrometres(high), unit=" µm")
+    )
 
 
 def span(low: float | str, high: float | str, form: str = "", unit: str = "") -> str:
@@ -115,7 +123,8 @@ def span(low: float | str, high: float | str, form: str = "", unit: str = "") ->
 
 
 def setting_text(value: float) -> str:
-    """Return a number of a setting: as it was written, and a computed one, which has more digits, to four.
+    """Return a number of a setting: as it was written, and a computed one, which has more digits,
+    to four.
 
     >>> setting_text(0.25), setting_text(632.816), setting_text(0.5019607843137254), setting_text(20000.0)
     ('0.25', '632.816', '0.502', '20000')
@@ -129,7 +138,13 @@ def exposure_time(seconds: float) -> str:
     >>> exposure_time(0.00165), exposure_time(3.2e-5), exposure_time(1000.0), exposure_time(0.0)
     ('1.65 ms', '32 µs', '1000 s', '0 ms')
     """
-    unit, size_s = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-4 or seconds == 0 else ("µs", 1e-6)
+    unit, size_s = (
+        ("s", 1.0)
+        if seconds >= 1
+        else ("ms", 1e-3)
+        if seconds >= 1e-4 or seconds == 0
+        else ("µs", 1e-6)
+    )
     return f"{rounded(seconds / size_s, 3)} {unit}"
 
 
@@ -143,10 +158,12 @@ def f_stop(value: float) -> str:
 
 
 def probability(share: float, pairs: int) -> str:
-    """Return a probability from the differences of pairs, no nearer to 0 or 1 than their number allows.
+    """Return a probability from the differences of pairs, no nearer to 0 or 1 than their number
+    allows.
 
-    If all of n differences have one sign, a sign test gives 1 - 2⁻ⁿ, and no test without a law of the noise gives more. Beyond it,
-    the probability rests on the tails of the normal law alone, which n pairs do not show.
+    If all of n differences have one sign, a sign test gives 1 - 2⁻ⁿ, and no test without a law of
+    the noise gives more. Beyond it, the probability rests on the tails of the normal law alone,
+    which n pairs do not show.
 
     >>> probability(0.93, 8), probability(0.5, 8), probability(0.99961, 20), probability(0.99961, 2), probability(0.0, 4)
     ('.93', '.5', '> .999', '> .75', '< .063')
@@ -166,7 +183,8 @@ def _share(share: float) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """Return a number and its error as text: to two digits of the error, one from 0.01 to 1, and four digits of the number at most.
+    """Return a number and its error as text: to two digits of the error, one from 0.01 to 1, and
+    four digits of the number at most.
 
     An error that is smaller than the last digit is one of it.
 
@@ -185,7 +203,10 @@ def with_error(value: float, error: float) -> str:
     largest = max(abs(value), error)
     power = _decade(largest, MAX_DIGITS)
     if largest and not WITHOUT_POWER[0] <= power < WITHOUT_POWER[1]:
-        return " ± ".join(f"{text}e{power:+03d}" for text in with_error(value / 10.0**power, error / 10.0**power).split(" ± "))
+        return " ± ".join(
+            f"{text}e{power:+03d}"
+            for text in with_error(value / 10.0**power, error / 10.0**power).split(" ± ")
+        )
 
     decimals = MAX_DIGITS - 1 - _decade(value or error, MAX_DIGITS)
     if error <= ROUNDING * abs(value):
@@ -197,8 +218,11 @@ def with_error(value: float, error: float) -> str:
     return f"{_to_decimals(value, decimals)} ± {_to_decimals(error, decimals)}"
 
 
-def difference_cells(difference: float, ends: tuple[float, float], further_error: float = 0.0) -> tuple[str, str]:
-    """Return a difference and its interval, with signs and the digits that half of the interval and a further error allow.
+def difference_cells(
+    difference: float, ends: tuple[float, float], further_error: float = 0.0
+) -> tuple[str, str]:
+    """Return a difference and its interval, with signs and the digits that half of the interval and
+    a further error allow.
 
     >>> difference_cells(0.12345, (0.11, 0.137)), difference_cells(-2.0, (-2.0, -2.0))
     (('+0.12', '+0.11 to +0.14'), ('-2.000', '-2.000'))
@@ -215,17 +239,22 @@ def _with_sign(text: str) -> str:
 
 
 def _decade(value: float, digits: int) -> int:
-    """Return the power of ten of the first digit of a value that is rounded to so many digits: 1 of 9.996 in three digits."""
+    """Return the power of ten of the first digit of a value that is rounded to so many digits: 1 of
+    9.996 in three digits.
+    """
     return int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def _to_decimals(value: float, decimals: int) -> str:
-    """Return a value to a number of decimals, which is negative for zeros before the point; 0 has no sign."""
+    """Return a value to a number of decimals, which is negative for zeros before the point; 0 has
+    no sign.
+    """
     return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
 def within_error(value: float, error: float) -> str:
-    """Return a number alone, with the digits of `with_error`; with four where the error is not known.
+    """Return a number alone, with the digits of `with_error`; with four where the error is not
+    known.
 
     >>> within_error(2.562, 0.04), within_error(2.562, float("inf"))
     ('2.56', '2.562')
@@ -234,7 +263,8 @@ def within_error(value: float, error: float) -> str:
 
 
 def with_ends(value: float, ends: tuple[float, float]) -> str:
-    """Return a number with the ends of its interval in brackets, with the digits that half of the interval allows.
+    """Return a number with the ends of its interval in brackets, with the digits that half of the
+    interval allows.
 
     Half of an interval without end is the distance from the other one.
 
@@ -247,7 +277,8 @@ def with_ends(value: float, ends: tuple[float, float]) -> str:
 
 
 def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
-    """Two numbers as text, with as many significant digits as it takes to tell them apart, at least `digits`.
+    """Two numbers as text, with as many significant digits as it takes to tell them apart, at least
+    `digits`.
 
     >>> told_apart(0.2013, 0.2), told_apart(0.31, 0.2), told_apart(0.2, 0.2)
     (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))

@@ -1,7 +1,9 @@
-"""The door of pixsim: arguments of its public functions are checked by pydantic before any of them is used.
+"""The door of pixsim: arguments of its public functions are checked by pydantic before any of them
+is used.
 
-`pixsim` and its public modules hand out their functions through `checked`. Inside pixsim, functions are called as they are, and
-trust their callers. What depends on several arguments is checked where they are used.
+`pixsim` and its public modules hand out their functions through `checked`. Inside pixsim, functions
+are called as they are, and trust their callers. What depends on several arguments is checked where
+they are used.
 """
 
 from __future__ import annotations
@@ -14,9 +16,27 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from types import ModuleType, NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
-from pixsim.base.bounds import FINITE, SMALLEST, Axes, Bounds, brief, field_bounds, is_bool, parts_of
+from pixsim.base.bounds import (
+    FINITE,
+    SMALLEST,
+    Axes,
+    Bounds,
+    brief,
+    field_bounds,
+    is_bool,
+    parts_of,
+)
 from pixsim.base.errors import PixsimError, invalid
 
 if TYPE_CHECKING:
@@ -29,10 +49,11 @@ OURS = "allowed"  # the kind of error of the validators below
 
 
 def checked(function: Function, name: str) -> Function:
-    """Return a public function whose arguments are checked by their annotations; lists and numbers become arrays.
+    """Return a public function whose arguments are checked by their annotations; lists and numbers
+    become arrays.
 
-    It raises PixsimError that names the first argument at fault, with what was got and what is allowed. The check is built at the
-    first call, so that imports take no time.
+    It raises PixsimError that names the first argument at fault, with what was got and what is
+    allowed. The check is built at the first call, so that imports take no time.
 
     name : under which users import it, such as `pixsim.render`
     """
@@ -55,7 +76,9 @@ def checked(function: Function, name: str) -> Function:
 
 
 def checked_methods(kind: Class) -> Class:
-    """Check the arguments of the public methods of a class that users have in hand, and of a constructor that it defines itself."""
+    """Check the arguments of the public methods of a class that users have in hand, and of a
+    constructor that it defines itself.
+    """
     for name, value in list(vars(kind).items()):
         function = value.__func__ if isinstance(value, classmethod) else value
         if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__"):
@@ -75,12 +98,15 @@ def public(thing: Any, name: str) -> Any:
 
 
 def public_module(name: str, module: ModuleType) -> ModuleType:
-    """Return a module of pixsim as users see it under a shorter name: its public names, functions with their checks.
+    """Return a module of pixsim as users see it under a shorter name: its public names, functions
+    with their checks.
 
     name : under which users find it, such as `pixsim.scielab`
     """
     face = ModuleType(name, module.__doc__)
-    names = getattr(module, "__all__", None) or [key for key, value in vars(module).items() if _is_public(key, value, module)]
+    names = getattr(module, "__all__", None) or [
+        key for key, value in vars(module).items() if _is_public(key, value, module)
+    ]
     face.__all__ = list(names)  # type: ignore[attr-defined]
     face.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
     face.__dir__ = lambda: list(names)  # type: ignore[method-assign]
@@ -92,8 +118,12 @@ def _is_public(key: str, value: Any, module: ModuleType) -> bool:
 
 
 @cache
-def _arguments(function: Callable[..., Any]) -> Callable[..., tuple[tuple[Any, ...], dict[str, Any]]]:
-    """Return a function of the same arguments that returns them as they should be used. Raises pydantic's ValidationError."""
+def _arguments(
+    function: Callable[..., Any],
+) -> Callable[..., tuple[tuple[Any, ...], dict[str, Any]]]:
+    """Return a function of the same arguments that returns them as they should be used. Raises
+    pydantic's ValidationError.
+    """
     from pydantic import ConfigDict, validate_call
 
     def arguments(*args: Any, **kwargs: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
@@ -106,16 +136,21 @@ def _arguments(function: Callable[..., Any]) -> Callable[..., tuple[tuple[Any, .
 
 
 class _Annotated:
-    """The annotations of a function's arguments without that of its result, which only the type checker may know."""
+    """The annotations of a function's arguments without that of its result, which only the type
+    checker may know.
+    """
 
     def __init__(self, function: Any) -> None:
         function = inspect.unwrap(function)
-        self.__annotations__ = {name: hint for name, hint in function.__annotations__.items() if name != "return"}
+        self.__annotations__ = {
+            name: hint for name, hint in function.__annotations__.items() if name != "return"
+        }
         self.__globals__ = function.__globals__
 
 
 def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> Any:
-    """Return what pydantic checks in place of an annotation: numbers, arrays and paths by the validators below.
+    """Return what pydantic checks in place of an annotation: numbers, arrays and paths by the
+    validators below.
 
     bounds, axes : of a quantity, and of an array, that an annotation around this one states
     """
@@ -141,7 +176,8 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
 
     lax = Strict(False)  # a list may stand for a tuple
     if origin is tuple:
-        return Annotated[tuple[tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)], lax]  # type: ignore[misc]
+        parts = tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)
+        return Annotated[tuple[parts], lax]  # type: ignore[valid-type]
     if origin in (Sequence, Iterable):
         return Annotated[list[_type(inner[0], bounds)], BeforeValidator(_list), lax]  # type: ignore[misc]
     if origin in (dict, Mapping):
@@ -152,7 +188,9 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
 
 
 def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
-    """Return the union of what is checked; a path may be a text, and NumPy's `ArrayLike` is an array."""
+    """Return the union of what is checked; a path may be a text, and NumPy's `ArrayLike` is an
+    array.
+    """
     from numpy.typing import ArrayLike
 
     of_arrays = set(get_args(ArrayLike)) or {ArrayLike}
@@ -160,11 +198,14 @@ def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
         kinds = [ArrayLike, *(kind for kind in kinds if kind not in of_arrays)]
     if any((get_origin(kind) or kind) is os.PathLike for kind in kinds):
         kinds = [kind for kind in kinds if kind is not str]
-    return Union[tuple(kind if kind is NoneType else _type(kind, bounds) for kind in kinds)]  # noqa: UP007  # of many
+    types = tuple(kind if kind is NoneType else _type(kind, bounds) for kind in kinds)
+    return Union[types]  # noqa: UP007 – of many
 
 
 def _without_alias(hint: Any) -> Any:
-    """Return the type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one from 2.5 on."""
+    """Return the type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one
+    from 2.5 on.
+    """
     stands_for, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
     if stands_for is None:
         return hint
@@ -183,7 +224,8 @@ def _refusal(got: object, allowed: str) -> Exception:
     return PydanticCustomError(OURS, "{allowed}", {"allowed": allowed, "got": got})
 
 
-# --- kinds of values --------------------------------------------------------------------------------------------------------------
+# --- kinds of values
+# --------------------------------------------------------------------------------------------------------------
 
 
 def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
@@ -191,7 +233,9 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
 
     def number(value: Any) -> Any:
         plain = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
-        if isinstance(plain, bool) or not isinstance(plain, numbers.Integral if kind is int else numbers.Real):
+        if isinstance(plain, bool) or not isinstance(
+            plain, numbers.Integral if kind is int else numbers.Real
+        ):
             raise _refusal(brief(value), allowed)
         try:
             size = float(plain)
@@ -206,7 +250,9 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
     return number
 
 
-def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: bool) -> Callable[[Any], Any]:
+def _array_of(
+    bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: bool
+) -> Callable[[Any], Any]:
     import numpy as np
 
     allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'numbers'}"
@@ -221,7 +267,9 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
             raise _refusal(brief(value), allowed)
         try:
             values = np.asarray(value)
-            if values.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in values.flat):
+            if values.dtype.kind == "O" and all(
+                isinstance(part, numbers.Real) for part in values.flat
+            ):
                 values = values.astype(float)  # integers beyond 64 bits
         except (TypeError, ValueError, OverflowError):
             raise _refusal(brief(value), allowed) from None
@@ -229,8 +277,12 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
             raise _refusal(brief(value), allowed)
         if is_array and axes and (values.ndim != axes or not values.size):
             raise _refusal(f"an array of shape {values.shape}", shaped)
-        if bounds and values.size and not bounds.hold(values.min(), values.max()):  # min propagates NaN
-            within = (values >= bounds.low) & (values < bounds.high if bounds.open_high else values <= bounds.high)
+        if (
+            bounds and values.size and not bounds.hold(values.min(), values.max())
+        ):  # min propagates NaN
+            within = (values >= bounds.low) & (
+                values < bounds.high if bounds.open_high else values <= bounds.high
+            )
             place = np.unravel_index(np.argmin(within), values.shape)
             where = f" at {[int(index) for index in place]}" if values.ndim else ""
             raise _refusal(f"{values[place]}{where}", allowed)
@@ -268,9 +320,12 @@ def _list(value: Any) -> Any:
     return list(value)
 
 
-# --- what pydantic says -----------------------------------------------------------------------------------------------------------
+# --- what pydantic says
+# -----------------------------------------------------------------------------------------------------------
 
-KIND = re.compile(r"str|[a-z-]*\[.*\]", re.DOTALL)  # pydantic's names of kinds in the place of a problem, such as list[str]
+KIND = re.compile(
+    r"str|[a-z-]*\[.*\]", re.DOTALL
+)  # pydantic's names of kinds in the place of a problem, such as list[str]
 ALLOWED = {
     "string_type": "a text",
     "is_instance_of": "a {class}",
@@ -284,9 +339,14 @@ ALLOWED = {
 
 
 def _first_problem(
-    function: Callable[..., Any], error: ValidationError, args: Sequence[Any], kwargs: Mapping[str, Any]
+    function: Callable[..., Any],
+    error: ValidationError,
+    args: Sequence[Any],
+    kwargs: Mapping[str, Any],
 ) -> Exception:
-    """Return the PixsimError of the first argument at fault; the TypeError of Python for a call that has not its arguments."""
+    """Return the PixsimError of the first argument at fault; the TypeError of Python for a call
+    that has not its arguments.
+    """
     signature = inspect.signature(function)
     try:
         signature.bind(*args, **kwargs)
@@ -301,18 +361,28 @@ def _first_problem(
     within = [problem for problem in of_argument if problem["input"] is not value]
     if within:  # the part at fault of a list or table
         part = within[0]["input"]
-        return _problem(name + _place(within[0]), part, [problem for problem in within if problem["input"] is part])
+        return _problem(
+            name + _place(within[0]),
+            part,
+            [problem for problem in within if problem["input"] is part],
+        )
     optional = NoneType in get_args(get_type_hints(_Annotated(function)).get(name))
     return _problem(name, value, of_argument, optional=optional)
 
 
 def _place(problem: ErrorDetails) -> str:
-    """Return where in an argument a problem is: the indices and keys of its parts, without pydantic's names of kinds."""
-    parts = (part for part in problem["loc"][1:] if isinstance(part, int) or not KIND.fullmatch(part))
+    """Return where in an argument a problem is: the indices and keys of its parts, without
+    pydantic's names of kinds.
+    """
+    parts = (
+        part for part in problem["loc"][1:] if isinstance(part, int) or not KIND.fullmatch(part)
+    )
     return "".join(f"[{part!r}]" for part in parts)
 
 
-def _problem(name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False) -> PixsimError:
+def _problem(
+    name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False
+) -> PixsimError:
     got, allowed = brief(value), list[str]()
     for problem in problems:
         context = problem.get("ctx", {})
@@ -321,4 +391,6 @@ def _problem(name: str, value: object, problems: Sequence[ErrorDetails], *, opti
             allowed.append(context["allowed"])
         else:
             allowed.append(ALLOWED.get(problem["type"], problem["msg"]).format_map(context))
-    return invalid(name, got, ", or ".join([*dict.fromkeys(allowed), *(["None"] if optional else [])]))
+    return invalid(
+        name, got, ", or ".join([*dict.fromkeys(allowed), *(["None"] if optional else [])])
+    )

@@ -6,21 +6,27 @@ import difflib
 import re
 from collections.abc import Iterable
 
-# Control characters but tab and line feed, and the marks that turn the direction of the text that follows.
+# Control characters but tab and line feed, and the marks that turn the direction of the text that
+# follows.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"  # of a spreadsheet: it runs a cell that begins so, also in full width
+# of a spreadsheet: it runs a cell that begins so, also in full width
+FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"
 MAX_LENGTH = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
-    """Invalid input. The message states what was given, what is allowed and how to fix it. A ValueError."""
+    """Invalid input. The message states what was given, what is allowed and how to fix it. A
+    ValueError.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(shown(message))
 
 
 class UnwritableError(PixsimError):
-    """A file that cannot be written, as on a full disk; the message names it and says what is kept."""
+    """A file that cannot be written, as on a full disk; the message names it and says what is
+    kept.
+    """
 
 
 def shown(text: str) -> str:
@@ -39,16 +45,21 @@ def printable(text: str, json: bool = False) -> str:
     >>> print(printable("\\x1b[2J"), printable("\\x7f", json=True))
     \\x1b[2J \\u007f
     """
-    return CONTROL.sub(lambda match: f"\\u{ord(match[0]):04x}" if json else repr(match[0])[1:-1], text)
+    return CONTROL.sub(
+        lambda match: f"\\u{ord(match[0]):04x}" if json else repr(match[0])[1:-1], text
+    )
 
 
 def invalid(name: str, got: object, expected: str, hint: str = "") -> PixsimError:
-    """The PixsimError for an invalid value, in the form that all messages share; the caller raises it."""
+    """The PixsimError for an invalid value, in the form that all messages share; the caller raises
+    it.
+    """
     return PixsimError(f"{name}: got {got}; allowed: {expected}." + (f" {hint}" if hint else ""))
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """A hint with the one of some names that is most similar, whatever its capitals; empty if none is similar.
+    """A hint with the one of some names that is most similar, whatever its capitals; empty if none
+    is similar.
 
     >>> did_you_mean("canon_eos_5d_mark_ii", ["Canon_EOS_5D_Mark_IV", "Canon_EOS_5D_Mark_II"])
     "Did you mean 'Canon_EOS_5D_Mark_II'?"
@@ -62,7 +73,8 @@ PLAIN_WORD = re.compile(r"[A-Za-z0-9_.+,-]{1,24}")
 
 
 def excerpt(text: str, typed: bool = False) -> str:
-    """What a message says of a text in a file: the file can be another than the user believes, such as a key.
+    """What a message says of a text in a file: the file can be another than the user believes, such
+    as a key.
 
     typed : whether the user has typed it on the command line; only then it is quoted
 
@@ -75,7 +87,8 @@ def excerpt(text: str, typed: bool = False) -> str:
 
 
 def quoted(name: str, typed: bool = False) -> str:
-    """`excerpt` of a name, as of a glass, a type or a channel, in a file that was recognised as its format: plain ones are quoted.
+    """`excerpt` of a name, as of a glass, a type or a channel, in a file that was recognised as its
+    format: plain ones are quoted.
 
     >>> quoted("N-BK7"), quoted("two words")
     ("'N-BK7'", 'a text of 9 characters')
@@ -84,7 +97,9 @@ def quoted(name: str, typed: bool = False) -> str:
 
 
 def names_in(texts: Iterable[str]) -> list[str]:
-    """Names of channels or arrays of a file that was recognised as its format, without quotes, as `excerpt` has them."""
+    """Names of channels or arrays of a file that was recognised as its format, without quotes, as
+    `excerpt` has them.
+    """
     return [text if PLAIN_WORD.fullmatch(text) else f"({excerpt(text)})" for text in texts]
 
 

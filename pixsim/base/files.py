@@ -1,9 +1,11 @@
 """Atomic output files, and input files that are validated before a decoder reads them.
 
-A reader of a named pipe may block, a device has no end, and a decoder allocates whatever a header declares.
+A reader of a named pipe may block, a device has no end, and a decoder allocates whatever a header
+declares.
 
-A path that the user names may be a link: it is followed, once, and what it leads to is replaced. A pipe or a character device gets
-the content and stays. An output folder has a list of the files that pixsim wrote there, `pixsim.json`: only those are replaced.
+A path that the user names may be a link: it is followed, once, and what it leads to is replaced. A
+pipe or a character device gets the content and stays. An output folder has a list of the files that
+pixsim wrote there, `pixsim.json`: only those are replaced.
 """
 
 from __future__ import annotations
@@ -53,16 +55,29 @@ def cache_folder() -> Path:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
     except RuntimeError:
         got = "no value, and a user without a home folder"
-        raise invalid(FOLDER_VARIABLE, got, "a folder for the cache", f"Set it: export {FOLDER_VARIABLE}=$(mktemp -d)") from None
+        raise invalid(
+            FOLDER_VARIABLE,
+            got,
+            "a folder for the cache",
+            f"Set it: export {FOLDER_VARIABLE}=$(mktemp -d)",
+        ) from None
 
 
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
 def missing(path: Path) -> str:
-    """The name of a file that is not there, for a message, with the outermost of its folders that does not exist."""
-    folder = next((str(folder) for folder in reversed(path.parents) if not os.path.lexists(folder)), None)
-    return f"'{path}', which does not exist" if folder is None else f"'{path}' (folder '{folder}' does not exist)"
+    """The name of a file that is not there, for a message, with the outermost of its folders that
+    does not exist.
+    """
+    folder = next(
+        (str(folder) for folder in reversed(path.parents) if not os.path.lexists(folder)), None
+    )
+    return (
+        f"'{path}', which does not exist"
+        if folder is None
+        else f"'{path}' (folder '{folder}' does not exist)"
+    )
 
 
 def resolved(path: Path) -> Path:
@@ -75,18 +90,21 @@ STREAMS = "/dev/fd"  # the folder of the streams of this process; /dev/stdout le
 
 
 def _open_stream(path: Path) -> IO[bytes] | None:
-    """Open what a path of the user leads to for writing, if it is a pipe, a character device or a stream of this process.
+    """Open what a path of the user leads to for writing, if it is a pipe, a character device or a
+    stream of this process.
 
     None if it is a regular file or nothing. Waits for the reader of a named pipe.
 
-    Raises PixsimError for anything else, as a disk, whose content would be lost; OSError if it cannot be opened.
+    Raises PixsimError for anything else, as a disk, whose content would be lost; OSError if it
+    cannot be opened.
     """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return None
 
-    # A stream may be a file of the shell: the content goes where the shell stands in it. Its name is a link to that file.
+    # A stream may be a file of the shell: the content goes where the shell stands in it. Its name
+    # is a link to that file.
     streams = os.path.realpath(STREAMS)
     link = path
     while True:
@@ -99,7 +117,9 @@ def _open_stream(path: Path) -> IO[bytes] | None:
     if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
         return path.open("wb", buffering=0)
     if not stat.S_ISREG(mode):
-        raise invalid("output file", f"'{path}', {kind_of(mode)}", "a file, a pipe or a character device")
+        raise invalid(
+            "output file", f"'{path}', {kind_of(mode)}", "a file, a pipe or a character device"
+        )
     return None
 
 
@@ -107,7 +127,8 @@ def _open_stream(path: Path) -> IO[bytes] | None:
 def replacing(path: Path, *, named: bool = True, new: bool = False) -> Iterator[Path]:
     """A temporary path to write to; it replaces `path` on success and is removed on failure.
 
-    named : whether the user named the path. Then links are followed, and a pipe, a device or an open stream gets the content
+    named : whether the user named the path. Then links are followed, and a pipe, a device or an
+        open stream gets the content
     new : whether a file that exists is refused
 
     Raises PixsimError if its folder does not exist, or if it cannot be replaced.
@@ -128,9 +149,14 @@ def replacing(path: Path, *, named: bool = True, new: bool = False) -> Iterator[
                 hint = f"Make it first: mkdir -p '{target.parent}'"
                 raise invalid("output file", missing(target), "a path that can be written", hint)
             if os.path.lexists(target) and not stat.S_ISREG(mode := target.lstat().st_mode):
-                raise invalid("output file", f"'{path}' ({kind_of(mode)})", "a path that can be written")
+                raise invalid(
+                    "output file", f"'{path}' ({kind_of(mode)})", "a path that can be written"
+                )
             if new and os.path.lexists(target):
-                raise PixsimError(f"output file: '{path}' exists already; allowed: a new name. Move it, or choose another name.")
+                raise PixsimError(
+                    f"output file: '{path}' exists already; allowed: a new name. Move it, or choose"
+                    " another name."
+                )
             remove_leftovers(target.parent)
             partial = stack.enter_context(unfinished(target.parent, is_folder=False))
             yield partial
@@ -143,7 +169,8 @@ def replacing(path: Path, *, named: bool = True, new: bool = False) -> Iterator[
 
 @contextmanager
 def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
-    """Create a folder and lock it against other processes; after a failure, new empty folders are removed.
+    """Create a folder and lock it against other processes; after a failure, new empty folders are
+    removed.
 
     Gives the folder, without links on the way: it may be one, which is followed once.
 
@@ -152,7 +179,9 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     check_system()
     folder = Path(out)
     if not is_utf8(folder):
-        raise PixsimError(f"output folder: '{folder}' is not valid UTF-8. Choose another with --out.")
+        raise PixsimError(
+            f"output folder: '{folder}' is not valid UTF-8. Choose another with --out."
+        )
     created = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     try:
         with ExitStack() as stack:
@@ -160,7 +189,10 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
                 folder.mkdir(parents=True, exist_ok=True)
                 stack.enter_context(locked_folder(folder))
             except OSError as error:
-                message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
+                message = (
+                    f"output folder: '{folder}' cannot be written ({error.strerror}). Choose"
+                    " another with --out."
+                )
                 raise PixsimError(message) from None
             yield resolved(folder)
     except BaseException:
@@ -171,7 +203,8 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def private_folder(name: str, quiet: bool = False) -> Path:
-    """A folder of the cache for what is run as code; where others could write there, one for this process alone, with a warning.
+    """A folder of the cache for what is run as code; where others could write there, one for this
+    process alone, with a warning.
 
     quiet : whether another call has warned
 
@@ -183,7 +216,11 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     with suppress(FileExistsError):
         folder.mkdir(0o700)
     status = folder.lstat()
-    is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and os.access(folder, os.W_OK)
+    is_own = (
+        stat.S_ISDIR(status.st_mode)
+        and status.st_uid == os.geteuid()
+        and os.access(folder, os.W_OK)
+    )
     if is_own and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return folder
 
@@ -191,7 +228,15 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     alone.mkdir(0o700, exist_ok=True)
     if not quiet:
         hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-        warn(Note("machine", words=f"'{folder}' is not a folder that only you can write: {name} serve this command only; {hint}"))
+        warn(
+            Note(
+                "machine",
+                words=(
+                    f"'{folder}' is not a folder that only you can write: {name} serve this command"
+                    f" only; {hint}"
+                ),
+            )
+        )
     return alone
 
 
@@ -213,19 +258,24 @@ def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]
     except PixsimError as error:
         if str(folder) not in str(error):
             raise
-        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {advice} {hint}") from None
+        raise UnwritableError(
+            f"{str(error).replace(str(folder), str(target))} {advice} {hint}"
+        ) from None
     except OSError as error:
         if error.errno not in FAULTS_OF_DISKS:
             raise
         place = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
-        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {advice} {hint}") from None
+        raise UnwritableError(
+            f"output file: '{place}' cannot be written ({error.strerror}). {advice} {hint}"
+        ) from None
 
 
 SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times
 
 
 def digest_of(path: Path) -> str:
-    """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened` does.
+    """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened`
+    does.
 
     A file is not read again if its times show that nobody has changed it.
     """
@@ -243,7 +293,8 @@ def _digest_of(path: Path, _: tuple[int, ...]) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
-# --- output folders ---------------------------------------------------------------------------------------------------------------
+# --- output folders
+# ---------------------------------------------------------------------------------------------------------------
 
 LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
 LIST_OF_1_1 = "provenance.json"
@@ -271,14 +322,17 @@ def read_list(folder: Path) -> dict[str, Any]:
 
 
 def version_of_files(folder: Path) -> str:
-    """Return the version of pixsim that wrote the files of an output folder; nothing where its list does not say."""
+    """Return the version of pixsim that wrote the files of an output folder; nothing where its list
+    does not say.
+    """
     with suppress(PixsimError):
         return read_list(folder).get("versions", {}).get(PIXSIM, "")[:20]
     return ""
 
 
 def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> None:
-    """Check that a command may write files of these names: they are not there, or pixsim wrote them.
+    """Check that a command may write files of these names: they are not there, or pixsim wrote
+    them.
 
     Raises PixsimError that names the other files.
     """
@@ -291,30 +345,46 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
         if os.path.lexists(path) and not (name in listed and stat.S_ISREG(path.lstat().st_mode)):
             others.add(name)
         ways = (str(way) for way in PurePosixPath(name).parents if way.parts)
-        others.update(way for way in ways if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode))
+        others.update(
+            way
+            for way in ways
+            if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode)
+        )
     if others:
         more = f" and {len(others) - SHOWN_FILES} more" if len(others) > SHOWN_FILES else ""
         shown_names = ", ".join(sorted(others)[:SHOWN_FILES]) + more
         got = f"'{folder}', which holds {shown_names}, not written by this command"
-        raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
+        raise invalid(
+            "output folder",
+            got,
+            "a folder without them",
+            "Choose another with --out, or move these files away.",
+        )
 
 
 @contextmanager
 def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Iterator[Path]:
-    """A temporary folder, whose files are moved to `folder` one by one when all of them are written.
+    """A temporary folder, whose files are moved to `folder` one by one when all of them are
+    written.
 
-    The list of the folder's files is written first, so that a killed process leaves no file that nobody knows.
+    The list of the folder's files is written first, so that a killed process leaves no file that
+    nobody knows.
 
     provenance : more content of the list; its value at the end of the block counts
 
-    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
+    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not
+    write.
     """
     folder = resolved(folder)
     unchanged = "The files that the folder held before are unchanged."
     with unfinished(folder, is_folder=True) as partial:
         with disk_faults_named(partial, folder, unchanged):
             yield partial
-            made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
+            made = sorted(
+                path.relative_to(partial).as_posix()
+                for path in partial.rglob("*")
+                if not path.is_dir()
+            )
             check_replaceable(folder, made)
             before = read_list(folder).get("files", ())
             listed = sorted({*made, *(name for name in before if os.path.lexists(folder / name))})
@@ -328,7 +398,9 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
 
 
 def take_off_list(path: Path) -> None:
-    """Take a file off the list of its folder, so that only the command that appends to it replaces it."""
+    """Take a file off the list of its folder, so that only the command that appends to it replaces
+    it.
+    """
     content = read_list(path.parent)
     if path.name in content.get("files", ()):
         files = [name for name in content["files"] if name != path.name]
@@ -336,22 +408,32 @@ def take_off_list(path: Path) -> None:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a new file, or into a pipe or a device. Raises PixsimError if the file exists or cannot be written."""
+    """Write a new file, or into a pipe or a device. Raises PixsimError if the file exists or cannot
+    be written.
+    """
     try:
         with replacing(path, new=True) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
+        raise PixsimError(
+            f"output file: '{path}' cannot be written ({error.strerror}). Choose another name."
+        ) from None
 
 
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, pixsim and the main dependencies."""
-    return {"python": platform.python_version(), PIXSIM: VERSION, **{name: version_of(name) for name in DEPENDENCIES}}
+    return {
+        "python": platform.python_version(),
+        PIXSIM: VERSION,
+        **{name: version_of(name) for name in DEPENDENCIES},
+    }
 
 
 def version_of(package: str) -> str:
-    """Version of an installed package. Raises importlib.metadata.PackageNotFoundError if it is not installed."""
+    """Version of an installed package. Raises importlib.metadata.PackageNotFoundError if it is not
+    installed.
+    """
     from importlib import metadata  # imported here: it takes 20 ms
 
     return metadata.version(package)
@@ -370,19 +452,28 @@ DEFAULT_MAX_FILE_GIB = 4.0
 
 
 def bytes_of_variable(variable: str, default_gib: float) -> int:
-    """Bytes of an environment variable in GiB, or else of the default. Raises PixsimError if it is not a size."""
+    """Bytes of an environment variable in GiB, or else of the default. Raises PixsimError if it is
+    not a size.
+    """
     text = os.environ.get(variable, str(default_gib))
     try:
         gib = float(text)
     except ValueError:
         gib = math.nan
     if not 0 <= gib < 1e9:
-        raise invalid(variable, f"'{text}'", "a size in GiB, at least 0", f"Unset it for the default of {default_gib:g} GiB.")
+        raise invalid(
+            variable,
+            f"'{text}'",
+            "a size in GiB, at least 0",
+            f"Unset it for the default of {default_gib:g} GiB.",
+        )
     return int(gib * GIB)
 
 
 def max_file_bytes() -> int:
-    """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or else 4 GiB."""
+    """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or
+    else 4 GiB.
+    """
     return bytes_of_variable(MAX_FILE_VARIABLE, DEFAULT_MAX_FILE_GIB)
 
 
@@ -393,15 +484,28 @@ def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
     """
     limit = max_file_bytes()
     if size_bytes > limit:
-        hint = f"If it is right and the memory suffices, set the environment variable {MAX_FILE_VARIABLE}={-(-size_bytes // GIB)}."
-        raise invalid(name, f"{size_bytes} {what}", f"up to {limit} bytes ({limit / GIB:g} GiB)", hint)
+        hint = (
+            "If it is right and the memory suffices, set the environment variable"
+            f" {MAX_FILE_VARIABLE}={-(-size_bytes // GIB)}."
+        )
+        raise invalid(
+            name, f"{size_bytes} {what}", f"up to {limit} bytes ({limit / GIB:g} GiB)", hint
+        )
 
 
-# A file may always declare this much content, and more only in proportion to its size: deflate reaches 1032 : 1.
+# A file may always declare this much content, and more only in proportion to its size: deflate
+# reaches 1032 : 1.
 ALWAYS_BYTES = 256 * MIB
 MAX_RATIO = 1100
 MAX_PICTURE = 1 << 28  # samples of a PNG or TIFF
-PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "PPM")  # that Pillow may read; it goes by the content, not the suffix
+PICTURE_FORMATS = (
+    "PNG",
+    "JPEG",
+    "TIFF",
+    "BMP",
+    "TGA",
+    "PPM",
+)  # that Pillow may read; it goes by the content, not the suffix
 MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
@@ -416,16 +520,20 @@ def kind_of(mode: int) -> str:
 
 
 @contextmanager
-def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -> Iterator[io.BufferedReader]:
+def opened(
+    path: Path, name: str, expected: str, max_bytes: int | None = None
+) -> Iterator[io.BufferedReader]:
     """Open a regular file for reading; whatever else the path leads to is not opened.
 
     max_bytes : of the file; None allows `max_file_bytes`
 
-    Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without a size of its own, as those
-    of /proc are: they may have no end.
+    Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without
+    a size of its own, as those of /proc are: they may have no end.
     """
     try:
-        if not stat.S_ISREG(mode := os.stat(path).st_mode):  # opening a pipe or a device can have effects
+        if not stat.S_ISREG(
+            mode := os.stat(path).st_mode
+        ):  # opening a pipe or a device can have effects
             raise invalid(name, f"'{path}', {kind_of(mode)}", expected)
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
@@ -433,13 +541,17 @@ def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -
     except PixsimError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
-        raise invalid(name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected) from None
+        raise invalid(
+            name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected
+        ) from None
     with os.fdopen(descriptor, "rb") as file:
         size_bytes = os.fstat(descriptor).st_size
         if max_bytes is None:
             check_size(f"{name} '{path}'", size_bytes)
         elif size_bytes > max_bytes:
-            raise invalid(name, f"'{path}' of {size_bytes} bytes", f"{expected}, of up to {max_bytes} bytes")
+            raise invalid(
+                name, f"'{path}' of {size_bytes} bytes", f"{expected}, of up to {max_bytes} bytes"
+            )
         with suppress(OSError):
             if not size_bytes and file.peek(1):
                 raise invalid(name, f"'{path}', a file of the system without a size", expected)
@@ -475,20 +587,28 @@ def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
 
 
 def read_text(path: Path, name: str, expected: str, max_bytes: int) -> str:
-    """Read a text file in UTF-8 with any line ends. Raises PixsimError as `read_bytes`, or if it is not UTF-8."""
+    """Read a text file in UTF-8 with any line ends. Raises PixsimError as `read_bytes`, or if it is
+    not UTF-8.
+    """
     try:
-        text = read_bytes(path, name, expected, max_bytes).decode("utf-8-sig")  # spreadsheets write a byte order mark
+        text = read_bytes(path, name, expected, max_bytes).decode(
+            "utf-8-sig"
+        )  # spreadsheets write a byte order mark
     except UnicodeDecodeError as error:
         raise invalid(name, f"'{path}' ({error})", f"{expected} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def check_compression(name: str, declared_bytes: int, stored_bytes: int) -> None:
-    """Raise PixsimError if a file declares more content than its size can hold, or than `max_file_bytes`, before it is decoded."""
+    """Raise PixsimError if a file declares more content than its size can hold, or than
+    `max_file_bytes`, before it is decoded.
+    """
     check_size(name, declared_bytes, "bytes of content")
     if declared_bytes > max(ALWAYS_BYTES, MAX_RATIO * stored_bytes):
         got = f"{declared_bytes} bytes of content declared in a file of {stored_bytes}"
-        raise invalid(name, got, f"at most {MAX_RATIO} times its size", "Write the file again: it is damaged.")
+        raise invalid(
+            name, got, f"at most {MAX_RATIO} times its size", "Write the file again: it is damaged."
+        )
 
 
 def judge_picture(path: Path) -> None:
@@ -499,21 +619,27 @@ def judge_picture(path: Path) -> None:
         stored = os.fstat(file.fileno()).st_size
         try:
             # Pillow has a limit of its own.
-            with warnings.catch_warnings(action="ignore"), Image.open(file, formats=PICTURE_FORMATS) as image:
+            with (
+                warnings.catch_warnings(action="ignore"),
+                Image.open(file, formats=PICTURE_FORMATS) as image,
+            ):
                 width, height = image.size
         except Image.DecompressionBombError as error:
             raise invalid(f"picture '{path}'", error, "a readable picture") from None
         except Exception as error:  # a decoder may raise anything for a damaged file
             raise invalid(f"picture '{path}'", reason(error), "a readable picture") from None
     if width * height > MAX_PICTURE:
-        raise invalid(f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in all")
+        raise invalid(
+            f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in all"
+        )
     check_compression(f"picture '{path}'", 8 * width * height, stored)
 
 
 def reason(error: Exception) -> str:
     """Why a file cannot be read, for a message: the system's text, or the kind of damage.
 
-    A decoder's own text may quote the file, which can be another than the user believes, such as a key.
+    A decoder's own text may quote the file, which can be another than the user believes, such as a
+    key.
     """
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
@@ -522,7 +648,9 @@ def reason(error: Exception) -> str:
 
 @contextmanager
 def quiet_output() -> Iterator[None]:
-    """Discard what OpenEXR prints of a damaged file, with its name as it is: its module to stdout, its C library to stderr."""
+    """Discard what OpenEXR prints of a damaged file, with its name as it is: its module to stdout,
+    its C library to stderr.
+    """
     with redirect_stdout(io.StringIO()), ExitStack() as restored:
         with suppress(OSError):  # there is no standard error
             before = os.dup(STDERR)

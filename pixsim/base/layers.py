@@ -12,7 +12,8 @@ from typing import Any
 class Layer:
     """A table of settings and its source: the path of a file, or an empty string for options.
 
-    named : whether another file, such as a study or a scene, may have named the file: then no message quotes its texts
+    named : whether another file, such as a study or a scene, may have named the file: then no
+        message quotes its texts
     """
 
     table: dict[str, Any]
@@ -33,12 +34,15 @@ class Layer:
 def merge_tables(
     base: dict[str, Any],
     over: dict[str, Any],
-    left_of: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda base, over: dict(base),
+    left_of: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda base, over: dict(
+        base
+    ),
     whole: Collection[str] = (),
 ) -> dict[str, Any]:
     """Merge nested tables; values of `over` replace those of `base`.
 
-    left_of : returns what is left of the tables `base` beside `over`, at each depth: what it restates in other words may go
+    left_of : returns what is left of the tables `base` beside `over`, at each depth: what it
+        restates in other words may go
     whole : names of tables that are one value each
     """
     merged = left_of(base, over)
@@ -58,11 +62,16 @@ def nested(path: Sequence[str], value: object) -> dict[str, Any]:
     return dict(table)
 
 
-def listed(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[str | os.PathLike[str]]:
+def listed(
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+) -> list[str | os.PathLike[str]]:
     """Return one or more files as a list."""
     return [config] if isinstance(config, str | os.PathLike) else list(config)
 
 
 def plain_tables(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return tables and fields of settings with each table as a dict of its own."""
-    return {name: dict(value) if isinstance(value, Mapping) else value for name, value in options.items()}
+    return {
+        name: dict(value) if isinstance(value, Mapping) else value
+        for name, value in options.items()
+    }

@@ -9,10 +9,11 @@ from importlib.util import LazyLoader, find_spec, module_from_spec
 
 
 def load_when_used(*names: str) -> None:
-    """Put modules of NumPy in place that are loaded when one of their attributes is used, unless they are loaded already.
+    """Put modules of NumPy in place that are loaded when one of their attributes is used, unless
+    they are loaded already.
 
-    SciPy copies NumPy's whole namespace, which would load all of them. Only for modules that no thread uses: before Python 3.12, a
-    second thread finds a module that is being loaded empty.
+    SciPy copies NumPy's whole namespace, which would load all of them. Only for modules that no
+    thread uses: before Python 3.12, a second thread finds a module that is being loaded empty.
     """
     import numpy as np  # here: the help of a command needs none
 
@@ -31,10 +32,11 @@ RC_FILE = "matplotlibrc"
 
 
 def ignore_matplotlibrc() -> None:
-    """Let Matplotlib read no file of settings, in the process of a command before it has threads or children.
+    """Let Matplotlib read no file of settings, in the process of a command before it has threads or
+    children.
 
-    When it is imported it looks for one in the current folder first, before any variable, and would wait for a pipe there: where
-    there is one it is imported at once, from another folder.
+    When it is imported it looks for one in the current folder first, before any variable, and would
+    wait for a pipe there: where there is one it is imported at once, from another folder.
     """
     os.environ["MATPLOTLIBRC"] = os.devnull
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE):

@@ -1,10 +1,12 @@
-"""Locks that end with their process, of output folders and of unfinished files, so that what a killed process left is known.
+"""Locks that end with their process, of output folders and of unfinished files, so that what a
+killed process left is known.
 
-The system releases such a lock (flock) when its process ends, however it ends; a number of a process could be in use again, or
-belong to another container. Where there are no such locks (Windows, some network file systems), nothing is refused or removed.
+The system releases such a lock (flock) when its process ends, however it ends; a number of a
+process could be in use again, or belong to another container. Where there are no such locks
+(Windows, some network file systems), nothing is refused or removed.
 
-filelock takes them; by hand is what it does not promise: that a folder is locked by itself, that a lock leaves no file, and that
-what is no lock of pixsim stays.
+filelock takes them; by hand is what it does not promise: that a folder is locked by itself, that a
+lock leaves no file, and that what is no lock of pixsim stays.
 """
 
 from __future__ import annotations
@@ -29,18 +31,32 @@ UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinish
 OTHER_FOLDER = "Move it away, or choose another folder with --out."
 TRIES = 20  # for a file that another process removes at the moment when it is locked
 JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
-NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}  # what flock says where a file system has none
+NO_LOCKS = {
+    errno.ENOSYS,
+    errno.ENOLCK,
+    errno.EOPNOTSUPP,
+    errno.EINVAL,
+}  # what flock says where a file system has none
 
 
 def check_system() -> None:
-    """Raise PixsimError where folders cannot be opened, to be locked and told from links: what is written would not be safe."""
+    """Raise PixsimError where folders cannot be opened, to be locked and told from links: what is
+    written would not be safe.
+    """
     if os.open not in os.supports_dir_fd:
         got = "a system whose folders cannot be opened (Windows)"
-        raise invalid("files", got, "Linux or macOS", "On Windows, run pixsim in WSL: `wsl --install`, then as on Linux (README).")
+        raise invalid(
+            "files",
+            got,
+            "Linux or macOS",
+            "On Windows, run pixsim in WSL: `wsl --install`, then as on Linux (README).",
+        )
 
 
 def _lock(descriptor: int) -> bool | None:
-    """Lock an open file or folder until it is closed; False if it is locked already, None if there are no locks."""
+    """Lock an open file or folder until it is closed; False if it is locked already, None if there
+    are no locks.
+    """
     from filelock import lock_descriptor  # takes 10 ms
 
     try:
@@ -59,7 +75,8 @@ def _is_there(path: Path, descriptor: int) -> bool:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Lock an output folder against other processes, and remove what killed ones left there and among the temporary files.
+    """Lock an output folder against other processes, and remove what killed ones left there and
+    among the temporary files.
 
     A thread may lock a folder again that it has locked.
 
@@ -68,17 +85,31 @@ def locked_folder(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     path = Path(os.path.realpath(folder), LOCK)
-    lock = FileLock(path, timeout=JUST_ENDING_S, is_singleton=True, fallback_to_soft=False)  # one a thread
+    lock = FileLock(
+        path, timeout=JUST_ENDING_S, is_singleton=True, fallback_to_soft=False
+    )  # one a thread
     if lock.is_locked:
         yield
         return
-    if os.path.lexists(path) and (not stat.S_ISREG((status := path.lstat()).st_mode) or status.st_size):
-        raise invalid("output folder", f"'{folder}', where '{LOCK}' is no lock of pixsim", "a folder without it", OTHER_FOLDER)
+    if os.path.lexists(path) and (
+        not stat.S_ISREG((status := path.lstat()).st_mode) or status.st_size
+    ):
+        raise invalid(
+            "output folder",
+            f"'{folder}', where '{LOCK}' is no lock of pixsim",
+            "a folder without it",
+            OTHER_FOLDER,
+        )
     try:
         lock.acquire()
     except Timeout:
         hint = "Wait until it ends, or choose another folder with --out."
-        raise invalid("output folder", f"'{folder}', in use by another process", "a folder that is not in use", hint) from None
+        raise invalid(
+            "output folder",
+            f"'{folder}', in use by another process",
+            "a folder that is not in use",
+            hint,
+        ) from None
     except OSError as error:
         if error.errno not in NO_LOCKS:
             raise
@@ -116,7 +147,8 @@ def _remove_leftover(path: Path) -> None:
 
 @contextmanager
 def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
-    """A new file or folder of a name that nobody else has, locked; it is removed at the end, unless it was moved.
+    """A new file or folder of a name that nobody else has, locked; it is removed at the end, unless
+    it was moved.
 
     Raises PixsimError on Windows.
     """
@@ -126,7 +158,9 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
         with suppress(FileExistsError):
             if is_folder:
                 path.mkdir(0o700)
-            flags = os.O_RDONLY | os.O_DIRECTORY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
+            flags = (
+                os.O_RDONLY | os.O_DIRECTORY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
+            )
             descriptor = os.open(path, flags | os.O_NOFOLLOW, 0o666)
             if _lock(descriptor) is not False and _is_there(path, descriptor):
                 break

@@ -1,6 +1,7 @@
 """Resources of the machine: processors, memory, disk.
 
-Limits of a container (control groups) are included. None stands for a number that the system does not report.
+Limits of a container (control groups) are included. None stands for a number that the system does
+not report.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if the
 
 @dataclass(frozen=True)
 class Processors:
-    """Number of cores of the machine, of those allowed for this process, and of those granted to its container."""
+    """Number of cores of the machine, of those allowed for this process, and of those granted to
+    its container.
+    """
 
     cores: int | None
     allowed: int | None
@@ -27,7 +30,9 @@ class Processors:
     @property
     def usable(self) -> int:
         """Number of processes that can run at the same time, at least 1."""
-        return max(1, int(min(count for count in (self.allowed or self.cores or 1, self.granted) if count)))
+        return max(
+            1, int(min(count for count in (self.allowed or self.cores or 1, self.granted) if count))
+        )
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,9 @@ class Memory:
 
     @property
     def usable(self) -> int | None:
-        return min((size for size in (self.available, self.limit) if size is not None), default=None)
+        return min(
+            (size for size in (self.available, self.limit) if size is not None), default=None
+        )
 
 
 def processors(root: Path = Path("/")) -> Processors:
@@ -49,7 +56,10 @@ def processors(root: Path = Path("/")) -> Processors:
     granted = []
     for folder in _groups("cpu", root):
         quota, _, period = text_of(folder / "cpu.max").partition(" ")  # control groups v2
-        quota, period = quota or text_of(folder / "cpu.cfs_quota_us"), period or text_of(folder / "cpu.cfs_period_us")
+        quota, period = (
+            quota or text_of(folder / "cpu.cfs_quota_us"),
+            period or text_of(folder / "cpu.cfs_period_us"),
+        )
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
     return Processors(os.cpu_count(), allowed, min(granted, default=None))
@@ -60,33 +70,57 @@ MAX_THREADS = 16  # more wait for memory
 
 @cache
 def threads() -> int:
-    """Threads that a kernel may use: the usable processors, or the number that OMP_NUM_THREADS sets, as in workers of a study."""
+    """Threads that a kernel may use: the usable processors, or the number that OMP_NUM_THREADS
+    sets, as in workers of a study.
+    """
     stated = os.environ.get("OMP_NUM_THREADS", "")
-    return int(stated) if stated.isdigit() and int(stated) > 0 else min(processors().usable, MAX_THREADS)
+    return (
+        int(stated)
+        if stated.isdigit() and int(stated) > 0
+        else min(processors().usable, MAX_THREADS)
+    )
 
 
 def memory(root: Path = Path("/")) -> Memory:
     """Memory of this machine; tests set `root`."""
     pairs = [line.split() for line in text_of(root / "proc/meminfo").splitlines()]
-    kib = {pair[0].rstrip(":"): int(pair[1]) for pair in pairs if len(pair) > 1 and pair[1].isdigit()}
-    total, available = (kib[name] * 1024 if name in kib else None for name in ("MemTotal", "MemAvailable"))
-    limits = [text_of(folder / name) for folder in _groups("memory", root) for name in ("memory.max", "memory.limit_in_bytes")]
-    return Memory(total, available, min((int(n) for n in limits if n.isdigit() and int(n) < NO_LIMIT_BYTES), default=None))
+    kib = {
+        pair[0].rstrip(":"): int(pair[1]) for pair in pairs if len(pair) > 1 and pair[1].isdigit()
+    }
+    total, available = (
+        kib[name] * 1024 if name in kib else None for name in ("MemTotal", "MemAvailable")
+    )
+    limits = [
+        text_of(folder / name)
+        for folder in _groups("memory", root)
+        for name in ("memory.max", "memory.limit_in_bytes")
+    ]
+    return Memory(
+        total,
+        available,
+        min((int(n) for n in limits if n.isdigit() and int(n) < NO_LIMIT_BYTES), default=None),
+    )
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """Folders of the control group of this process and of its parents: the smallest limit applies."""
+    """Folders of the control group of this process and of its parents: the smallest limit
+    applies.
+    """
     for line in text_of(root / "proc/self/cgroup").splitlines():
         _, names, path = line.split(":", 2)
         if names and controller not in names.split(","):
             continue
         group = PurePosixPath(path.lstrip("/"))
         for base in {"", names, controller} if names else {""}:
-            yield from (root / "sys/fs/cgroup" / base / folder for folder in (group, *group.parents))
+            yield from (
+                root / "sys/fs/cgroup" / base / folder for folder in (group, *group.parents)
+            )
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a file of the system without spaces at its ends; empty if it cannot be read."""
+    """Return the text of a file of the system without spaces at its ends; empty if it cannot be
+    read.
+    """
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -94,8 +128,12 @@ def text_of(path: Path) -> str:
 
 
 def check_folder(path: Path) -> tuple[str | None, int | None]:
-    """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the free bytes there."""
-    there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/"))
+    """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the
+    free bytes there.
+    """
+    there = next(
+        (folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/")
+    )
     try:
         with tempfile.TemporaryFile(dir=there):
             fault = None

@@ -1,7 +1,8 @@
-"""Arrays in files without a name, for those too large for memory: the memory holds only the parts that are in use.
+"""Arrays in files without a name, for those too large for memory: the memory holds only the parts
+that are in use.
 
-They are arrays like all others. Code that goes through one in parts releases each part, which stays in the file and in what the
-system has left of memory for files.
+They are arrays like all others. Code that goes through one in parts releases each part, which stays
+in the file and in what the system has left of memory for files.
 """
 
 from __future__ import annotations
@@ -24,28 +25,36 @@ MOST_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
 
 
 def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
-    """Return an array of zeros: in memory up to `MOST_BYTES`, else in a file in the folder for temporary files.
+    """Return an array of zeros: in memory up to `MOST_BYTES`, else in a file in the folder for
+    temporary files.
 
-    Its space is free again when nothing uses the array, however the process ends. Where the disk has too little of it, the memory
-    holds the array after all, with a warning.
+    Its space is free again when nothing uses the array, however the process ends. Where the disk
+    has too little of it, the memory holds the array after all, with a warning.
     """
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if size <= MOST_BYTES or not hasattr(os, "posix_fallocate"):  # macOS
         return np.zeros(shape, dtype)
     try:
         with tempfile.TemporaryFile() as file:
-            os.posix_fallocate(file.fileno(), 0, size)  # a page without space on the disk would end the process
+            os.posix_fallocate(
+                file.fileno(), 0, size
+            )  # a page without space on the disk would end the process
             content = mmap.mmap(file.fileno(), size)
     except OSError as error:
         folder, gib = tempfile.gettempdir(), size / (1 << 30)
-        text = f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}), which memory holds instead; set TMPDIR"
+        text = (
+            f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}), which memory holds"
+            " instead; set TMPDIR"
+        )
         warn(Note("machine", words=text))
         return np.zeros(shape, dtype)
     return np.frombuffer(content, dtype).reshape(shape)
 
 
 def release(*parts: NDArray[Any]) -> None:
-    """Take parts of arrays out of memory where a file has them; arrays in memory stay as they are."""
+    """Take parts of arrays out of memory where a file has them; arrays in memory stay as they
+    are.
+    """
     for part in parts:
         if part.nbytes and (content := _file_of(part)) is not None:
             start = np.frombuffer(content, np.uint8).ctypes.data
@@ -55,7 +64,9 @@ def release(*parts: NDArray[Any]) -> None:
 
 
 def update_with_array(digest: blake2b, array: NDArray[Any]) -> None:
-    """Add the type, the shape and the content of an array to a digest, a few rows at a time: a file may have those of a picture."""
+    """Add the type, the shape and the content of an array to a digest, a few rows at a time: a file
+    may have those of a picture.
+    """
     digest.update(f"{array.dtype} {array.shape}".encode())
     for part in _parts(array):
         digest.update(np.ascontiguousarray(part).data)

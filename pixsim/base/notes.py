@@ -1,4 +1,6 @@
-"""Notes: what a user should be told besides a result. They are warnings, and results collect them."""
+"""Notes: what a user should be told besides a result. They are warnings, and results collect
+them.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ class Note(str):
 
     @property
     def doubts(self) -> bool:
-        """Whether numbers may not be of what was asked for, stated or measured; --quiet hides the other notes."""
+        """Whether numbers may not be of what was asked for, stated or measured; --quiet hides the
+        other notes.
+        """
         return NOTES[self.id].doubts
 
     def as_dict(self) -> dict[str, str]:
@@ -62,14 +66,18 @@ class Note(str):
 
 
 class MachineWarning(UserWarning):
-    """A warning about this machine or this run of a command, not about its result: no note of a result."""
+    """A warning about this machine or this run of a command, not about its result: no note of a
+    result.
+    """
 
 
 PACKAGE = str(Path(__file__).parents[1])
 
 
 def warn(note: Note) -> None:
-    """Warn of a note, at the first line outside pixsim: the user's. One of a machine is a MachineWarning."""
+    """Warn of a note, at the first line outside pixsim: the user's. One of a machine is a
+    MachineWarning.
+    """
     level, frame = 2, sys._getframe(1)
     while frame.f_back and frame.f_code.co_filename.startswith(PACKAGE):
         level, frame = level + 1, frame.f_back
@@ -80,7 +88,11 @@ def warn(note: Note) -> None:
 def note_of(message: Warning | str) -> Note:
     """Return the note of a warning; that of another library has the id "other"."""
     content = message.args[0] if isinstance(message, Warning) and message.args else message
-    return content if isinstance(content, Note) else Note("other", words=str(content).removesuffix("."))
+    return (
+        content
+        if isinstance(content, Note)
+        else Note("other", words=str(content).removesuffix("."))
+    )
 
 
 _outer: ContextVar[list[Note] | None] = ContextVar("notes", default=None)
@@ -89,10 +101,12 @@ _showing = threading.RLock()
 
 @contextmanager
 def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
-    """Collect the notes of the warnings of the block, each once; they are shown as before, by the filters of the caller.
+    """Collect the notes of the warnings of the block, each once; they are shown as before, by the
+    filters of the caller.
 
-    A warning counts in whichever earlier call it was shown before; a MachineWarning is shown, and does not count. A block
-    inside another shares its list: what a command said before belongs to its result.
+    A warning counts in whichever earlier call it was shown before; a MachineWarning is shown, and
+    does not count. A block inside another shares its list: what a command said before belongs to
+    its result.
 
     alone : share no list, for one of many results of a command
     """
@@ -100,12 +114,24 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
         yield outer
         return
     notes: list[Note] = []
-    of_machine: list[Note] = []  # each once too: a cache folder that cannot be written fails for every entry
+    of_machine: list[
+        Note
+    ] = []  # each once too: a cache folder that cannot be written fails for every entry
     filters, show = list(warnings.filters), warnings.showwarning
 
-    def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object, **__: object) -> None:
+    def collect(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        *_: object,
+        **__: object,
+    ) -> None:
         if issubclass(category, UserWarning):
-            note, collected = note_of(message), of_machine if issubclass(category, MachineWarning) else notes
+            note, collected = (
+                note_of(message),
+                of_machine if issubclass(category, MachineWarning) else notes,
+            )
             if note in collected:
                 return
             collected.append(note)
@@ -129,12 +155,16 @@ MAX_NOTES = 8
 
 
 def few(notes: Sequence[Sequence[Note]]) -> list[Note]:
-    """Return the notes of all cases, once for each text, and of very many the first ones and the number of the others."""
+    """Return the notes of all cases, once for each text, and of very many the first ones and the
+    number of the others.
+    """
     texts = list(dict.fromkeys(note for part in notes for note in part))
     if len(texts) <= MAX_NOTES:
         return texts
     last = texts[MAX_NOTES - 1]
     return [
         *texts[: MAX_NOTES - 1],
-        Note.restored(last.id, f"and {len(texts) - MAX_NOTES + 1} more notes of this kind, of other cases"),
+        Note.restored(
+            last.id, f"and {len(texts) - MAX_NOTES + 1} more notes of this kind, of other cases"
+        ),
     ]

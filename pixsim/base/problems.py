@@ -1,4 +1,6 @@
-"""What is wrong with settings, in words: each problem with the file and the field that it comes from, and how to mend it."""
+"""What is wrong with settings, in words: each problem with the file and the field that it comes
+from, and how to mend it.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,14 @@ RECORDS: dict[str, type[BaseModel]] = {}  # by their names, which pydantic's err
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """How users call a field otherwise, and what they may mean by a value that it does not allow: part of its annotation.
+    """How users call a field otherwise, and what they may mean by a value that it does not allow:
+    part of its annotation.
 
     also : other words for it; those of several fields mean any of them
-    instead : such a word, also the field's own name in another table -> what a message says of it, in place of the names
-    hint : returns how to write a value, from the path of a name in the field (empty for the field itself) and the value; or ""
+    instead : such a word, also the field's own name in another table -> what a message says of it,
+        in place of the names
+    hint : returns how to write a value, from the path of a name in the field (empty for the field
+        itself) and the value; or ""
     """
 
     also: tuple[str, ...] = ()
@@ -34,15 +39,22 @@ class Words:
 
 def words_of(info: FieldInfo | None) -> Words:
     """Return the `Words` of a field; none for a field without."""
-    return next((part for part in (info.metadata if info else ()) if isinstance(part, Words)), Words())
+    return next(
+        (part for part in (info.metadata if info else ()) if isinstance(part, Words)), Words()
+    )
 
 
 MAX_VALUE = 80  # characters of a value in a message
-BRANCHES = ("table", "number")  # of a field that may be either, in the place of an error: no name of a user
+BRANCHES = (
+    "table",
+    "number",
+)  # of a field that may be either, in the place of an error: no name of a user
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
-    """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
+    """Message of an error: one line for a PixsimError, one line per problem for a
+    ValidationError.
+    """
     if not isinstance(error, ValidationError):
         return str(error)
     listed: set[str] = set()
@@ -52,11 +64,14 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     return "\n".join([*lines, *([f"and {more} more problem{'s' * (more > 1)}"] if more else [])])
 
 
-MAX_PROBLEMS = 10  # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
+# of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
+MAX_PROBLEMS = 10
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
-    """Return a problem as text. `listed` has the tables whose names were listed, once for each; it is written to."""
+    """Return a problem as text. `listed` has the tables whose names were listed, once for each; it
+    is written to.
+    """
     path = [str(part) for part in problem["loc"] if part not in BRANCHES]
     layer = _layer_of(problem, layers)
     where = _where(title, problem, layer, layers)
@@ -66,7 +81,12 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     if kind == "missing":
         return _missing(title, path, where, problem)
 
-    message = problem["msg"].removeprefix("Value error, ").replace("valid tuple", "list").partition(", unable to parse")[0]
+    message = (
+        problem["msg"]
+        .removeprefix("Value error, ")
+        .replace("valid tuple", "list")
+        .partition(", unable to parse")[0]
+    )
     message = message[0].lower() + message[1:]
     if kind == "value_error":
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
@@ -78,10 +98,17 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     text = text if len(text) <= MAX_VALUE else text[:MAX_VALUE] + "…"
     if kind.startswith(("greater_than", "less_than")):
         (bound,) = problem["ctx"].values()
-        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"  # not 1e-15 in full
+        # not 1e-15 in full
+        message = (
+            f"{message.rpartition(' ')[0]}"
+            f" {bound if isinstance(bound, int) else format(bound, 'g')}"
+        )
         wrong = float(wrong)  # a text on a command line
     hint = _hint(title, path, wrong)
-    return f"{where}: got {text}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+    return (
+        f"{where}: got {text}; allowed:"
+        f" {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+    )
 
 
 def _unknown_name(title: str, path: Sequence[str], where: str, listed: set[str]) -> str:
@@ -99,16 +126,21 @@ def _missing(title: str, path: Sequence[str], where: str, problem: ErrorDetails)
         field = _field(title, path[:-1])
         meaning = f": {field.description}" if field and field.description else ""
         got = f"a list of {len(problem['input'])}"
-        return f"{where.rpartition('.')[0]}: got {got}; allowed: a list of at least {place + 1}{meaning}."
+        return (
+            f"{where.rpartition('.')[0]}: got {got}; allowed: a list of at least"
+            f" {place + 1}{meaning}."
+        )
     field = _field(title, path)
     example = f", as in {field.examples[0]}" if field and field.examples else ""
     return f"{where}: missing; it is required{example}."
 
 
 def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
-    """Dotted paths, below the record named `title`, of the settings that an unknown name in the table `above` may mean.
+    """Dotted paths, below the record named `title`, of the settings that an unknown name in the
+    table `above` may mean.
 
-    A setting of this table that users call so counts first, then one of the same name elsewhere, then one that they call so.
+    A setting of this table that users call so counts first, then one of the same name elsewhere,
+    then one that they call so.
     """
     called, same = [], []
     for path, info in _fields(RECORDS[title]):
@@ -119,8 +151,12 @@ def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
     return [path for path in called if path[:-1] == list(above)] or same or called
 
 
-def _fields(record: type[BaseModel], above: Sequence[str] = ()) -> Iterator[tuple[list[str], FieldInfo]]:
-    """Dotted paths of the fields of a record, and of those of its tables, which have no tables that others mean."""
+def _fields(
+    record: type[BaseModel], above: Sequence[str] = ()
+) -> Iterator[tuple[list[str], FieldInfo]]:
+    """Dotted paths of the fields of a record, and of those of its tables, which have no tables that
+    others mean.
+    """
     for name, info in record.model_fields.items():
         yield [*above, name], info
         inner = _record_in(info.annotation)
@@ -147,8 +183,13 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
 
 
 def _hint(title: str, path: Sequence[str], value: Any) -> str:
-    """How to write a value that was meant well, as the fields at a path and above it say; empty for others."""
-    around = (words_of(_field(title, path[:depth])).hint(path[depth:], value) for depth in range(len(path), 0, -1))
+    """How to write a value that was meant well, as the fields at a path and above it say; empty for
+    others.
+    """
+    around = (
+        words_of(_field(title, path[:depth])).hint(path[depth:], value)
+        for depth in range(len(path), 0, -1)
+    )
     return next(filter(None, around), "")
 
 
@@ -158,7 +199,9 @@ def _value(value: object, layer: Layer | None) -> str:
         return repr(value)
     if isinstance(value, str):
         return excerpt(value) if layer.named else quoted(value)
-    if isinstance(value, list | tuple | dict) and not all(isinstance(part, bool | int | float) for part in value):
+    if isinstance(value, list | tuple | dict) and not all(
+        isinstance(part, bool | int | float) for part in value
+    ):
         return f"a {'table' if isinstance(value, dict) else 'list'} of {len(value)}"
     return repr(value)
 
@@ -166,10 +209,13 @@ def _value(value: object, layer: Layer | None) -> str:
 def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
     """The layer that a problem comes from; None if it comes from no file.
 
-    A missing value, or a conflict between values, has none: it is the last layer with the enclosing table.
+    A missing value, or a conflict between values, has none: it is the last layer with the enclosing
+    table.
     """
     loc = [part for part in problem["loc"] if part not in BRANCHES]
-    loc = list(takewhile(lambda part: not isinstance(part, int), loc))  # layers replace lists as a whole
+    loc = list(
+        takewhile(lambda part: not isinstance(part, int), loc)
+    )  # layers replace lists as a whole
     for length in range(len(loc), -1, -1):
         for layer in reversed(layers):
             if layer.table and layer.names(loc[:length]):
@@ -182,14 +228,25 @@ def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Seque
     loc = [part for part in problem["loc"] if part not in BRANCHES]
     if layer is None or not layer.source:
         return ".".join(map(str, loc)) or title
-    names = {name for length in range(len(loc)) for name in names_at(title, [str(part) for part in loc[:length]])}
-    parts = [str(part) if isinstance(part, int) or part in names else _name_in(part, layer) for part in loc]
+    names = {
+        name
+        for length in range(len(loc))
+        for name in names_at(title, [str(part) for part in loc[:length]])
+    }
+    parts = [
+        str(part) if isinstance(part, int) or part in names else _name_in(part, layer)
+        for part in loc
+    ]
     return f"{layer.source}: {'.'.join(parts) or title}"
 
 
 def _name_in(name: str, layer: Layer) -> str:
     """A name that a file gives, for a message."""
-    return name if not layer.named and PLAIN_WORD.fullmatch(name) else f"(a name of {len(name)} characters)"
+    return (
+        name
+        if not layer.named and PLAIN_WORD.fullmatch(name)
+        else f"(a name of {len(name)} characters)"
+    )
 
 
 def names_at(title: str, path: list[str]) -> list[str]:
@@ -215,7 +272,9 @@ def _record(title: str, path: Sequence[str]) -> type[BaseModel] | None:
 
 
 def _record_in(annotation: Any) -> type[BaseModel] | None:
-    """The first class of a record in an annotation, such as that of a list of records; None if there is none."""
+    """The first class of a record in an annotation, such as that of a list of records; None if
+    there is none.
+    """
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
     return next(filter(None, map(_record_in, get_args(annotation))), None)

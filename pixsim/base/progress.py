@@ -25,8 +25,11 @@ def no_stage(_: str) -> Progress:
     return lambda *_: None
 
 
-def share_of(progress: Progress | None, first: float, last: float, note: str = "") -> Progress | None:
-    """Return a function that takes the fraction done of a part of some work, for one that takes that of all of it.
+def share_of(
+    progress: Progress | None, first: float, last: float, note: str = ""
+) -> Progress | None:
+    """Return a function that takes the fraction done of a part of some work, for one that takes
+    that of all of it.
 
     first, last : what is done of all when the part begins, and when it ends
     note : of the part
@@ -77,13 +80,16 @@ def watched_share(first: float, last: float) -> AbstractContextManager[None]:
 
 
 class Lines:
-    """Signs of life for a log: a line at the start, one every five seconds, and one at the end of each stage.
+    """Signs of life for a log: a line at the start, one every five seconds, and one at the end of
+    each stage.
 
     write : receives each line
     clock : time in s
     """
 
-    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self, write: Callable[[str], object], clock: Callable[[], float] = time.perf_counter
+    ) -> None:
         self._write, self._clock, self._lock = write, clock, threading.Lock()
         self._start_s = self._line_s = clock()
         self._name, self._state = "", " …"
@@ -94,7 +100,9 @@ class Lines:
         self._write(f"[{self._line_s - self._start_s:.0f} s] {text}")
 
     def begin(self, name: str) -> None:
-        """Begin a stage; only the first one has a line of its own, since the end of a stage is the start of the next."""
+        """Begin a stage; only the first one has a line of its own, since the end of a stage is the
+        start of the next.
+        """
         with self._lock:
             if not self._name:
                 self._line(f"{name} …")
@@ -103,12 +111,17 @@ class Lines:
             self._part_s = self._stage_s
 
     def update(self, done: float, note: str = "") -> None:
-        """Take the fraction done and a text, for the next line, which states the time left where it is sure enough."""
+        """Take the fraction done and a text, for the next line, which states the time left where it
+        is sure enough.
+        """
         if done < self._done:  # it begins again, as for a finer film
             self._part_s = self._clock()
         self._done, left = done, ""
         if SURE <= done < 1:
-            left = f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s left"
+            left = (
+                f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s"
+                " left"
+            )
         self._state = f": {100 * done:.0f} %{left}{note}"
 
     def tick(self) -> None:
@@ -141,7 +154,9 @@ class Lines:
 
 
 def writer_to(stream: TextIO) -> Callable[[str], object]:
-    """A function that writes a line to a stream at once; a stream whose reader is gone is ignored."""
+    """A function that writes a line to a stream at once; a stream whose reader is gone is
+    ignored.
+    """
 
     def write(line: str) -> None:
         try:
@@ -153,7 +168,11 @@ def writer_to(stream: TextIO) -> Callable[[str], object]:
     return write
 
 
-TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")  # with which Rich takes any stream for a terminal
+TERMINAL_VARIABLES = (
+    "FORCE_COLOR",
+    "TTY_COMPATIBLE",
+    "TTY_INTERACTIVE",
+)  # with which Rich takes any stream for a terminal
 
 
 def _bars() -> Any:
@@ -165,12 +184,18 @@ def _bars() -> Any:
     name = progress.TextColumn("{task.description}", markup=False)  # which may look like markup
     columns = [name, *progress.Progress.get_default_columns()[1:]]
     terminal = console.Console(stderr=True)
-    return progress.Progress(*columns, console=terminal, transient=True) if terminal.is_terminal else None
+    return (
+        progress.Progress(*columns, console=terminal, transient=True)
+        if terminal.is_terminal
+        else None
+    )
 
 
 @contextmanager
 def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iterator[Stage]:
-    """Show the progress of each stage on stderr: a bar on a terminal, else `Lines`; `seconds` collects their durations."""
+    """Show the progress of each stage on stderr: a bar on a terminal, else `Lines`; `seconds`
+    collects their durations.
+    """
     durations_s = {} if seconds is None else seconds
     current: list[tuple[str, float]] = []
     tasks: dict[str, Any] = {}
@@ -195,7 +220,9 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
         if name not in tasks:  # a stage may start again: a study has several rounds
             tasks[name] = bars.add_task(printable(name), total=1.0)
         task = tasks[name]
-        return lambda done, note="": bars.update(task, completed=done, description=printable(name + note))
+        return lambda done, note="": bars.update(
+            task, completed=done, description=printable(name + note)
+        )
 
     with bars or (lines.ticking() if lines else nullcontext()):
         yield stage

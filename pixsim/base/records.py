@@ -32,12 +32,19 @@ else:
 
 
 class RecordType(ModelMetaclass):
-    """Calls of a record's class raise PixsimError; pydantic's own methods, such as `model_validate`, its ValidationError."""
+    """Calls of a record's class raise PixsimError; pydantic's own methods, such as
+    `model_validate`, its ValidationError.
+    """
 
     def __call__(cls, *args: Any, **fields: Any) -> Any:
         if args:
-            hint = "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in the brackets."
-            raise invalid(cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint)
+            hint = (
+                "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in"
+                " the brackets."
+            )
+            raise invalid(
+                cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint
+            )
         try:
             return super().__call__(*args, **fields)
         except ValidationError as error:
@@ -45,25 +52,36 @@ class RecordType(ModelMetaclass):
 
 
 def not_tiny(value: object) -> object:
-    """A value with 0 in place of -0, also in lists. ValueError if a number in it is below `SMALLEST`, and not 0."""
+    """A value with 0 in place of -0, also in lists. ValueError if a number in it is below
+    `SMALLEST`, and not 0.
+    """
     if isinstance(value, float):
         if 0 < abs(value) < SMALLEST:
             raise ValueError(f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in size")
         return value + 0.0  # -0.0 + 0.0 is 0.0
     if isinstance(value, tuple):
-        return tuple(map(not_tiny, value)) if any(isinstance(each, float | tuple) for each in value) else value
-    return value  # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
+        return (
+            tuple(map(not_tiny, value))
+            if any(isinstance(each, float | tuple) for each in value)
+            else value
+        )
+    # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
+    return value
 
 
 class Record(BaseModel, metaclass=RecordType):
-    """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a ValueError."""
+    """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a
+    ValueError.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @field_validator("*", mode="before")
     @classmethod
     def _reject_bool_as_number(cls, value: object, info: ValidationInfo) -> object:
-        """Pydantic converts true to 1, also within lists: `bits = true` would be a sensor of one bit."""
+        """Pydantic converts true to 1, also within lists: `bits = true` would be a sensor of one
+        bit.
+        """
         if cls.model_fields[info.field_name or ""].annotation is bool:
             return value
         for part in filter(is_bool, parts_of(value)):
@@ -73,16 +91,22 @@ class Record(BaseModel, metaclass=RecordType):
     @field_validator("*", mode="after")
     @classmethod
     def _no_tiny_numbers(cls, value: object) -> object:
-        """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a processor divides by in usual time."""
+        """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a
+        processor divides by in usual time.
+        """
         return not_tiny(value)
 
-    # Groups of fields that state one quantity in several words: of each group one alternative, of one or more fields, may be given.
+    # Groups of fields that state one quantity in several words: of each group one alternative, of
+    # one or more fields, may be given.
     ALTERNATIVES: ClassVar[tuple[tuple[tuple[str, ...], ...], ...]] = ()
 
     @model_validator(mode="after")
     def _states_each_quantity_once(self) -> Self:
         for group in self.ALTERNATIVES:
-            stated = [", ".join(name for name in names if getattr(self, name) is not None) for names in group]
+            stated = [
+                ", ".join(name for name in names if getattr(self, name) is not None)
+                for names in group
+            ]
             words = [names for names in stated if names]
             if len(words) > 1:
                 raise ValueError(f"{' and '.join(words)} state the same quantity; give one of them")
@@ -104,7 +128,9 @@ class Record(BaseModel, metaclass=RecordType):
 
 
 def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
-    """Return the fields that cannot be given together with those of `names`, since they state the same quantity."""
+    """Return the fields that cannot be given together with those of `names`, since they state the
+    same quantity.
+    """
     stated, restated = set(names), set[str]()
     for group in record.ALTERNATIVES:
         others = [words for words in group if not stated.intersection(words)]
@@ -119,12 +145,16 @@ def content_hash(content: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]  # whose own bounds are those of what it is used for
+AnyNumber = Annotated[
+    float, Field(ge=-LARGEST, le=LARGEST)
+]  # whose own bounds are those of what it is used for
 
 
 def _free_number(value: object) -> object:
     if isinstance(value, int | float) and not abs(value) <= LARGEST:
-        raise ValueError(f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text")
+        raise ValueError(
+            f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text"
+        )
     return not_tiny(value)
 
 
@@ -142,7 +172,9 @@ def as_float(value: Any) -> float:
 
 
 def as_list(value: object) -> object:
-    """Split the text of an option at commas and blanks, as 1.4,2.0,2.8. ValueError if there is no value beside a comma."""
+    """Split the text of an option at commas and blanks, as 1.4,2.0,2.8. ValueError if there is no
+    value beside a comma.
+    """
     if not isinstance(value, str):
         return value
     if not all(part.strip() for part in value.split(",")):
@@ -154,7 +186,9 @@ Model = TypeVar("Model", bound=Record)
 
 
 def checked(record: type[Model], layers: Sequence[Layer]) -> Model:
-    """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from."""
+    """Merge layers and validate the record. Raises PixsimError that lists every problem with the
+    file that it comes from.
+    """
     try:
         return record.model_validate(record._merged(layers))
     except ValidationError as error:

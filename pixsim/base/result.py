@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class Result:
     """A result: data with a figure, a table, a page and a cell of a notebook.
 
-    The module that presents a type of results stands in `pixsim.PRESENTERS`; it is imported when it is first asked.
+    The module that presents a type of results stands in `pixsim.PRESENTERS`; it is imported when it
+    is first asked.
     """
 
     __slots__ = ()
@@ -30,7 +31,10 @@ class Result:
         return figure
 
     def write(
-        self, folder: str | os.PathLike[str], figures: Literal["svg", "pdf"] = "svg", seconds: Mapping[str, float] | None = None
+        self,
+        folder: str | os.PathLike[str],
+        figures: Literal["svg", "pdf"] = "svg",
+        seconds: Mapping[str, float] | None = None,
     ) -> Path:
         """Write report.html and the other files of the result.
 
@@ -38,8 +42,9 @@ class Result:
         figures : "pdf" writes a PDF beside each SVG
         seconds : stage -> wall time in s, for the page and pixsim.json
 
-        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-        pixsim did not write; and for "pdf" of a result without figures.
+        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or
+        holds a file of such a name that pixsim did not write; and for "pdf" of a result without
+        figures.
         """
         page: Path = _presenter(self).write(self, folder, figures, seconds)
         return page

@@ -1,7 +1,9 @@
-"""The schema of the files of results: its number, what each number changed, and what readers say of files of another one.
+"""The schema of the files of results: its number, what each number changed, and what readers say of
+files of another one.
 
-JSON files state it as `"schema"`, rows of results.csv in a column, settings.toml in its first line. Raise the number, and say
-what changed, whenever an entry or a column is renamed or removed, or means another thing. New entries need no new number.
+JSON files state it as `"schema"`, rows of results.csv in a column, settings.toml in its first line.
+Raise the number, and say what changed, whenever an entry or a column is renamed or removed, or
+means another thing. New entries need no new number.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ from typing import Any
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 
-# 1: names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases.
-# 2: notes, which have ids, and entries that the JSON of all commands has: settings, cases, table, optima.
+# 1: names of settings and of entries, technologies 4t-*, random streams of large frames, and one
+# results.csv for all cases. 2: notes, which have ids, and entries that the JSON of all commands
+# has: settings, cases, table, optima.
 SCHEMA = 2
 KEY = "schema"
 SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
@@ -23,13 +26,16 @@ ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
 def of_another(got: object) -> str:
-    """Return what is said of a file that states another schema, or none (None, or an empty text)."""
+    """Return what is said of a file that states another schema, or none (None, or an empty
+    text).
+    """
     stated = "no schema" if got in (None, "") else f"schema {str(got)[:20]}"
     return f"{stated}; this version of pixsim has schema {SCHEMA}"
 
 
 def check_not_newer(name: str, got: object) -> None:
-    """Raise PixsimError if a file states a schema that this version does not know; files that state none are older.
+    """Raise PixsimError if a file states a schema that this version does not know; files that state
+    none are older.
 
     name : of the file, in words
     """
@@ -54,7 +60,8 @@ def result_data(
     notes : which become {"id", "text"}
     cases : with the values of axes of each as "at"; one without any where there are no axes
     table : name of the file with a row for each evaluation; None if there is none
-    optima : best pixel sizes, each with "metric", "pitch_um", "value", "interval_um" and what tells its curve from others
+    optima : best pixel sizes, each with "metric", "pitch_um", "value", "interval_um" and what tells
+        its curve from others
 
     >>> result_data({"mtf50_cy_per_px": 0.31}, settings={}, notes=[])["cases"]
     [{'at': {}}]
@@ -70,13 +77,16 @@ def result_data(
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Return results as JSON that states its schema. A JSON schema itself has one of its own. NaN and infinity become null.
+    """Return results as JSON that states its schema. A JSON schema itself has one of its own. NaN
+    and infinity become null.
 
     >>> print(json_text({"mtf50_cy_per_px": [0.31, float("nan")]}).replace("\\n", ""))
     {  "mtf50_cy_per_px": [    0.31,    null  ],  "schema": 2}
     """
     stated = content if "$schema" in content else {KEY: SCHEMA, **content}
-    return json.dumps(_finite(stated), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return json.dumps(
+        _finite(stated), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False
+    )
 
 
 def _finite(value: Any) -> Any:

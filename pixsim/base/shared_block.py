@@ -14,7 +14,12 @@ class SharedBlock:
     """
 
     def __init__(self, enter: Callable[[], AbstractContextManager[object]]) -> None:
-        self._enter, self._blocks, self._held, self._changing = enter, 0, ExitStack(), threading.RLock()
+        self._enter, self._blocks, self._held, self._changing = (
+            enter,
+            0,
+            ExitStack(),
+            threading.RLock(),
+        )
 
     @property
     def is_running(self) -> bool:

@@ -20,7 +20,10 @@ Column = Sequence[float | str]
 
 def columns_of(rows: Sequence[Mapping[str, float | str | None]]) -> dict[str, Column]:
     """Return rows with the same names as a table, with empty cells for None."""
-    return {name: [cell if (cell := row[name]) is not None else "" for row in rows] for name in (rows[0] if rows else ())}
+    return {
+        name: [cell if (cell := row[name]) is not None else "" for row in rows]
+        for name in (rows[0] if rows else ())
+    }
 
 
 def table_csv(table: dict[str, Column]) -> str:
@@ -34,7 +37,9 @@ def rows_csv(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def csv_text(lines: Iterable[Iterable[Any]]) -> str:
-    """Return the lines of a table, the column names first, as CSV with numbers in full precision."""
+    """Return the lines of a table, the column names first, as CSV with numbers in full
+    precision.
+    """
     stream = io.StringIO(newline="")
     csv.writer(stream).writerows(lines)
     return stream.getvalue()
@@ -45,13 +50,20 @@ def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:
     try:
         import pandas as pd
     except ImportError:
-        raise invalid("to_dataframe", "no pandas", "pip install pandas, or to_csv(), which pandas reads elsewhere") from None
+        raise invalid(
+            "to_dataframe",
+            "no pandas",
+            "pip install pandas, or to_csv(), which pandas reads elsewhere",
+        ) from None
     return pd.read_csv(io.StringIO(table)) if isinstance(table, str) else pd.DataFrame(list(table))
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:
     """Return values for JSON: NaN and infinity become None."""
-    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }
 
 
 def write_text(path: Path, text: str) -> None:

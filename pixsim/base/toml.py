@@ -1,4 +1,6 @@
-"""TOML files: bounded reading, the files that they name, packaged ones, and the settings files of results."""
+"""TOML files: bounded reading, the files that they name, packaged ones, and the settings files of
+results.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,17 @@ from pixsim.base.files import read_text
 from pixsim.base.schema import KEY, SCHEMA, check_not_newer
 
 MAX_BYTES = 1 << 20
-MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
+MAX_DIGITS = (
+    250  # in any base: larger numbers exceed a float, and Python does not convert them to text
+)
 MAX_DOTS = 64  # in a key: the time of tomllib grows with their square
 MAX_DEPTH = 16  # of nested tables; those of pixsim have up to 4 levels
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises PixsimError if it is missing, too large, not text, not TOML, or nested too deeply."""
+    """Read a TOML file. Raises PixsimError if it is missing, too large, not text, not TOML, or
+    nested too deeply.
+    """
     source = f"configuration file '{path}'"
     text = read_text(path, "configuration file", "a readable TOML file", MAX_BYTES)
     # Checked before parsing: these would take the parser too long, or give unusable values.
@@ -30,11 +36,17 @@ def read_toml(path: Path) -> dict[str, Any]:
     if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MAX_DOTS:
         raise invalid(source, f"a key of more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
     if re.search(rf"[0-9a-fA-F_]{{{MAX_DIGITS + 1}}}", text):
-        raise invalid(source, f"a number of more than {MAX_DIGITS} digits", "numbers in the range of a float")
+        raise invalid(
+            source, f"a number of more than {MAX_DIGITS} digits", "numbers in the range of a float"
+        )
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an invalid date
-        hint = "A number has a decimal point and no unit, as 3.45 or 10500." if "Expected newline" in str(error) else ""
+        hint = (
+            "A number has a decimal point and no unit, as 3.45 or 10500."
+            if "Expected newline" in str(error)
+            else ""
+        )
         raise invalid(source, _without_names(error), "TOML, see https://toml.io", hint) from None
     except RecursionError:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
@@ -49,9 +61,14 @@ def _without_names(error: ValueError) -> str:
     """What is wrong in a TOML file, and where, without the names of keys that tomllib quotes."""
     text, place, end = str(error).partition(" (at ")
     of_keys = re.match(
-        r"(Duplicate inline table key|Cannot declare|Cannot mutate immutable namespace|Cannot overwrite a value)", text
+        r"(Duplicate inline table key|Cannot declare|Cannot mutate immutable namespace|Cannot"
+        r" overwrite a value)",
+        text,
     )
-    words = {"Cannot declare": "a table that is declared twice", "Duplicate inline table key": "a key twice in a table"}
+    words = {
+        "Cannot declare": "a table that is declared twice",
+        "Duplicate inline table key": "a key twice in a table",
+    }
     return (words.get(of_keys[1], of_keys[1]) if of_keys else text) + place + end
 
 
@@ -61,13 +78,17 @@ def depth(value: object) -> int:
     while stack:
         node, level = stack.pop()
         deepest = max(deepest, level)
-        children = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+        children = (
+            node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+        )
         stack += [(child, level + 1) for child in children]
     return deepest
 
 
 def resolve_file(path: Path, name: object) -> Any:
-    """Path of a file named in a configuration file: in the folder of that file, or else in the working directory."""
+    """Path of a file named in a configuration file: in the folder of that file, or else in the
+    working directory.
+    """
     if isinstance(name, str) and name and (path.parent / name).is_file():
         return str(path.parent / name)
     return name
@@ -75,14 +96,30 @@ def resolve_file(path: Path, name: object) -> Any:
 
 @lru_cache
 def packaged(folder: str) -> Mapping[str, Path]:
-    """Name -> path of the packaged TOML files in a folder (`data/technologies`, `data/studies`), without overrides of --quick."""
+    """Name -> path of the packaged TOML files in a folder (`data/technologies`, `data/studies`),
+    without overrides of --quick.
+    """
     root = Path(str(resources.files("pixsim") / folder))
-    return MappingProxyType({path.stem: path for path in sorted(root.glob("*.toml")) if path.suffixes[-2:-1] != [".quick"]})
+    return MappingProxyType(
+        {
+            path.stem: path
+            for path in sorted(root.glob("*.toml"))
+            if path.suffixes[-2:-1] != [".quick"]
+        }
+    )
 
 
 def kind_of_value(value: object) -> str:
-    """A value that stands where a table should, for a message: a number as it is, else what it is."""
-    return f"{value}" if isinstance(value, bool | int | float) else "a list" if isinstance(value, list) else "a text"
+    """A value that stands where a table should, for a message: a number as it is, else what it
+    is.
+    """
+    return (
+        f"{value}"
+        if isinstance(value, bool | int | float)
+        else "a list"
+        if isinstance(value, list)
+        else "a text"
+    )
 
 
 HEAD = "# The settings of this folder"  # first line of such a file
@@ -95,7 +132,10 @@ def settings_table_text(table: Mapping[str, Any], command: str) -> str:
     import tomli_w  # takes 10 ms
 
     used = {name: value for name, value in table.items() if value not in (None, {}, "")}
-    return f"{HEAD}, schema {SCHEMA}. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
+    return (
+        f"{HEAD}, schema {SCHEMA}. The same numbers again, bit for bit:\n#"
+        f" {command}\n\n{tomli_w.dumps(used)}"
+    )
 
 
 def whole_path(name: str) -> str:

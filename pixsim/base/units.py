@@ -21,4 +21,8 @@ def unit_of(name: str) -> str:
     >>> unit_of("white_cd_per_m2"), unit_of("f_number")
     ('cd/m²', '')
     """
-    return "" if name in NO_UNIT else next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+    return (
+        ""
+        if name in NO_UNIT
+        else next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+    )

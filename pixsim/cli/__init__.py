@@ -1,7 +1,8 @@
 """The `pixsim` command: options in, messages and files out. Only this package prints or exits.
 
-Results go to stdout, everything else to stderr. Exit codes: 0 success, 1 unexpected error or a problem that `doctor` reports,
-2 invalid input, 130 interrupted, 143 terminated, 129 terminal closed.
+Results go to stdout, everything else to stderr. Exit codes: 0 success, 1 unexpected error or a
+problem that `doctor` reports, 2 invalid input, 130 interrupted, 143 terminated, 129 terminal
+closed.
 
 Little is imported here, so that `command` takes Ctrl-C before `main` imports the rest.
 """
@@ -28,8 +29,11 @@ def command() -> NoReturn:
     """Run `main` as a process of its own."""
     leave_current_folder()  # before anything else is imported
     interruption.guard()
-    gc.disable()  # 7 % of `pixsim run` with a filled cache (0.07 s of processor time); `stages` enables it
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # pydantic looks for them in all installed packages
+    # 7 % of `pixsim run` with a filled cache (0.07 s of processor time); `stages` enables it
+    gc.disable()
+    os.environ.setdefault(
+        "PYDANTIC_DISABLE_PLUGINS", "__all__"
+    )  # pydantic looks for them in all installed packages
     try:
         open_closed_streams()
         main()
@@ -66,24 +70,39 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         end(refusal(error), INVALID_INPUT)
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
-            end("this process may have too few files open; allow it more, with `ulimit -n 1024`, or give --jobs 1", INVALID_INPUT)
+            end(
+                "this process may have too few files open; allow it more, with `ulimit -n 1024`, or"
+                " give --jobs 1",
+                INVALID_INPUT,
+            )
         if not isinstance(error, BrokenPipeError):
             end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
         discard_output()  # the reader, such as `head`, has closed the pipe
     except MemoryError:
-        end("the system is out of memory; use a coarser film (--resolution 512), larger pixels or fewer --jobs", UNEXPECTED)
+        end(
+            "the system is out of memory; use a coarser film (--resolution 512), larger pixels or"
+            " fewer --jobs",
+            UNEXPECTED,
+        )
     except ImportError as error:
         end(broken(error), UNEXPECTED)
     except KeyboardInterrupt as raised:  # a command that keeps something says so in its text
         end("; ".join([interruption.words, *map(str, raised.args)]), interruption.exit_code)
     except Exception as error:
-        end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
+        end(
+            f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows"
+            " where it occurred.",
+            UNEXPECTED,
+        )
     interruption.finish()
     sys.exit(OK)
 
 
 def broken(error: ImportError) -> str:
-    return f"a package is missing or broken ({error}). Install pixsim again: pip install --force-reinstall pixsim"
+    return (
+        f"a package is missing or broken ({error}). Install pixsim again: pip install"
+        " --force-reinstall pixsim"
+    )
 
 
 def end(message: str, code: int) -> NoReturn:

@@ -20,7 +20,20 @@ from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.base.records import checked
 from pixsim.cli import options as common
-from pixsim.cli.options import HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages, write_answer
+from pixsim.cli.options import (
+    HELP,
+    HELP_ALL,
+    Json,
+    Out,
+    SceneOptions,
+    answer,
+    app,
+    field_option,
+    given,
+    say,
+    stages,
+    write_answer,
+)
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
 from pixsim.report.commands import DEFAULT_OUT
@@ -29,8 +42,8 @@ from pixsim.viewer.setting import Run
 RawFormat = Literal["tiff", "png", "npz"]
 TWO_FOLDERS = 2  # of results that are compared
 SCENE_HELP = (
-    "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life, "
-    "cornell_box, yard."
+    "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target,"
+    " macbeth, line_lamp, still_life, cornell_box, yard."
 )
 
 
@@ -39,7 +52,9 @@ def run_command(tokens: Sequence[str]) -> None:
 
     tokens : its name and arguments
     """
-    if isinstance(getattr(sys.stdout, "buffer", None), io.FileIO):  # by PYTHONUNBUFFERED: a signal would cut what a pipe delays
+    if isinstance(
+        getattr(sys.stdout, "buffer", None), io.FileIO
+    ):  # by PYTHONUNBUFFERED: a signal would cut what a pipe delays
         sys.stdout = open(1, "w", encoding=sys.stdout.encoding, closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
@@ -72,7 +87,9 @@ LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrowe
 
 
 def widen_terminal() -> None:
-    """Let help and tables have some columns where the terminal, or COLUMNS, states none or very few: they would not end."""
+    """Let help and tables have some columns where the terminal, or COLUMNS, states none or very
+    few: they would not end.
+    """
     stated = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < LEAST_WIDTH:
         os.environ["COLUMNS"] = str(LEAST_WIDTH)
@@ -84,25 +101,39 @@ WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
 
 
 def with_whole_options(arguments: Sequence[str]) -> list[str]:
-    """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a value of `--lens`."""
+    """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a
+    value of `--lens`.
+    """
     written = []
     for argument in arguments:
         name, equals, value = argument.partition("=")
-        written.append(f"{WHOLE_OPTIONS.get(name, name)}{equals}{value}" if argument.startswith("--") else argument)
+        written.append(
+            f"{WHOLE_OPTIONS.get(name, name)}{equals}{value}"
+            if argument.startswith("--")
+            else argument
+        )
     return written
 
 
 def check_current_folder() -> None:
-    """Raise PixsimError if the current folder is gone: paths are relative to it, and libraries fail to load."""
+    """Raise PixsimError if the current folder is gone: paths are relative to it, and libraries fail
+    to load.
+    """
     try:
         os.getcwd()
     except OSError as error:
         got = f"one that is gone ({error.strerror})"
-        raise invalid("current folder", got, "a folder that exists", "Change to another one: cd ~") from None
+        raise invalid(
+            "current folder", got, "a folder that exists", "Change to another one: cd ~"
+        ) from None
 
 
 Units = Annotated[
-    str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
+    str | None,
+    Parameter(
+        help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.",
+        metavar="UNIT",
+    ),
 ]
 
 
@@ -111,7 +142,10 @@ def run(
     scene: Annotated[
         str,
         Parameter(
-            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera.",
+            help=(
+                f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen"
+                " by the camera."
+            ),
             completer=common.complete_picture,
         ),
     ],
@@ -128,28 +162,41 @@ def run(
     variant: common.Variant = None,
     units: Units = None,
     raw: Annotated[
-        list[RawFormat] | None, common.SEVERAL, Parameter(help="Also write the raw frame in these formats, as --raw tiff,png.")
+        list[RawFormat] | None,
+        common.SEVERAL,
+        Parameter(help="Also write the raw frame in these formats, as --raw tiff,png."),
     ] = None,
     repeats: Annotated[
         int,
         Parameter(
-            help="Number of sensors of this kind, each with a fixed pattern and noise of its own and at another registration with "
-            "the picture: the answer is the mean of their ΔE with its 95 % interval. Pictures and frames are of the first, which "
-            "is centred. With --tolerance-delta-e, at least so many."
+            help=(
+                "Number of sensors of this kind, each with a fixed pattern and noise of its own and"
+                " at another registration with "
+                "the picture: the answer is the mean of their ΔE with its 95 % interval. Pictures"
+                " and frames are of the first, which "
+                "is centred. With --tolerance-delta-e, at least so many."
+            )
         ),
     ] = 1,
     frames: Annotated[
         int,
         Parameter(
-            help="Number of raw frames of this sensor: all have its fixed pattern, each has temporal noise of its own. The first, "
-            "raw.exr, is scored; the others are raw_002.exr, … (and the formats of --raw)."
+            help=(
+                "Number of raw frames of this sensor: all have its fixed pattern, each has temporal"
+                " noise of its own. The first, "
+                "raw.exr, is scored; the others are raw_002.exr, … (and the formats of --raw)."
+            )
         ),
     ] = 1,
     irradiance: Annotated[
         Literal["reduced", "full", "factors", "none"],
         Parameter(
-            help="What irradiance.exr holds: spectral bands as means over larger samples (at most 1024 across, 60 MB), all samples "
-            "(read back bit for bit), only the factors (spectra × pictures; bands in full where an image has none), or no file."
+            help=(
+                "What irradiance.exr holds: spectral bands as means over larger samples (at most"
+                " 1024 across, 60 MB), all samples "
+                "(read back bit for bit), only the factors (spectra × pictures; bands in full where"
+                " an image has none), or no file."
+            )
         ),
     ] = "reduced",
     dry_run: common.DryRun = False,
@@ -164,12 +211,19 @@ def run(
 
     Example: pixsim run csf --repeats 8
 
-    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
-    settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
+    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr,
+    delta_e.png, score.json, settings.toml and report.html.
+    `pixsim run SCENE --config settings.toml` repeats it.
     """
     from pixsim.report.commands.run import run_files
 
-    tables = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget, **vars(judges)}
+    tables = {
+        "display": display,
+        "seed": seed,
+        "tolerance_e": tolerance_e,
+        "noise_budget": noise_budget,
+        **vars(judges),
+    }
     settings = options.settings(effort, **tables)
     with stages() as (stage, seconds):
         document, page = run_files(
@@ -196,7 +250,8 @@ def explore(
     scene: Annotated[
         str,
         Parameter(
-            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).", completer=common.complete_picture
+            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).",
+            completer=common.complete_picture,
         ),
     ] = "csf",
     *,
@@ -210,14 +265,18 @@ def explore(
     variant: common.Variant = None,
     units: Units = None,
     browser: Annotated[
-        bool, Parameter(help="Open no browser: print the file that leads to the page.", negative="--no-browser")
+        bool,
+        Parameter(
+            help="Open no browser: print the file that leads to the page.", negative="--no-browser"
+        ),
     ] = True,
 ) -> None:
     """See on a page what a sensor makes of a scene.
 
     Example: pixsim explore csf --config my_sensor.toml
 
-    It ends when the page is closed, or by Ctrl-C. It reads no other files than those named here, and serves this user alone.
+    It ends when the page is closed, or by Ctrl-C. It reads no other files than those named here,
+    and serves this user alone.
     """
     from pixsim.explorer.exploring import check_installed
 
@@ -225,7 +284,9 @@ def explore(
     from pixsim.explorer.server import explore_until_closed
     from pixsim.explorer.session import Session
 
-    tables = options.tables(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
+    tables = options.tables(
+        effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges)
+    )
     given_here = {"sensor": sensor, "variant": variant, "units": units}
     session = Session(scene, options.config or (), tables, given_here)
     explore_until_closed(session, None if browser else lambda file: say(f"page: {file}\n"))
@@ -259,15 +320,22 @@ def study(
     study: Annotated[
         str,
         Parameter(
-            help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern, colour, "
-            "processing.",
+            help=(
+                "A TOML file, or the name of a packaged study: pixel-size, chen2000,"
+                " chen2000-sensitivity, modern, colour, "
+                "processing."
+            ),
             completer=common.complete_study,
         ),
     ],
     *,
     scene: Annotated[
         str | None,
-        Parameter(help=f"{SCENE_HELP} [default: that of the study]", metavar="NAME|FILE", completer=common.complete_scene),
+        Parameter(
+            help=f"{SCENE_HELP} [default: that of the study]",
+            metavar="NAME|FILE",
+            completer=common.complete_scene,
+        ),
     ] = None,
     options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
@@ -277,19 +345,27 @@ def study(
 
     Example: pixsim study chen2000 --pixel.response scaled --out scaled
 
-    Example: pixsim study pixel-size --config my_sensor.toml --scene still_life --pitch.min-um 2 --quick
+    Example: pixsim study pixel-size --config my_sensor.toml --scene still_life --pitch.min-um 2
+    --quick
 
     Example: pixsim study pixel-size --axis camera.f_number=2,2.8,4 --quick
 
-    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), pixsim.json and report.html. The same
-    command continues an interrupted study; `pixsim study settings.toml` repeats it.
+    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), pixsim.json and
+    report.html. The same command continues an interrupted study; `pixsim study settings.toml`
+    repeats it.
     """
     from pixsim.report.commands.study import study_files
 
     tables = options.scene_options.study_tables(scene, options.effort, **options.settings)
     with stages() as (stage, seconds):
         document, page = study_files(
-            study, tables, options.out, say=common.verbosity.note, progress=stage, seconds=seconds, **options.effort_and_output
+            study,
+            tables,
+            options.out,
+            say=common.verbosity.note,
+            progress=stage,
+            seconds=seconds,
+            **options.effort_and_output,
         )
     answer(document, options.json, page)
 
@@ -299,21 +375,32 @@ def compare(
     *sensors: Annotated[
         str,
         Parameter(
-            help="Two or more sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of "
-            "packaged ones. The first is the reference. Or two folders of results of the same light, whose frames are paired.",
+            help=(
+                "Two or more sensors: TOML files with a table [pixel], such as data sheets; files"
+                " of technologies, or names of packaged ones. The first is the reference. Or two"
+                " folders of results of the same light, whose frames are paired."
+            ),
             completer=common.complete_technology,
             metavar="SENSOR",
         ),
     ],
     scene: Annotated[
         str | None,
-        Parameter(help=f"{SCENE_HELP} [default: that of --study, or csf]", metavar="NAME|FILE", completer=common.complete_scene),
+        Parameter(
+            help=f"{SCENE_HELP} [default: that of --study, or csf]",
+            metavar="NAME|FILE",
+            completer=common.complete_scene,
+        ),
     ] = None,
     study: Annotated[
         str | None,
         Parameter(
-            help="A TOML file, or the name of a packaged study: its scene, display, exposure and conditions hold for all sensors, "
-            "its lens for files that state none. Under conditions, their weighted mean is the answer; axes have one at each value.",
+            help=(
+                "A TOML file, or the name of a packaged study: its scene, display, exposure and"
+                " conditions hold for all sensors, "
+                "its lens for files that state none. Under conditions, their weighted mean is the"
+                " answer; axes have one at each value."
+            ),
             metavar="NAME|FILE",
             completer=common.complete_study,
         ),
@@ -321,12 +408,20 @@ def compare(
     match: Annotated[
         Literal["view", "lens", "own"] | None,
         Parameter(
-            help="Cameras: the field of view, f-number and object distance of the first file's; its focal length; or each file's "
-            "own. The central field that all have in common is compared [default: view, and whether lens turns the answer]."
+            help=(
+                "Cameras: the field of view, f-number and object distance of the first file's; its"
+                " focal length; or each file's "
+                "own. The central field that all have in common is compared [default: view, and"
+                " whether lens turns the answer]."
+            )
         ),
     ] = None,
     repeats: Annotated[
-        int | None, Parameter(help="Pairs of frames, with the same seeds [default: 8, with --quick 4].", show_default=False)
+        int | None,
+        Parameter(
+            help="Pairs of frames, with the same seeds [default: 8, with --quick 4].",
+            show_default=False,
+        ),
     ] = None,
     sensor: common.SensorId = None,
     options: common.StudyOptions = common.NO_STUDY_OPTIONS,
@@ -343,8 +438,8 @@ def compare(
 
     Example: pixsim compare pixsim-out/first pixsim-out/second
 
-    Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
-    settings.toml, the settings of each sensor, and report.html.
+    Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes
+    compare.json, pictures, settings.toml, the settings of each sensor, and report.html.
     """
     if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
         from pixsim.report.two_results import results_document
@@ -402,7 +497,9 @@ def accuracy(
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
 
     def measure(stage: Stage) -> Accuracy:
-        return measure_accuracy(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+        return measure_accuracy(
+            scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage
+        )
 
     write_answer(measure, accuracy_document, folder, FILES, figures, json)
 
@@ -414,16 +511,25 @@ def datasheet(
         Parameter(
             name="PIXEL",
             completer=common.complete_technology,
-            help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), a TOML file with a "
-            "table [pixel], or a packaged sensor (imx363, imx477). If left out, the options define the pixel.",
+            help=(
+                "A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its"
+                " TOML file), a TOML file with a "
+                "table [pixel], or a packaged sensor (imx363, imx477). If left out, the options"
+                " define the pixel."
+            ),
         ),
     ] = None,
     *,
     config: common.Config = None,
     pixel: common.PixelTable = None,
     exposure: common.ExposureTable = None,
-    wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
-    seed: Annotated[str | None, common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0].")] = None,
+    wavelength_nm: Annotated[
+        float | None, Parameter(help="Wavelength of the light [default: peak of the response].")
+    ] = None,
+    seed: Annotated[
+        str | None,
+        common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0]."),
+    ] = None,
     figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
@@ -436,20 +542,36 @@ def datasheet(
 
     Example: pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
 
-    Simulates a photon-transfer experiment with one sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
-    saturation, stacks for the spatial terms, dark series over time and temperature. A black level below 6 σ of the dark
-    signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
+    Simulates a photon-transfer experiment with one sensor of 200 × 200 pixels: 50 pairs of frames
+    from dark to beyond saturation, stacks for the spatial terms, dark series over time and
+    temperature. A black level below 6 σ of the dark signal is raised. Writes datasheet.csv,
+    summary.json, figures/*.svg and *.csv and report.html.
     """
     from pixsim.measure.datasheet import DataSheet, datasheet_settings, make_datasheet
     from pixsim.report.datasheet import FILES, datasheet_document, sheet_name
 
     tables = given({"pixel": pixel, "exposure": exposure})
-    settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
+    settings = datasheet_settings(
+        pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed
+    )
 
     def measure(stage: Stage) -> DataSheet:
-        return make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
+        return make_datasheet(
+            settings.pixel,
+            settings.exposure,
+            stage=stage,
+            wavelength_nm=wavelength_nm,
+            seed=settings.seed,
+        )
 
-    write_answer(measure, datasheet_document, out or DEFAULT_OUT / sheet_name(settings.pixel), FILES, figures, json)
+    write_answer(
+        measure,
+        datasheet_document,
+        out or DEFAULT_OUT / sheet_name(settings.pixel),
+        FILES,
+        figures,
+        json,
+    )
 
 
 @app.command(sort_key=5)
@@ -458,47 +580,76 @@ def lens(
         str,
         Parameter(
             name="FILE",
-            help="A lens: cooke_triplet, double_gauss, phone or singlet; or the path of a .zmx or .toml file.",
+            help=(
+                "A lens: cooke_triplet, double_gauss, phone or singlet; or the path of a .zmx or"
+                " .toml file."
+            ),
             completer=common.complete_lens,
         ),
     ],
     *,
     focal_length_mm: Annotated[
-        float | None, Parameter(help="Scale the whole lens to this focal length [default: the file's].")
+        float | None,
+        Parameter(help="Scale the whole lens to this focal length [default: the file's]."),
     ] = None,
-    f_number: Annotated[float | None, Parameter(help="Stop the lens down [default: the file's f-number].")] = None,
-    field_deg: Annotated[float | None, Parameter(help="Largest field angle that is looked at [default: the file's].")] = None,
+    f_number: Annotated[
+        float | None, Parameter(help="Stop the lens down [default: the file's f-number].")
+    ] = None,
+    field_deg: Annotated[
+        float | None, Parameter(help="Largest field angle that is looked at [default: the file's].")
+    ] = None,
     refocus: Annotated[
         Literal["paraxial", "axis", "field"] | None,
         Parameter(
-            help="Move the image plane: to the paraxial focus, to the least rms wavefront on the axis or over the field "
-            "[default: the file's plane, or axis if an object distance or --focus-nm is given]."
+            help=(
+                "Move the image plane: to the paraxial focus, to the least rms wavefront on the"
+                " axis or over the field "
+                "[default: the file's plane, or axis if an object distance or --focus-nm is given]."
+            )
         ),
     ] = None,
-    focus_nm: Annotated[float | None, Parameter(help="Wavelength of that focus [default: those of the file].")] = None,
+    focus_nm: Annotated[
+        float | None, Parameter(help="Wavelength of that focus [default: those of the file].")
+    ] = None,
     object_distance_m: Annotated[
-        float | None, Parameter(help="Distance of the object from the entrance pupil [default: infinite].")
+        float | None,
+        Parameter(help="Distance of the object from the entrance pupil [default: infinite]."),
     ] = None,
     wavelength_nm: Annotated[
         list[float] | None,
         common.SEVERAL,
-        Parameter(help="Wavelengths of equal weight, as --wavelength-nm 450,550 [default: the file's]."),
+        Parameter(
+            help="Wavelengths of equal weight, as --wavelength-nm 450,550 [default: the file's]."
+        ),
     ] = None,
-    pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm.")] = None,
+    pitch_um: Annotated[
+        float | None,
+        Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm."),
+    ] = None,
     configuration: Annotated[str | None, field_option(LensOptions, "configuration")] = None,
     semi_diameters: Annotated[str | None, field_option(LensOptions, "semi_diameters")] = None,
-    vignetting_factors: Annotated[str | None, field_option(LensOptions, "vignetting_factors")] = None,
+    vignetting_factors: Annotated[
+        str | None, field_option(LensOptions, "vignetting_factors")
+    ] = None,
     glass_catalogues: Annotated[
         list[str] | None,
         Parameter(
-            help="A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give it once for each.",
+            help=(
+                "A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give"
+                " it once for each."
+            ),
             metavar="FILE",
         ),
     ] = None,
     unknown_glass: Annotated[str | None, field_option(LensOptions, "unknown_glass")] = None,
     reflectance: Annotated[
         float | None,
-        Parameter(help="Reflectance of the coating of surfaces in air, for light that they reflect twice [default: bare glass]."),
+        Parameter(
+            help=(
+                "Reflectance of the coating of surfaces in air, for light that they reflect twice"
+                " [default: bare glass]."
+            )
+        ),
     ] = None,
     figures: common.FigureFiles = "svg",
     out: Out = None,
@@ -542,7 +693,9 @@ def lens(
             **{name: getattr(how, name) for name in reading},
         )
 
-    write_answer(measure, lens_document, out or DEFAULT_OUT / f"lens-{Path(file).stem}", FILES, figures, json)
+    write_answer(
+        measure, lens_document, out or DEFAULT_OUT / f"lens-{Path(file).stem}", FILES, figures, json
+    )
 
 
 @app.command(sort_key=7)
@@ -550,25 +703,36 @@ def sfr(
     image: Annotated[
         Path,
         Parameter(
-            help="A linear picture, grey, RGB or a mosaic: raw.exr of `pixsim run`, another .exr, .npy, .npz, .png of "
-            "16 bits, or .tiff of 16 bits or in floating point."
+            help=(
+                "A linear picture, grey, RGB or a mosaic: raw.exr of `pixsim run`, another .exr,"
+                " .npy, .npz, .png of "
+                "16 bits, or .tiff of 16 bits or in floating point."
+            )
         ),
     ],
     *,
-    pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, for cycles/mm [default: from the file].")] = None,
+    pitch_um: Annotated[
+        float | None, Parameter(help="Pixel pitch, for cycles/mm [default: from the file].")
+    ] = None,
     channel: Annotated[
         str | None,
         Parameter(
-            help="Channel of a picture in colour: R, G, B, or another letter of its filters, luminance, or a place of the "
-            "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none].",
+            help=(
+                "Channel of a picture in colour: R, G, B, or another letter of its filters,"
+                " luminance, or a place of the "
+                "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none]."
+            ),
             metavar="CHANNEL",
         ),
     ] = None,
     layout: Annotated[
         str | None,
         Parameter(
-            help="Colour filters of a mosaic, upper row first, as RG/GB; R+G+B for planes one below the other "
-            "[default: from the file].",
+            help=(
+                "Colour filters of a mosaic, upper row first, as RG/GB; R+G+B for planes one below"
+                " the other "
+                "[default: from the file]."
+            ),
             metavar="ROWS",
         ),
     ] = None,
@@ -583,13 +747,21 @@ def sfr(
     saturation: Annotated[
         float | None,
         Parameter(
-            help="Value as stored from which a pixel counts as saturated [default: the file's white level or bits].", metavar="DN"
+            help=(
+                "Value as stored from which a pixel counts as saturated [default: the file's white"
+                " level or bits]."
+            ),
+            metavar="DN",
         ),
     ] = None,
     region: Annotated[
         str | None,
         Parameter(
-            help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.", metavar="X0,Y0,X1,Y1"
+            help=(
+                "Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are"
+                " excluded."
+            ),
+            metavar="X0,Y0,X1,Y1",
         ),
     ] = None,
     figures: common.FigureFiles = "svg",
@@ -618,7 +790,9 @@ def sfr(
             region=corners(region),
         )
 
-    write_answer(measure, sfr_document, out or DEFAULT_OUT / f"{image.stem}-sfr", FILES, figures, json)
+    write_answer(
+        measure, sfr_document, out or DEFAULT_OUT / f"{image.stem}-sfr", FILES, figures, json
+    )
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:
@@ -628,39 +802,71 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
     try:
         x0, y0, x1, y1 = (int(number) for number in region.split(","))
     except ValueError:
-        raise invalid("--region", f"'{region}'", "x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512") from None
+        raise invalid(
+            "--region", f"'{region}'", "x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512"
+        ) from None
     return x0, y0, x1, y1
 
 
 @app.command(sort_key=9)
 def chart(
-    kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge, target; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
+    kind: Annotated[
+        str,
+        Parameter(
+            help=(
+                "csf, flat, siemens_star, slanted_edge, target; or a picture: PNG, JPEG, TIFF, HDR,"
+                " EXR."
+            )
+        ),
+    ],
     *,
-    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")],
+    output: Annotated[
+        Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")
+    ],
     width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
     height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
     die_mm: Annotated[
-        float | None, Parameter(help="Width of the die that the chart fills (csf, target) [default: 2.7136].")
+        float | None,
+        Parameter(help="Width of the die that the chart fills (csf, target) [default: 2.7136]."),
     ] = None,
     shape: Annotated[
-        Literal["disc", "bar", "edge"] | None, Parameter(help="Of a target: disc, bar (5 times as long as wide), or edge.")
+        Literal["disc", "bar", "edge"] | None,
+        Parameter(help="Of a target: disc, bar (5 times as long as wide), or edge."),
     ] = None,
     size_um: Annotated[
-        float | None, Parameter(help="Diameter or width of a target on the sensor; the die is square [default: 77.5].")
+        float | None,
+        Parameter(
+            help="Diameter or width of a target on the sensor; the die is square [default: 77.5]."
+        ),
     ] = None,
     contrast: Annotated[
-        float | None, Parameter(help="Luminance of a target over that of its background, minus 1 [default: -0.1].")
+        float | None,
+        Parameter(
+            help="Luminance of a target over that of its background, minus 1 [default: -0.1]."
+        ),
     ] = None,
     direction: Annotated[
-        Literal["vertical", "horizontal"] | None, Parameter(help="Of a target that is a bar or an edge [default: vertical].")
+        Literal["vertical", "horizontal"] | None,
+        Parameter(help="Of a target that is a bar or an edge [default: vertical]."),
     ] = None,
     colour_axis: Annotated[
         Literal["red-green", "blue-yellow"] | None,
-        Parameter(help="Write a scene, .xml, whose chart (csf) changes in colour at constant luminance, with its three slides."),
+        Parameter(
+            help=(
+                "Write a scene, .xml, whose chart (csf) changes in colour at constant luminance,"
+                " with its three slides."
+            )
+        ),
     ] = None,
     linear: Annotated[bool, Parameter(help="The picture is linear in light, not sRGB.")] = False,
     aspect: Annotated[
-        float | None, Parameter(help="Width over height of the die for a picture; a grey border fills the rest [default: 1].")
+        float | None,
+        Parameter(
+            help=(
+                "Width over height of the die for a picture; a grey border fills the rest"
+                " [default: 1]."
+            )
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -674,14 +880,15 @@ def chart(
 
     Example: pixsim chart csf --colour-axis red-green -o red_green.xml
 
-    A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded sRGB. -D chart=picture.png does
-    the same.
+    A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded
+    sRGB. -D chart=picture.png does the same.
 
-    A target stands in the middle of an even background of 1. `pixsim run target -D shape=bar -D size_um=40` needs no file, and
-    draws it on the cells of the film.
+    A target stands in the middle of an even background of 1.
+    `pixsim run target -D shape=bar -D size_um=40` needs no file, and draws it on the cells of the
+    film.
 
-    With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
-    the scene.
+    With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant.
+    `pixsim run red_green.xml` renders the scene.
     """
     from pixsim.report.chart import chart_document
 
@@ -699,18 +906,27 @@ def template(
     kind: Annotated[
         str,
         Parameter(
-            help="sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`."
+            help=(
+                "sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or"
+                " study, for `pixsim study FILE`."
+            )
         ),
     ],
     *,
     of: Annotated[
         str | None,
         Parameter(
-            help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern, colour, processing).",
+            help=(
+                "For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity,"
+                " modern, colour, processing)."
+            ),
             metavar="STUDY",
         ),
     ] = None,
-    output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["-o", "--output"], help="TOML file [default: to standard output]."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a commented configuration file, or a study.
@@ -727,7 +943,9 @@ def template(
 
 
 @app.command(sort_key=12)
-def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", *, json: Json = True) -> None:
+def schema(
+    kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", *, json: Json = True
+) -> None:
     """Print the JSON schema of a configuration file.
 
     Example: pixsim schema study > study.schema.json
@@ -743,7 +961,10 @@ def cache(
     *,
     clear: Annotated[bool, Parameter(help="Remove the entries.")] = False,
     kind: Annotated[
-        str | None, Parameter(metavar="KIND", help="Only entries of this kind; `pixsim cache` lists the kinds.")
+        str | None,
+        Parameter(
+            metavar="KIND", help="Only entries of this kind; `pixsim cache` lists the kinds."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -751,9 +972,10 @@ def cache(
 
     Example: pixsim cache --clear
 
-    The key of an entry is the hash of all its inputs, so that entries are never out of date; clearing only frees space.
-    Files that pixsim did not write stay. PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables
-    the cache). The least recently used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder,
+    The key of an entry is the hash of all its inputs, so that entries are never out of date;
+    clearing only frees space. Files that pixsim did not write stay. PIXSIM_CACHE_DIR sets the
+    folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables the cache). The least recently
+    used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder,
     as kinds of their own.
     """
     from pixsim.report.inventory import cache_document
@@ -767,7 +989,8 @@ def cameras(*, json: Json = False) -> None:
 
     Example: pixsim cameras
 
-    Measured ones are of whole cameras with their infrared filter. Typical ones stand for sensors of a kind, and are marked so.
+    Measured ones are of whole cameras with their infrared filter. Typical ones stand for sensors of
+    a kind, and are marked so.
     """
     from pixsim.report.inventory import cameras_document
     from pixsim.sensor import camera_data
@@ -777,7 +1000,10 @@ def cameras(*, json: Json = False) -> None:
 
 @app.command(sort_key=15)
 def completion(
-    shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish.")],
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"],
+        Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish."),
+    ],
     *,
     json: Json = False,
 ) -> None:
@@ -790,7 +1016,12 @@ def completion(
     from pixsim.show.document import Document
 
     script = app.generate_completion(prog_name="pixsim", shell=shell)
-    answer(Document("completion", "shell completion", shell, {"shell": shell, "script": script}, (script,)), json)
+    answer(
+        Document(
+            "completion", "shell completion", shell, {"shell": shell, "script": script}, (script,)
+        ),
+        json,
+    )
 
 
 PROBLEM_FOUND = 1  # exit code
@@ -800,7 +1031,9 @@ PROBLEM_FOUND = 1  # exit code
 def doctor(
     *,
     out: Out = None,
-    limit_s: Annotated[float | None, Parameter(help="Time limit of the test render, in s [default: 20].")] = None,
+    limit_s: Annotated[
+        float | None, Parameter(help="Time limit of the test render, in s [default: 20].")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Check this machine; say how to mend what it lacks.
@@ -809,7 +1042,8 @@ def doctor(
 
     Example: pixsim doctor
 
-    A line is marked ok, note (renders work nevertheless) or problem. The exit code is 1 if there is a problem, else 0.
+    A line is marked ok, note (renders work nevertheless) or problem. The exit code is 1 if there is
+    a problem, else 0.
     """
     from pixsim.cli.doctor import doctor_document, examine
 

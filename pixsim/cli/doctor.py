@@ -1,4 +1,6 @@
-"""`pixsim doctor`: versions, LLVM, graphics card, a test render, threads, memory and folders of this machine, in one table."""
+"""`pixsim doctor`: versions, LLVM, graphics card, a test render, threads, memory and folders of
+this machine, in one table.
+"""
 
 from __future__ import annotations
 
@@ -52,11 +54,21 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
 
     card = graphics.verdict(again=True)
     packages = {name: metadata.version(name) for name in _required()}
-    python = f"{platform.python_version()} ({sys.executable}), {platform.platform()}, {platform.machine()}"
+    python = (
+        f"{platform.python_version()} ({sys.executable}), {platform.platform()},"
+        f" {platform.machine()}"
+    )
     return [
-        Diagnosis("pixsim", OK, f"{VERSION} in {resources.files('pixsim')}", facts={"version": VERSION}),
+        Diagnosis(
+            "pixsim", OK, f"{VERSION} in {resources.files('pixsim')}", facts={"version": VERSION}
+        ),
         Diagnosis("Python", OK, python, facts={"version": platform.python_version()}),
-        Diagnosis("packages", OK, ", ".join(f"{name} {version}" for name, version in packages.items()), facts=packages),
+        Diagnosis(
+            "packages",
+            OK,
+            ", ".join(f"{name} {version}" for name, version in packages.items()),
+            facts=packages,
+        ),
         _llvm(),
         _graphics(card),
         _test_render(LIMIT_S if limit_s is None else limit_s),
@@ -68,21 +80,33 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
 
 
 def doctor_document(findings: list[Diagnosis]) -> Document:
-    """Return the answer of `pixsim doctor`: a line for each finding, and below it the command that mends it."""
+    """Return the answer of `pixsim doctor`: a line for each finding, and below it the command that
+    mends it.
+    """
     rows: list[tuple[str, ...]] = []
     for finding in findings:
         rows.append((finding.mark, finding.subject, finding.found))
         if finding.mend:
-            rows.append(("", f"to fix it: {finding.mend}"))  # a short row is not wrapped: it can be copied
+            rows.append(
+                ("", f"to fix it: {finding.mend}")
+            )  # a short row is not wrapped: it can be copied
 
     works = all(finding.mark != PROBLEM for finding in findings)
     verdict = "renders work on this machine" if works else "pixsim does not work on this machine"
     data = {"ok": works, "findings": [asdict(finding) for finding in findings]}
-    return Document("doctor", "check", verdict, data, (DocumentTable("findings", (), rows, words=None), "", verdict))
+    return Document(
+        "doctor",
+        "check",
+        verdict,
+        data,
+        (DocumentTable("findings", (), rows, words=None), "", verdict),
+    )
 
 
 def _required() -> list[str]:
-    """Names of the installed packages that pixsim requires, without those of extras; empty if pixsim itself is not installed."""
+    """Names of the installed packages that pixsim requires, without those of extras; empty if
+    pixsim itself is not installed.
+    """
     try:
         lines = metadata.requires("pixsim") or []
     except metadata.PackageNotFoundError:
@@ -98,8 +122,14 @@ def _llvm() -> Diagnosis:
         return Diagnosis("LLVM", PROBLEM, str(error))
     if path is None:
         has_wheel = (sys.platform, platform.machine()) == ("linux", "x86_64")
-        mend = f"pip install {variant.LLVM_WHEEL}" if has_wheel else f"export {variant.LLVM_VARIABLE}=FILE"
-        return Diagnosis("LLVM", NOTE, f"{reason}; renders take several times as long", mend, {"path": None})
+        mend = (
+            f"pip install {variant.LLVM_WHEEL}"
+            if has_wheel
+            else f"export {variant.LLVM_VARIABLE}=FILE"
+        )
+        return Diagnosis(
+            "LLVM", NOTE, f"{reason}; renders take several times as long", mend, {"path": None}
+        )
     return Diagnosis("LLVM", OK, f"{path} ({reason})", facts={"path": path})
 
 
@@ -118,13 +148,15 @@ def _test_render(limit_s: float) -> Diagnosis:
     if fault := trial.fault:
         if trial.seconds >= limit_s:
             fault = f"{fault}; a machine under load may need longer: --limit-s {3 * limit_s:g}"
-        mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"  # a refusal says how to mend it
+        mend = (
+            None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"
+        )  # a refusal says how to mend it
         if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)
     text = (
-        f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx, "
-        f"in {trial.seconds:.1f} s"
+        f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form"
+        f" {facts['expected_lx']:.3f} lx, in {trial.seconds:.1f} s"
     )
     return Diagnosis("test render", OK, text, facts=facts)
 
@@ -155,12 +187,29 @@ def _cache() -> Diagnosis:
     fault, _ = machine.check_folder(folder)
     text = f"{folder}: {_gib(size_bytes)} of {_gib(limit_bytes)}"
     if fault:
-        return Diagnosis("cache", NOTE, f"{text}; it cannot be written ({fault})", f"export {FOLDER_VARIABLE}=FOLDER")
-    return Diagnosis("cache", OK, text, facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes})
+        return Diagnosis(
+            "cache",
+            NOTE,
+            f"{text}; it cannot be written ({fault})",
+            f"export {FOLDER_VARIABLE}=FOLDER",
+        )
+    return Diagnosis(
+        "cache",
+        OK,
+        text,
+        facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes},
+    )
 
 
 def _results(out: Path) -> Diagnosis:
     fault, free_bytes = machine.check_folder(out)
     if fault:
-        return Diagnosis("results", PROBLEM, f"{out} cannot be written ({fault})", "choose another folder with --out")
-    return Diagnosis("results", OK, f"{out}: {_gib(free_bytes)} free", facts={"free_bytes": free_bytes})
+        return Diagnosis(
+            "results",
+            PROBLEM,
+            f"{out} cannot be written ({fault})",
+            "choose another folder with --out",
+        )
+    return Diagnosis(
+        "results", OK, f"{out}: {_gib(free_bytes)} free", facts={"free_bytes": free_bytes}
+    )

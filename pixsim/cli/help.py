@@ -15,10 +15,43 @@ if TYPE_CHECKING:
 # Most command lines need these alone, of whichever command has them.
 COMMON = frozenset(
     {
-        *("--scene", "--study", "--match", "--config", "--define", "--quick", "--axis", "--repeats", "--raw", "--seed", "--jobs"),
-        *("--dry-run", "--figures", "--out", "--json", "--camera.focal-length-mm", "--camera.f-number", "--lens.file"),
-        *("--pixel.technology", "--pixel.pitch-um", "--pixel.bits", "--pixel.full-well-e", "--pixel.read-noise-e"),
-        *("--exposure.integration-s", "--exposure.gain-db", "--display.dots", "--pitch.min-um", "--pitch.max-um", "--pitch.count"),
+        *(
+            "--scene",
+            "--study",
+            "--match",
+            "--config",
+            "--define",
+            "--quick",
+            "--axis",
+            "--repeats",
+            "--raw",
+            "--seed",
+            "--jobs",
+        ),
+        *(
+            "--dry-run",
+            "--figures",
+            "--out",
+            "--json",
+            "--camera.focal-length-mm",
+            "--camera.f-number",
+            "--lens.file",
+        ),
+        *(
+            "--pixel.technology",
+            "--pixel.pitch-um",
+            "--pixel.bits",
+            "--pixel.full-well-e",
+            "--pixel.read-noise-e",
+        ),
+        *(
+            "--exposure.integration-s",
+            "--exposure.gain-db",
+            "--display.dots",
+            "--pitch.min-um",
+            "--pitch.max-um",
+            "--pitch.count",
+        ),
     }
 )
 MANY = 30  # options: a command that has more shows the common ones first
@@ -28,20 +61,33 @@ class CommonOptions(DefaultFormatter):
     """Prints the common options of each panel of a command's help."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Print the common options of a panel, and how many it has; nothing of a panel without any."""
-        shown = [each for each in panel.entries if each.positional_label or COMMON.intersection(each.names)]
+        """Print the common options of a panel, and how many it has; nothing of a panel without
+        any.
+        """
+        shown = [
+            each
+            for each in panel.entries
+            if each.positional_label or COMMON.intersection(each.names)
+        ]
         if len(shown) < len(panel.entries):
-            panel = panel.copy(entries=shown, title=f"{panel.title} ({len(shown)} of {len(panel.entries)})")
+            panel = panel.copy(
+                entries=shown, title=f"{panel.title} ({len(shown)} of {len(panel.entries)})"
+            )
         super().__call__(console, options, panel)
 
 
 def print_help(app: App, arguments: Sequence[str]) -> str:
     """Print the help that a command line with `--help` asks for.
 
-    Returns the line that says how to see all options of a command that has many; empty for another one.
+    Returns the line that says how to see all options of a command that has many; empty for another
+    one.
     """
     command = next((word for word in arguments if not word.startswith("-") and word in app), None)
-    number = 0 if command is None else sum(argument.show for argument in app[command].assemble_argument_collection())
+    number = (
+        0
+        if command is None
+        else sum(argument.show for argument in app[command].assemble_argument_collection())
+    )
     app.help_formatter = CommonOptions() if number > MANY else None
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

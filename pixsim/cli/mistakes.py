@@ -1,31 +1,59 @@
-"""The message of a command line that Cyclopts refuses: which word nothing takes, and how to write what was meant."""
+"""The message of a command line that Cyclopts refuses: which word nothing takes, and how to write
+what was meant.
+"""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
 
-from cyclopts import Argument, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
+from cyclopts import (
+    Argument,
+    CycloptsError,
+    MissingArgumentError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+)
 
 from pixsim.base.problems import names_meant
 from pixsim.cli.options import app
 from pixsim.viewer.setting import Run
 
 # What takes a file of this suffix, where a command has it.
-TAKES = {".toml": ("--config", "-o"), ".xml": ("--scene", "-o"), ".exr": ("-o",), ".zmx": ("--lens",)}
+TAKES = {
+    ".toml": ("--config", "-o"),
+    ".xml": ("--scene", "-o"),
+    ".exr": ("-o",),
+    ".zmx": ("--lens",),
+}
 OTHER_NAME = {"-o": "--out", "--out": "-o"}  # a folder, or a single file
 
 
 def refusal(error: CycloptsError) -> str:
-    """Return the message for a command line with a word or an option that its command does not take, or another fault."""
+    """Return the message for a command line with a word or an option that its command does not
+    take, or another fault.
+    """
     command, text = " ".join(error.command_chain or ()), str(error)
     words, options = names_of(command) if command else ([], set())
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
-        got = f"the further words '{first}' and {len(others)} more" if others else f"the further word '{first}'"
-        text = f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}. {hint_of_word(first, options)}".rstrip()
-    elif isinstance(error, MissingArgumentError) and error.argument and error.argument.index is not None:
-        text = f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
+        got = (
+            f"the further words '{first}' and {len(others)} more"
+            if others
+            else f"the further word '{first}'"
+        )
+        text = (
+            f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}."
+            f" {hint_of_word(first, options)}".rstrip()
+        )
+    elif (
+        isinstance(error, MissingArgumentError)
+        and error.argument
+        and error.argument.index is not None
+    ):
+        text = (
+            f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
+        )
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
         if hint := hint_of_option(name, options, proposed="Did you mean" in text):
@@ -35,9 +63,13 @@ def refusal(error: CycloptsError) -> str:
 
 def names_of(command: str) -> tuple[list[str], set[str]]:
     """Return the names of what a command takes without an option, as SCENE, and of its options."""
-    arguments = [argument for argument in app[command].assemble_argument_collection() if argument.parse]
+    arguments = [
+        argument for argument in app[command].assemble_argument_collection() if argument.parse
+    ]
     words = [word_of(argument) for argument in arguments if argument.index is not None]
-    return words, {name for argument in arguments if argument.index is None for name in argument.names}
+    return words, {
+        name for argument in arguments if argument.index is None for name in argument.names
+    }
 
 
 def word_of(argument: Argument) -> str:
@@ -45,7 +77,9 @@ def word_of(argument: Argument) -> str:
 
 
 def hint_of_word(word: str, options: set[str]) -> str:
-    """Return where a word belongs that is no argument of a command with these options; empty if that is not plain."""
+    """Return where a word belongs that is no argument of a command with these options; empty if
+    that is not plain.
+    """
     name, equals, value = word.partition("=")
     option = f"--{name.lower().replace('_', '-')}"
     if option in options:
@@ -56,19 +90,25 @@ def hint_of_word(word: str, options: set[str]) -> str:
         if option in options:
             return f"Such a file goes after {option}: {option} {shlex.quote(word)}"
     if word.replace(".", "").isdecimal():
-        return "An option takes one word: a pair of numbers is written as 1936x1216, and a list as 2.4,3.45 without blanks."
+        return (
+            "An option takes one word: a pair of numbers is written as 1936x1216, and a list as"
+            " 2.4,3.45 without blanks."
+        )
     return ""
 
 
 def hint_of_option(name: str, options: set[str], proposed: bool) -> str:
-    """Return what an unknown option, such as --camera.resolution, means for a command with these options.
+    """Return what an unknown option, such as --camera.resolution, means for a command with these
+    options.
 
     proposed : whether Cyclopts proposes another one
 
     Empty if nothing better is known.
     """
     *above, last = name.lstrip("-").replace("-", "_").split(".")
-    meant = ["--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)]
+    meant = [
+        "--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)
+    ]
     meant += [option for option in sorted(options) if option.startswith(f"{name}-")]
     meant += [OTHER_NAME[name]] if name in OTHER_NAME else []
     if meant := [option for option in meant if option in options]:

@@ -1,4 +1,6 @@
-"""Shared parts of the commands: the app, common options, settings from files and options, and printing of results."""
+"""Shared parts of the commands: the app, common options, settings from files and options, and
+printing of results.
+"""
 
 from __future__ import annotations
 
@@ -49,9 +51,9 @@ app = App(
     help_format="plaintext",  # Markdown would import a parser, and color the code in backticks only
     default_parameter=Parameter(negative=()),
     help_epilogue=(
-        "Every command takes --quiet (no progress, and of the warnings only those of doubtful numbers), "
-        "--verbose (times of the stages, tracebacks of errors) "
-        "and --json (results as JSON). Its --help shows the common options, its --help-all every option."
+        "Every command takes --quiet (no progress, and of the warnings only those of doubtful"
+        " numbers), --verbose (times of the stages, tracebacks of errors) and --json (results as"
+        " JSON). Its --help shows the common options, its --help-all every option."
     ),
     suppress_keyboard_interrupt=False,  # main() reports it
 )
@@ -63,7 +65,9 @@ class Verbosity:
     quiet = verbose = False
 
     def parse(self, arguments: Sequence[str]) -> list[str]:
-        """Set the verbosity and return the arguments without --quiet and --verbose, which may stand anywhere."""
+        """Set the verbosity and return the arguments without --quiet and --verbose, which may stand
+        anywhere.
+        """
         self.quiet = any(name in arguments for name in QUIET)
         self.verbose = not self.quiet and any(name in arguments for name in VERBOSE)
         return [argument for argument in arguments if argument not in (*QUIET, *VERBOSE)]
@@ -85,7 +89,9 @@ verbosity = Verbosity()
 
 
 def set_cache_folders() -> None:
-    """Let Mitsuba (kernels) and Matplotlib (fonts) use pixsim's cache folder, unless their own variables are set."""
+    """Let Mitsuba (kernels) and Matplotlib (fonts) use pixsim's cache folder, unless their own
+    variables are set.
+    """
     for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
         with suppress(OSError, PixsimError):  # then they use their default folders
             if variable not in os.environ:
@@ -94,14 +100,18 @@ def set_cache_folders() -> None:
 
 @contextmanager
 def stages() -> Iterator[tuple[Stage, dict[str, float]]]:
-    """`pixsim.base.progress.stages` with the verbosity of the command, and the wall times that it collects."""
+    """`pixsim.base.progress.stages` with the verbosity of the command, and the wall times that it
+    collects.
+    """
     gc.freeze()  # what was imported stays; looking at it takes 0.1 s of `pixsim run`
     gc.enable()
     seconds: dict[str, float] = {}
     with progress.stages(seconds, quiet=verbosity.quiet) as stage:
         yield stage, seconds
     if verbosity.verbose and seconds:
-        verbosity.note("\n".join(f"{name}: {duration_s:.2f} s" for name, duration_s in seconds.items()))
+        verbosity.note(
+            "\n".join(f"{name}: {duration_s:.2f} s" for name, duration_s in seconds.items())
+        )
 
 
 OF_A_TECHNOLOGY = "from the technology"
@@ -119,7 +129,9 @@ def value_name(annotation: object) -> str:
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
-        of_texts = (kind for kind in inner if kind is not type(None) and not is_dataclass(kind))  # others stand in Python only
+        of_texts = (
+            kind for kind in inner if kind is not type(None) and not is_dataclass(kind)
+        )  # others stand in Python only
         return "|".join(dict.fromkeys(map(value_name, of_texts)))
     if origin is dict:
         return "FILE"
@@ -132,21 +144,42 @@ def choices_of(annotation: object) -> tuple[str, ...]:
     """The texts that a field allows, if they are a list."""
     if get_origin(annotation) is Literal:
         return tuple(map(str, get_args(annotation)))
-    return tuple(choice for inner in get_args(annotation) if get_origin(inner) for choice in choices_of(inner))
+    return tuple(
+        choice
+        for inner in get_args(annotation)
+        if get_origin(inner)
+        for choice in choices_of(inner)
+    )
 
 
 def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
-    """How the help and the completion show an option that is text, and that a field of a record validates."""
+    """How the help and the completion show an option that is text, and that a field of a record
+    validates.
+    """
     info = record.model_fields[name]
     default: Any = None if info.is_required() else info.default
     if default is None and not info.is_required() and "absent" not in (info.description or ""):
         of_scene = record is CameraOptions and name in Camera.model_fields
         default = (
-            "that of the scene" if of_scene else OF_A_TECHNOLOGY if name in NUMBERS and NUMBERS[name].of_technology else "none"
+            "that of the scene"
+            if of_scene
+            else OF_A_TECHNOLOGY
+            if name in NUMBERS and NUMBERS[name].of_technology
+            else "none"
         )
-    shown = f" [default: {default:g}]" if isinstance(default, float) else f" [default: {default}]" if default is not None else ""
+    shown = (
+        f" [default: {default:g}]"
+        if isinstance(default, float)
+        else f" [default: {default}]"
+        if default is not None
+        else ""
+    )
     choices = choices_of(info.annotation)
-    how = {"help": f"{info.description or ''}{shown}".strip(), "metavar": value_name(info.annotation), "show_default": False}
+    how = {
+        "help": f"{info.description or ''}{shown}".strip(),
+        "metavar": value_name(info.annotation),
+        "show_default": False,
+    }
     if choices:
         how["completer"] = lambda _: choices
     return Parameter(**{**how, **more})
@@ -156,21 +189,28 @@ NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
 
 
 def _several(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Convert the texts of an option that may be repeated, each of which holds values separated by commas or blanks.
+    """Convert the texts of an option that may be repeated, each of which holds values separated by
+    commas or blanks.
 
     Assignments are separated by a comma before the next NAME=: other commas belong to their values.
     """
     values: list[Token] = []
     for token in tokens:
-        parts: Any = NEXT_ASSIGNMENT.split(token.value) if "=" in token.value else as_list(token.value)
+        parts: Any = (
+            NEXT_ASSIGNMENT.split(token.value) if "=" in token.value else as_list(token.value)
+        )
         values += [token.evolve(value=part) for part in parts]
     return convert(kind, values)
 
 
-SEVERAL = Parameter(converter=_several, consume_multiple=False)  # of every option of several values but names of files
+SEVERAL = Parameter(
+    converter=_several, consume_multiple=False
+)  # of every option of several values but names of files
 
 
-def packaged_or_files(names: Callable[[], Iterable[str]], *suffixes: str) -> Callable[[Any], list[str]]:
+def packaged_or_files(
+    names: Callable[[], Iterable[str]], *suffixes: str
+) -> Callable[[Any], list[str]]:
     """A completer that offers packaged names, and the files and folders that a path may go on to.
 
     names : returns the packaged names; it is called when a shell asks
@@ -181,8 +221,19 @@ def packaged_or_files(names: Callable[[], Iterable[str]], *suffixes: str) -> Cal
         folder, separator, start = started.rpartition("/")
         there = Path(folder or separator or ".")
         entries = sorted(there.iterdir()) if there.is_dir() else []
-        paths = [f"{folder}{separator}{path.name}{'/' * path.is_dir()}" for path in entries if path.name.startswith(start)]
-        return [*names(), *(path for path in paths if path.endswith(("/", *suffixes)) and not path.startswith("."))]
+        paths = [
+            f"{folder}{separator}{path.name}{'/' * path.is_dir()}"
+            for path in entries
+            if path.name.startswith(start)
+        ]
+        return [
+            *names(),
+            *(
+                path
+                for path in paths
+                if path.endswith(("/", *suffixes)) and not path.startswith(".")
+            ),
+        ]
 
     return complete
 
@@ -203,8 +254,12 @@ complete_scene = packaged_or_files(scene_names, ".xml")
 complete_picture = packaged_or_files(scene_names, ".xml", ".exr", ".npz", ".hdr")
 complete_study = packaged_or_files(lambda: packaged("data/studies"), ".toml")
 complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
-complete_technology = packaged_or_files(lambda: [*packaged("data/technologies"), *packaged("data/sensors")], ".toml")
-complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
+complete_technology = packaged_or_files(
+    lambda: [*packaged("data/technologies"), *packaged("data/sensors")], ".toml"
+)
+complete_sensor = packaged_or_files(
+    lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml"
+)
 complete_settings = packaged_or_files(lambda: packaged("data/sensors"), ".toml")
 
 
@@ -212,42 +267,75 @@ Config = Annotated[
     list[Path] | None,
     Parameter(
         completer=complete_settings,
-        help="TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477; later files take precedence.",
+        help=(
+            "TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477;"
+            " later files take precedence."
+        ),
     ),
 ]
 Define = Annotated[
-    list[str] | None, SEVERAL, Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", metavar="NAME=VALUE")
+    list[str] | None,
+    SEVERAL,
+    Parameter(
+        name=["-D", "--define"], help="Set a scene parameter: name=value.", metavar="NAME=VALUE"
+    ),
 ]
 Metrics = Annotated[
     list[str] | None,
     SEVERAL,
     Parameter(
         name=("--metrics", "--metric"),
-        help="Judge by this metric: delta_e, detectability, npwe, information, acutance, visual_noise, mtf50, snr10_lx, niirs, "
-        "flip. Several as delta_e,information; the first one is that of the headline [default: delta_e].",
+        help=(
+            "Judge by this metric: delta_e, detectability, npwe, information, acutance,"
+            " visual_noise, mtf50, snr10_lx, niirs, flip. Several as delta_e,information; the first"
+            " one is that of the headline [default: delta_e]."
+        ),
         metavar="NAME",
     ),
 ]
-Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
+Linear = Annotated[
+    bool,
+    Parameter(
+        help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear)."
+    ),
+]
 Assets = Annotated[
     str | None,
-    Parameter(help="Let the scene name files of this folder, besides those of its own (scene.assets).", metavar="FOLDER"),
+    Parameter(
+        help="Let the scene name files of this folder, besides those of its own (scene.assets).",
+        metavar="FOLDER",
+    ),
 ]
 Tolerance = Annotated[str | None, field_option(Run, "tolerance_e")]
-NoiseBudget = Annotated[bool | None, Parameter(help=Run.model_fields["noise_budget"].description, negative="")]
+NoiseBudget = Annotated[
+    bool | None, Parameter(help=Run.model_fields["noise_budget"].description, negative="")
+]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
-SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")]
+SensorId = Annotated[
+    str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")
+]
 Seed = Annotated[str | None, field_option(Run, "seed")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
-DryRun = Annotated[bool, Parameter(help="Show what would be made, with memory and a rough time; nothing is rendered or written.")]
+DryRun = Annotated[
+    bool,
+    Parameter(
+        help=(
+            "Show what would be made, with memory and a rough time; nothing is rendered or written."
+        )
+    ),
+]
 FigureFiles = Annotated[
-    Literal["svg", "pdf"], Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG.")
+    Literal["svg", "pdf"],
+    Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG."),
 ]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[
     str | None,
     Parameter(
-        help="Mitsuba variant: cuda_ad_spectral (NVIDIA card), llvm_ad_spectral, scalar_spectral [default: the first that works].",
+        help=(
+            "Mitsuba variant: cuda_ad_spectral (NVIDIA card), llvm_ad_spectral, scalar_spectral"
+            " [default: the first that works]."
+        ),
         metavar="NAME",
         completer=lambda _: variant_names(),
     ),
@@ -255,7 +343,8 @@ Variant = Annotated[
 
 
 def option_table(record: type[Record], name: str, inside: str = "") -> object:
-    """The fields of a record as dotted options, as text that the record validates; None if no option is given.
+    """The fields of a record as dotted options, as text that the record validates; None if no
+    option is given.
 
     name : of the options; of a record in a field of another one, that of the field
     inside : name of the options of that other record
@@ -263,21 +352,31 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
     fields: list[tuple[str, Any, Any]] = []
     for key, info in record.model_fields.items():
         records = [
-            kind for kind in (info.annotation, *get_args(info.annotation)) if inspect.isclass(kind) and issubclass(kind, Record)
+            kind
+            for kind in (info.annotation, *get_args(info.annotation))
+            if inspect.isclass(kind) and issubclass(kind, Record)
         ]
         if records:
-            fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
+            fields.append(
+                (key, option_table(records[0], key.replace("_", "-"), name), field(default=None))
+            )
             continue
         more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
         if record is LensOptions and key == "file":
-            more = {"name": ("--lens.file", "--lens"), "completer": complete_lens, "metavar": "NAME|FILE"}
+            more = {
+                "name": ("--lens.file", "--lens"),
+                "completer": complete_lens,
+                "metavar": "NAME|FILE",
+            }
         if record is Detectability and key == "without":
             more = {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
         how = field_option(record, key, allow_leading_hyphen=True, **more)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
-    return Annotated[table | None, Parameter(name=name, group=f"--{inside or name}.…", show_default=False)]
+    return Annotated[
+        table | None, Parameter(name=name, group=f"--{inside or name}.…", show_default=False)
+    ]
 
 
 if TYPE_CHECKING:
@@ -311,7 +410,9 @@ else:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of run, plan, study, compare and accuracy: settings files, and options that override them."""
+    """Options of run, plan, study, compare and accuracy: settings files, and options that override
+    them.
+    """
 
     config: Config = None
     define: Define = None
@@ -326,7 +427,9 @@ class SceneOptions:
     develop: DevelopTable = None
 
     def settings(self, effort: EffortOptions | None = None, **others: object) -> Run:
-        """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
+        """Settings from defaults, files and options, in order of precedence. Raises PixsimError
+        that lists all problems.
+        """
         return run_settings(self.config or [], self.tables(effort, **others))
 
     def tables(self, effort: EffortOptions | None = None, **others: object) -> dict[str, Any]:
@@ -336,9 +439,18 @@ class SceneOptions:
         """
         values = {**vars(self), **others, **(vars(effort) if effort else {})}
         del values["config"]
-        return given({"scene": definitions(values.pop("define"), values.pop("linear"), values.pop("assets")), **values})
+        return given(
+            {
+                "scene": definitions(
+                    values.pop("define"), values.pop("linear"), values.pop("assets")
+                ),
+                **values,
+            }
+        )
 
-    def study_tables(self, scene: str | None, effort: EffortOptions, **others: object) -> dict[str, Any]:
+    def study_tables(
+        self, scene: str | None, effort: EffortOptions, **others: object
+    ) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.
 
         scene : XML file or name of a packaged scene
@@ -353,13 +465,17 @@ class SceneOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class EffortOptions:
-    """Options of run and study: error tolerances, film, time limit and window, as text that the record validates."""
+    """Options of run and study: error tolerances, film, time limit and window, as text that the
+    record validates.
+    """
 
     tolerance_delta_e: Annotated[str | None, field_option(Run, "tolerance_delta_e")] = None
     render_noise: Annotated[str | None, field_option(Run, "render_noise")] = None
     resolution: Annotated[str | None, field_option(Run, "resolution")] = None
     max_seconds: Annotated[str | None, field_option(Run, "max_seconds")] = None
-    window_mm: Annotated[str | None, field_option(Run, "window_mm"), Parameter(name="--window")] = None
+    window_mm: Annotated[str | None, field_option(Run, "window_mm"), Parameter(name="--window")] = (
+        None
+    )
 
 
 @Parameter(name="*")
@@ -374,7 +490,9 @@ class Judges:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class StudyOptions:
-    """Options of study and compare: what judges and varies sensors, how many are drawn, what it may cost, and what is written."""
+    """Options of study and compare: what judges and varies sensors, how many are drawn, what it may
+    cost, and what is written.
+    """
 
     scene_options: SceneOptions = SceneOptions()
     display: DisplayTable = None
@@ -385,48 +503,82 @@ class StudyOptions:
     refine: Annotated[
         bool | None,
         Parameter(
-            help="Add sizes and sensors where an interval is open or too long [default: that of the study].", negative="--no-refine"
+            help=(
+                "Add sizes and sensors where an interval is open or too long [default: that of the"
+                " study]."
+            ),
+            negative="--no-refine",
         ),
     ] = None
     quick: Annotated[
-        bool, Parameter(help="Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8 and 4.")
+        bool,
+        Parameter(
+            help=(
+                "Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8"
+                " and 4."
+            )
+        ),
     ] = False
-    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None
+    jobs: Annotated[
+        int | None,
+        Parameter(help="Number of processes [default: one per core]; results do not depend on it."),
+    ] = None
     scheduler: Annotated[
-        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
+        str | None,
+        Parameter(
+            help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.",
+            metavar="ADDRESS",
+        ),
     ] = None
     axis: Annotated[
         list[str] | None,
         SEVERAL,
         Parameter(
-            help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
-            "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
-            "them. Repeatable.",
+            help=(
+                "Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]."
+                " NAME is an axis of the study or a dotted setting, as camera.f_number; settings"
+                " joined by + take each value together. Values with labels are picked by them."
+                " Repeatable."
+            ),
             metavar="NAME=VALUES",
         ),
     ] = None
     uncertainty: Annotated[
         int | None,
         Parameter(
-            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
-            "report the distribution of the answer, probabilities, and which numbers matter.",
+            help=(
+                "Draw this many sensor types from the ranges of the technologies and"
+                " [pixel.uncertainty] of data sheets, and report the distribution of the answer,"
+                " probabilities, and which numbers matter."
+            ),
             metavar="N",
         ),
     ] = None
     sobol: Annotated[
         int | None,
-        Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N"),
+        Parameter(
+            help=(
+                "In place of --uncertainty: total indices, which take N × (inputs + 2) sensor"
+                " types."
+            ),
+            metavar="N",
+        ),
     ] = None
     smaller_than: Annotated[
         list[float] | None,
         SEVERAL,
         Parameter(
-            help="Report the probability that the optimum of a study is smaller than this pixel size in µm. Several as 2,3.45.",
+            help=(
+                "Report the probability that the optimum of a study is smaller than this pixel size"
+                " in µm. Several as 2,3.45."
+            ),
             metavar="UM",
         ),
     ] = None
     noise_budget: NoiseBudget = None
-    yes: Annotated[bool, Parameter(help="Run several cases with more than 100 000 evaluations.", negative="")] = False
+    yes: Annotated[
+        bool, Parameter(help="Run several cases with more than 100 000 evaluations.", negative="")
+    ] = False
     effort: EffortOptions = EffortOptions()
     variant: Variant = None
     dry_run: DryRun = False
@@ -437,7 +589,16 @@ class StudyOptions:
     @property
     def effort_and_output(self) -> dict[str, Any]:
         """The options that are no settings, by the names that `report.commands` has for them."""
-        names = "quick", "jobs", "scheduler", "uncertainty", "sobol", "variant", "dry_run", "figures"
+        names = (
+            "quick",
+            "jobs",
+            "scheduler",
+            "uncertainty",
+            "sobol",
+            "variant",
+            "dry_run",
+            "figures",
+        )
         return {name: getattr(self, name) for name in names} | {
             "config": self.scene_options.config or [],
             "axes": self.axis or [],
@@ -452,16 +613,29 @@ class StudyOptions:
         return {name: getattr(self, name) for name in names} | vars(self.judges)
 
 
-NO_OPTIONS, NO_EFFORT, NO_JUDGES, NO_STUDY_OPTIONS = SceneOptions(), EffortOptions(), Judges(), StudyOptions()
+NO_OPTIONS, NO_EFFORT, NO_JUDGES, NO_STUDY_OPTIONS = (
+    SceneOptions(),
+    EffortOptions(),
+    Judges(),
+    StudyOptions(),
+)
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:
     """The options that were given; tables become dicts."""
-    return {name: given(vars(value)) if is_dataclass(value) else value for name, value in options.items() if value is not None}
+    return {
+        name: given(vars(value)) if is_dataclass(value) else value
+        for name, value in options.items()
+        if value is not None
+    }
 
 
-def definitions(pairs: list[str] | None, linear: bool = False, assets: str | None = None) -> dict[str, str] | None:
-    """A table of scene parameters from name=value pairs, --linear and --assets; None if there are none."""
+def definitions(
+    pairs: list[str] | None, linear: bool = False, assets: str | None = None
+) -> dict[str, str] | None:
+    """A table of scene parameters from name=value pairs, --linear and --assets; None if there are
+    none.
+    """
     table = {"chart_linear": "1"} if linear else {}
     table |= {"assets": assets} if assets is not None else {}
     for pair in pairs or []:
@@ -473,7 +647,9 @@ def definitions(pairs: list[str] | None, linear: bool = False, assets: str | Non
 
 
 def answer(document: Document, as_json: bool, page: Path | None = None) -> None:
-    """Print a document as text as wide as the terminal, with the path of its page below it, or as JSON."""
+    """Print a document as text as wide as the terminal, with the path of its page below it, or as
+    JSON.
+    """
     from pixsim.show.render import WIDTH, json, text
 
     width = shutil.get_terminal_size((WIDTH, 0)).columns
@@ -492,7 +668,8 @@ def write_answer(
 ) -> None:
     """Measure something, write its files, and print it.
 
-    files : names of all that may be written; one that pixsim did not write is refused before anything is measured
+    files : names of all that may be written; one that pixsim did not write is refused before
+        anything is measured
     """
     from pixsim.show.render import write
 
@@ -506,10 +683,15 @@ def write_answer(
 
 
 def say(text: str, as_json: bool = False) -> None:
-    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe that is closed."""
+    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe that is
+    closed.
+    """
     try:
         print(printable(text, as_json), end="", flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None
+        raise PixsimError(
+            f"standard output: it cannot be written ({error.strerror}); the files of the command"
+            " are."
+        ) from None

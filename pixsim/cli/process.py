@@ -1,6 +1,8 @@
-"""The process of a command: requests to end it (Ctrl-C, SIGTERM, a closed terminal), and closed standard streams.
+"""The process of a command: requests to end it (Ctrl-C, SIGTERM, a closed terminal), and closed
+standard streams.
 
-It imports nothing but modules that Python has loaded by then, so that it is in place before anything else is imported.
+It imports nothing but modules that Python has loaded by then, so that it is in place before
+anything else is imported.
 """
 
 from __future__ import annotations
@@ -18,9 +20,13 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
-ENDING = {getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)}  # Windows has no SIGHUP
+ENDING = {
+    getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)
+}  # Windows has no SIGHUP
 IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
-SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
+SIGNAL_EXIT = (
+    128  # the exit code of a shell for a process that a signal ended, less the signal's number
+)
 PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
 WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
@@ -31,10 +37,11 @@ ENTERING = ("__enter__", "__exit__", "enter_context")
 class Interruption:
     """The first signal that asks this process to end, and what follows from it.
 
-    Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
-    is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
-    it into other errors, nor while a context manager is entered or left, as workers are: what is opened is then always closed.
-    From `end_or_raise` on, when the result is printed, it is not raised.
+    Before the command begins, the process ends at once: nothing is written, nothing else runs.
+    Afterwards a KeyboardInterrupt is raised, so that everything opened is closed. It is not raised
+    while Python imports a module, since libraries in C++ turn it into other errors, nor while a
+    context manager is entered or left, as workers are: what is opened is then always closed. From
+    `end_or_raise` on, when the result is printed, it is not raised.
     """
 
     received: int | None = None  # number of the signal that ends the command
@@ -42,7 +49,9 @@ class Interruption:
     _begun = _done = False
 
     def guard(self) -> None:
-        """Take the signals, except those that whoever started this process has set to be ignored (nohup, background jobs)."""
+        """Take the signals, except those that whoever started this process has set to be ignored
+        (nohup, background jobs).
+        """
         for number in ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._receive)
@@ -56,7 +65,9 @@ class Interruption:
         self._begun, self._done, self._first_s = True, False, None
 
     def end_or_raise(self) -> None:
-        """The command has ended but for its result, which is printed. Raises KeyboardInterrupt if a signal has come before."""
+        """The command has ended but for its result, which is printed. Raises KeyboardInterrupt if a
+        signal has come before.
+        """
         self._done = True
         if self.received is not None:
             raise_after(0)
@@ -101,16 +112,22 @@ class Interruption:
             raise KeyboardInterrupt
 
     def _unraisable(self, failure: sys.UnraisableHookArgs) -> None:
-        """Raise again later what Python can only print, since it was raised in a finalizer or a callback."""
-        if IS_TIMED and isinstance(failure.exc_value, KeyboardInterrupt) and self.received is not None:
+        """Raise again later what Python can only print, since it was raised in a finalizer or a
+        callback.
+        """
+        if (
+            IS_TIMED
+            and isinstance(failure.exc_value, KeyboardInterrupt)
+            and self.received is not None
+        ):
             raise_after(WAIT_S)
         else:
             sys.__unraisablehook__(failure)
 
     @staticmethod
     def _ignore() -> None:
-        """Ignore signals while Python clears its modules, 0.2 s: it takes our handlers away first, and its own would end the
-        process as if the command had not ended.
+        """Ignore signals while Python clears its modules, 0.2 s: it takes our handlers away first,
+        and its own would end the process as if the command had not ended.
         """
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
@@ -128,10 +145,14 @@ def raise_after(seconds: float) -> None:
 
 
 def must_wait(frame: FrameType | None) -> bool:
-    """Whether a module is imported, or a context manager entered or left, in a frame or those that called it."""
+    """Whether a module is imported, or a context manager entered or left, in a frame or those that
+    called it.
+    """
     while frame is not None:
         code = frame.f_code
-        if code.co_filename == IMPORTING or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")):
+        if code.co_filename == IMPORTING or (
+            code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")
+        ):
             return True
         frame = frame.f_back
     return False
@@ -141,18 +162,28 @@ interruption = Interruption()
 
 
 def open_closed_streams() -> None:
-    """Open /dev/null in place of a closed standard stream: otherwise the next file that is opened would take its place."""
+    """Open /dev/null in place of a closed standard stream: otherwise the next file that is opened
+    would take its place.
+    """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # it takes the lowest number, which is this one
+            os.set_inheritable(
+                os.open(os.devnull, os.O_RDWR), True
+            )  # it takes the lowest number, which is this one
         if getattr(sys, name) is None:
-            setattr(sys, name, open(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False))  # noqa: SIM115
+            setattr(
+                sys,
+                name,
+                open(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False),  # noqa: SIM115
+            )
 
 
 def discard_output() -> None:
-    """Send what is still to be printed to /dev/null: the reader has closed the pipe, or the disk is full."""
+    """Send what is still to be printed to /dev/null: the reader has closed the pipe, or the disk is
+    full.
+    """
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # ValueError: a stream without a file
             try:
@@ -164,7 +195,9 @@ def discard_output() -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process; at once where that is safe, since the clean-up of the modules takes up to 0.2 s and has no effect."""
+    """End the process; at once where that is safe, since the clean-up of the modules takes up to
+    0.2 s and has no effect.
+    """
     interruption.finish()
     discard_output()
     if "joblib" not in sys.modules:

@@ -1,4 +1,6 @@
-"""What a user can turn: controls from the declarations of fields, presets, and the words of a command with the same settings."""
+"""What a user can turn: controls from the declarations of fields, presets, and the words of a
+command with the same settings.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,27 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 # Settings that a designer turns; what this version does not have is left out.
 PITCH = "pixel.pitch_um"
 TURNED = (
-    *(PITCH, "pixel.read_noise_e", "camera.f_number", "exposure.integration_s", "exposure.max_integration_s"),
-    *("exposure.gain_db", "develop.denoise", "develop.denoise_strength", "motion.image_um_per_s", "display.samples_per_deg"),
+    *(
+        PITCH,
+        "pixel.read_noise_e",
+        "camera.f_number",
+        "exposure.integration_s",
+        "exposure.max_integration_s",
+    ),
+    *(
+        "exposure.gain_db",
+        "develop.denoise",
+        "develop.denoise_strength",
+        "motion.image_um_per_s",
+        "display.samples_per_deg",
+    ),
 )
-OF_ALL = ("scene", "camera", "lens", "display")  # tables that two sensors share, so that both see and show the same
+OF_ALL = (
+    "scene",
+    "camera",
+    "lens",
+    "display",
+)  # tables that two sensors share, so that both see and show the same
 LENS, NO_LENS = "lens.file", "thin lens"
 # What a field's name says in other words than a designer's.
 LABELS = {
@@ -37,7 +56,9 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Control:
-    """A field that can be turned, by its dotted name, with its bounds or choices; of a `pair` of numbers, the first is turned."""
+    """A field that can be turned, by its dotted name, with its bounds or choices; of a `pair` of
+    numbers, the first is turned.
+    """
 
     path: str
     label: str
@@ -54,7 +75,9 @@ class Control:
         return self.path.partition(".")[0] in OF_ALL
 
     def value(self, given: object) -> object:
-        """Return the value of the field for what a page sent. Raises PixsimError for what is no number, or none of the choices."""
+        """Return the value of the field for what a page sent. Raises PixsimError for what is no
+        number, or none of the choices.
+        """
         if self.choices:
             if given not in self.choices:
                 raise invalid(self.path, repr(given)[:80], ", ".join(self.choices))
@@ -69,39 +92,74 @@ class Control:
 
 
 def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Control]:
-    """Return the controls of a scene with these parameters, and of the lenses; light in memory has neither."""
+    """Return the controls of a scene with these parameters, and of the lenses; light in memory has
+    neither.
+    """
     schema = Run.model_json_schema()
     own = [control for path in TURNED if (control := _of_field(schema, path)) is not None]
     if lenses:
         words = "real lens in place of the thin one, whose f-number then counts no more"
         own.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
     if ILLUMINANCE in parameters:
-        own.insert(2, Control(f"scene.{ILLUMINANCE}", "illuminance", "lx", "at the place that the scene's author chose", 1e-9, 1e9))
+        own.insert(
+            2,
+            Control(
+                f"scene.{ILLUMINANCE}",
+                "illuminance",
+                "lx",
+                "at the place that the scene's author chose",
+                1e-9,
+                1e9,
+            ),
+        )
     elif EMITTER_SCALE in parameters:
         words = "of the chart's white; the display's white follows it, unless it is set"
-        own.insert(2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15))
+        own.insert(
+            2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15)
+        )
     return own
 
 
 def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:
-    """Return the control of a field of `Run`, from its JSON schema; None if there is no such field."""
+    """Return the control of a field of `Run`, from its JSON schema; None if there is no such
+    field.
+    """
     table, _, name = path.partition(".")
     of_table = schema["properties"].get(table, {}).get("$ref", "").rpartition("/")[2]
     declared = schema["$defs"].get(of_table, {}).get("properties", {}).get(name)
     if declared is None:
         return None
     kinds = [kind for kind in declared.get("anyOf", [declared]) if kind.get("type") != "null"]
-    choices = tuple(text for kind in kinds for text in (*kind.get("enum", ()), *([kind["const"]] if "const" in kind else ())))
+    choices = tuple(
+        text
+        for kind in kinds
+        for text in (*kind.get("enum", ()), *([kind["const"]] if "const" in kind else ()))
+    )
     pair = any(kind.get("type") == "array" for kind in kinds)
-    numbers = [inner for kind in kinds for inner in (kind.get("prefixItems", [kind]) if pair else [kind])]
-    least, most = (next((kind[key] for kind in numbers if key in kind), None) for key in ("minimum", "maximum"))
+    numbers = [
+        inner for kind in kinds for inner in (kind.get("prefixItems", [kind]) if pair else [kind])
+    ]
+    least, most = (
+        next((kind[key] for kind in numbers if key in kind), None) for key in ("minimum", "maximum")
+    )
     ending = next((end for end in UNITS if name.endswith(end)), "") if unit_of(name) else ""
     label = name.removesuffix(ending).replace("_", " ")
-    return Control(path, LABELS.get(label, label), unit_of(name), declared.get("description", ""), least, most, choices, pair=pair)
+    return Control(
+        path,
+        LABELS.get(label, label),
+        unit_of(name),
+        declared.get("description", ""),
+        least,
+        most,
+        choices,
+        pair=pair,
+    )
 
 
 class Preset(NamedTuple):
-    """Settings files, and options over them, to start from; with a name, and that of a group of names."""
+    """Settings files, and options over them, to start from; with a name, and that of a group of
+    names.
+    """
 
     group: str
     name: str
@@ -110,29 +168,61 @@ class Preset(NamedTuple):
 
 
 def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset]:
-    """Return the presets: first the files and options of the user, then each of several files, and what pixsim packages."""
+    """Return the presets: first the files and options of the user, then each of several files, and
+    what pixsim packages.
+    """
     found = [Preset("start", "as given", tuple(config), tables)]
     found += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
-    # A run with a data sheet alone would be shown on the dots of its pixels: all have one display, and a picture comes soon.
+    # A run with a data sheet alone would be shown on the dots of its pixels: all have one display,
+    # and a picture comes soon.
     given = {name: table for name, table in tables.items() if name != "pixel"}
     others = merge({"display": {"dots": Run().display.dots}}, given)
-    pixels = [("technologies", name, {"technology": name}) for name in packaged("data/technologies")]
-    pixels += [("sensors", name, settings_layer(name).table["pixel"]) for name in packaged_sensors()]
+    pixels = [
+        ("technologies", name, {"technology": name}) for name in packaged("data/technologies")
+    ]
+    pixels += [
+        ("sensors", name, settings_layer(name).table["pixel"]) for name in packaged_sensors()
+    ]
     colours = {name: NUMBERS["colour"].example | {"sensitivities": name} for name in camera_names()}
-    pixels += [("colours of cameras", name.replace("_", " "), {"colour": colour}) for name, colour in colours.items()]
-    return found + [Preset(group, name, (), {**others, "pixel": pixel}) for group, name, pixel in pixels]
+    pixels += [
+        ("colours of cameras", name.replace("_", " "), {"colour": colour})
+        for name, colour in colours.items()
+    ]
+    return found + [
+        Preset(group, name, (), {**others, "pixel": pixel}) for group, name, pixel in pixels
+    ]
 
 
 def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return tables with the values of some dotted fields over them; None leaves a field as it is."""
-    set_here = (nested(path.split("."), value) for path, value in values.items() if value is not None)
+    """Return tables with the values of some dotted fields over them; None leaves a field as it
+    is.
+    """
+    set_here = (
+        nested(path.split("."), value) for path, value in values.items() if value is not None
+    )
     return reduce(merge, set_here, dict(tables))
 
 
-def command_words(source: str, config: Sequence[Path], tables: Mapping[str, Any], repeats: int, flags: Sequence[str]) -> str:
-    """Return the command `pixsim run` with these settings files, options and further words, for a shell."""
-    words = ["pixsim", "run", source, *(word for path in config for word in ("--config", str(path))), *flags]
-    return shlex.join([*words, *_options(tables), *(["--repeats", str(repeats)] if repeats > 1 else [])])
+def command_words(
+    source: str,
+    config: Sequence[Path],
+    tables: Mapping[str, Any],
+    repeats: int,
+    flags: Sequence[str],
+) -> str:
+    """Return the command `pixsim run` with these settings files, options and further words, for a
+    shell.
+    """
+    words = [
+        "pixsim",
+        "run",
+        source,
+        *(word for path in config for word in ("--config", str(path))),
+        *flags,
+    ]
+    return shlex.join(
+        [*words, *_options(tables), *(["--repeats", str(repeats)] if repeats > 1 else [])]
+    )
 
 
 def _options(tables: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[str]:
@@ -141,9 +231,13 @@ def _options(tables: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator
         if isinstance(value, Mapping) and path != ("scene",):
             yield from _options(value, path)
         elif isinstance(value, Mapping):
-            yield from (word for parameter, text in value.items() for word in ("-D", f"{parameter}={text}"))
+            yield from (
+                word for parameter, text in value.items() for word in ("-D", f"{parameter}={text}")
+            )
         elif path == ("metrics",):
             yield from (word for metric in value for word in ("--metrics", metric))
         else:
             dotted = "window" if path == ("window_mm",) else ".".join(path).replace("_", "-")
-            yield f"--{dotted}={','.join(map(str, value)) if isinstance(value, list | tuple) else value}"
+            yield (
+                f"--{dotted}={','.join(map(str, value)) if isinstance(value, list | tuple) else value}"
+            )

@@ -20,8 +20,12 @@ from pixsim.viewer.display_options import Display
 
 def check_installed() -> None:
     """Raise PixsimError if a package of the server is missing."""
-    if missing := [name for name in ("starlette", "uvicorn", "websockets") if find_spec(name) is None]:
-        raise invalid("explore", f"no package {', '.join(missing)}", "pip install 'pixsim[explore]'")
+    if missing := [
+        name for name in ("starlette", "uvicorn", "websockets") if find_spec(name) is None
+    ]:
+        raise invalid(
+            "explore", f"no package {', '.join(missing)}", "pip install 'pixsim[explore]'"
+        )
 
 
 def explore(
@@ -35,14 +39,18 @@ def explore(
     develop: Develop | None = None,
     opened: Callable[[Path], object] | None = None,
 ) -> None:
-    """Open a page in the browser on which settings of a sensor in this light are turned, until it is closed.
+    """Open a page in the browser on which settings of a sensor in this light are turned, until it
+    is closed.
 
     light : on the sensor, rendered or of another program; it stays as it is
     camera : None means that of the light
-    exposure, display, correction, develop : to start from, as of `pixsim.evaluate`; None means the defaults
-    opened : takes the path of the private file that leads to the page, such as print; None opens the browser
+    exposure, display, correction, develop : to start from, as of `pixsim.evaluate`; None means the
+        defaults
+    opened : takes the path of the private file that leads to the page, such as print; None opens
+        the browser
 
-    What is shown is what `pixsim run` computes of the light. An interruption (Ctrl-C, or that of a notebook) ends it, too.
+    What is shown is what `pixsim run` computes of the light. An interruption (Ctrl-C, or that of a
+    notebook) ends it, too.
 
     Raises PixsimError for invalid input, and without the packages of pixsim[explore].
     """
@@ -51,6 +59,8 @@ def explore(
 
     names = "pixel", "camera", "exposure", "display", "correction", "develop"
     own = zip(names, (pixel, camera, exposure, display, correction, develop), strict=True)
-    stated = {"exclude_unset": True, "exclude_none": True, "exclude": {"lens"}}
-    tables = {name: record.model_dump(**stated) for name, record in own if isinstance(record, Record)}  # type: ignore[arg-type]
+    stated: dict[str, Any] = {"exclude_unset": True, "exclude_none": True, "exclude": {"lens"}}
+    tables = {
+        name: record.model_dump(**stated) for name, record in own if isinstance(record, Record)
+    }
     explore_until_closed(Session(light, (), tables), opened)

@@ -1,8 +1,10 @@
-"""The server of the page, on 127.0.0.1 only, for whoever can read a file that is private to the user.
+"""The server of the page, on 127.0.0.1 only, for whoever can read a file that is private to the
+user.
 
-Other users see the arguments of a browser, and all ports of a machine share its cookies. So the browser opens a file of mode 0600,
-which leads to the page with a token behind "#", where no server sees it. The page takes it from its address, and sends it as the
-first message of its WebSocket. Host and Origin of every request are those of the page: no other site reaches the server.
+Other users see the arguments of a browser, and all ports of a machine share its cookies. So the
+browser opens a file of mode 0600, which leads to the page with a token behind "#", where no server
+sees it. The page takes it from its address, and sends it as the first message of its WebSocket.
+Host and Origin of every request are those of the page: no other site reaches the server.
 """
 
 from __future__ import annotations
@@ -33,7 +35,11 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.explorer.session import PageRequest, Session
 
 HOST = "127.0.0.1"
-FILES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript"), "/page.css": ("page.css", "text/css")}
+FILES = {
+    "/": ("page.html", "text/html"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/page.css": ("page.css", "text/css"),
+}
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -55,13 +61,24 @@ class SamePage:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
-            found = {name: [value for key, value in scope["headers"] if key == name] for name in (b"host", b"origin")}
+            found = {
+                name: [value for key, value in scope["headers"] if key == name]
+                for name in (b"host", b"origin")
+            }
             host, origin = found[b"host"], found[b"origin"]
-            asks = bool(origin) or scope["type"] == "websocket"  # a page that is opened states no origin
-            if len(host) != 1 or host[0] not in self.hosts or (asks and origin != [b"http://" + host[0]]):
+            asks = (
+                bool(origin) or scope["type"] == "websocket"
+            )  # a page that is opened states no origin
+            if (
+                len(host) != 1
+                or host[0] not in self.hosts
+                or (asks and origin != [b"http://" + host[0]])
+            ):
                 if scope["type"] == "http":
                     return await Response("another host or origin", 403)(scope, receive, send)
-                return await send({"type": "websocket.close", "code": REFUSED})  # before it is accepted: 403
+                return await send(
+                    {"type": "websocket.close", "code": REFUSED}
+                )  # before it is accepted: 403
         await self.app(scope, receive, send)
 
 
@@ -78,11 +95,17 @@ class Pages:
         """Send a message to the page, from any thread; if none is open, nobody needs it."""
         if self.loop is not None and self.open is not None:
             with suppress(Exception):  # whatever a page that is just closed raises
-                asyncio.run_coroutine_threadsafe(self.open.send_json(message), self.loop).result(FIRST_S)
+                asyncio.run_coroutine_threadsafe(self.open.send_json(message), self.loop).result(
+                    FIRST_S
+                )
 
     async def file(self, request: Request) -> Response:
         name, kind = FILES[request.url.path]
-        return Response((resources.files("pixsim") / "data/explorer" / name).read_bytes(), media_type=kind, headers=HEADERS)
+        return Response(
+            (resources.files("pixsim") / "data/explorer" / name).read_bytes(),
+            media_type=kind,
+            headers=HEADERS,
+        )
 
     async def socket(self, page: WebSocket) -> None:
         self.loop = asyncio.get_running_loop()
@@ -90,7 +113,10 @@ class Pages:
         try:
             first = await asyncio.wait_for(page.receive_json(), FIRST_S)
             given = first.get("token") if isinstance(first, dict) else None
-            if not (isinstance(given, str) and secrets.compare_digest(given.encode(), self.token.encode())):
+            if not (
+                isinstance(given, str)
+                and secrets.compare_digest(given.encode(), self.token.encode())
+            ):
                 await page.close(REFUSED)
                 return
             if self.open is not None:
@@ -124,9 +150,19 @@ def served(session: Session) -> Iterator[Path]:
     pages = Pages(session, token)
     routes = [*(Route(path, pages.file) for path in FILES), WebSocketRoute("/socket", pages.socket)]
     app = SamePage(Starlette(routes=routes), port)
-    own = {"log_level": "critical", "access_log": False, "server_header": False, "ws_max_size": MOST_BYTES, "lifespan": "off"}
-    server = uvicorn.Server(uvicorn.Config(app, ws="websockets-sansio", timeout_graceful_shutdown=1, **own))  # type: ignore[arg-type]
-    thread = threading.Thread(target=server.run, args=([listening],), name="pixsim explore", daemon=True)
+    options: dict[str, Any] = {
+        "log_level": "critical",
+        "access_log": False,
+        "server_header": False,
+        "ws_max_size": MOST_BYTES,
+        "lifespan": "off",
+    }
+    server = uvicorn.Server(
+        uvicorn.Config(app, ws="websockets-sansio", timeout_graceful_shutdown=1, **options)
+    )
+    thread = threading.Thread(
+        target=server.run, args=([listening],), name="pixsim explore", daemon=True
+    )
     number, name = tempfile.mkstemp(".html", "pixsim-explore-")  # of mode 0600
     try:
         with os.fdopen(number, "w", encoding="utf-8") as file:
@@ -142,7 +178,9 @@ def served(session: Session) -> Iterator[Path]:
 
 
 def explore_until_closed(session: Session, told: Callable[[Path], object] | None = None) -> None:
-    """Open the page of a session by the browser, or by what is `told` its file, and compute what it asks for until it is closed."""
+    """Open the page of a session by the browser, or by what is `told` its file, and compute what it
+    asks for until it is closed.
+    """
     with served(session) as file:
         if told is not None:
             told(file)

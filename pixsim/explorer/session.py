@@ -1,4 +1,6 @@
-"""What is computed for the page: only for its last settings, first the picture, then its errors, then a curve over pixel sizes."""
+"""What is computed for the page: only for its last settings, first the picture, then its errors,
+then a curve over pixel sizes.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,16 @@ from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE, packaged
-from pixsim.explorer.controls import LENS, NO_LENS, PITCH, Preset, command_words, controls_of, presets_of, with_values
+from pixsim.explorer.controls import (
+    LENS,
+    NO_LENS,
+    PITCH,
+    Preset,
+    command_words,
+    controls_of,
+    presets_of,
+    with_values,
+)
 from pixsim.light.quantities import LUMINANCE
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import run_document, run_settings_text
@@ -40,18 +51,27 @@ from pixsim.viewer.settings_file import run_settings
 
 MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
 REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
-CURVE_STEPS, A_DECADE = 4, 12  # sizes on each side of the pixel's, and how many there are from one to ten times it
+CURVE_STEPS, A_DECADE = (
+    4,
+    12,
+)  # sizes on each side of the pixel's, and how many there are from one to ten times it
 TELL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
-LIGHT: Any = {"display": {"white"}} | dict.fromkeys(("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True)
+LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
+    ("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True
+)
 
 
 class SupersededError(BaseException):
-    """Other settings came, or the page was closed: what is being computed is no longer asked for."""
+    """Other settings came, or the page was closed: what is being computed is no longer asked
+    for.
+    """
 
 
 class PageRequest(NamedTuple):
-    """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and perhaps a curve."""
+    """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and
+    perhaps a curve.
+    """
 
     number: int
     sensors: tuple[tuple[int, Mapping[str, Any]], ...]
@@ -63,17 +83,22 @@ class PageRequest(NamedTuple):
         """Return a request from JSON. Raises PixsimError for another message."""
         try:
             sensors = tuple((int(each["preset"]), dict(each["set"])) for each in message["sensors"])
-            found = cls(int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"]))
+            found = cls(
+                int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"])
+            )
             if 1 <= len(sensors) <= MOST_SENSORS and all(name in METRICS for name in found.metrics):
                 return found
         except (KeyError, TypeError, ValueError):
             pass  # no request
-        raise invalid("page", "a message that is no request", "what the page of this version of pixsim sends")
+        raise invalid(
+            "page", "a message that is no request", "what the page of this version of pixsim sends"
+        )
 
 
 @dataclass
 class Session:
-    """What one page computes, in the thread of `serve`; `ask` and `end` may be called from any thread.
+    """What one page computes, in the thread of `serve`; `ask` and `end` may be called from any
+    thread.
 
     source : scene, or picture of another program; or light in memory
     config, tables : settings files and options of the user
@@ -103,9 +128,21 @@ class Session:
     def hello(self) -> dict[str, Any]:
         """Return what a page is made of."""
         presets = [{"group": preset.group, "name": preset.name} for preset in self.presets]
-        others = {name: f"{metric.words} ({metric.judges})" for name, metric in METRICS.items() if metric is not DELTA_E}
+        others = {
+            name: f"{metric.words} ({metric.judges})"
+            for name, metric in METRICS.items()
+            if metric is not DELTA_E
+        }
         controls = [asdict(control) | {"of_all": control.of_all} for control in self.controls]
-        return {"hello": {"title": self.title, "presets": presets, "metrics": others, "controls": controls, "sensors": REPEATS}}
+        return {
+            "hello": {
+                "title": self.title,
+                "presets": presets,
+                "metrics": others,
+                "controls": controls,
+                "sensors": REPEATS,
+            }
+        }
 
     def ask(self, asked: PageRequest) -> None:
         """Drop what is asked for now, and compute this."""
@@ -133,11 +170,15 @@ class Session:
             except SupersededError:
                 pass  # what came is next
             except (PixsimError, MemoryError) as error:
-                words = str(error) or "out of memory: take larger pixels, or a smaller part of the die"
+                words = (
+                    str(error) or "out of memory: take larger pixels, or a smaller part of the die"
+                )
                 self.send({"number": asked.number, "error": words})
 
     def answer(self, asked: PageRequest) -> None:
-        """Send the pictures of a request as soon as they are known, then with their errors, then curves."""
+        """Send the pictures of a request as soon as they are known, then with their errors, then
+        curves.
+        """
         jobs, found = [], []
         for number in range(len(asked.sensors)):
             with collected_notes(alone=True):
@@ -160,18 +201,26 @@ class Session:
         self.send({"number": asked.number, "done": True})
 
     def _settings(self, asked: PageRequest, number: int) -> tuple[Preset, dict[str, Any]]:
-        """Return the preset of a sensor, and its options. Raises PixsimError for what this page does not have."""
+        """Return the preset of a sensor, and its options. Raises PixsimError for what this page
+        does not have.
+        """
         place, values = asked.sensors[number]
         controls = {control.path: control for control in self.controls}
         if unknown := [path for path in values if path not in controls]:
             raise invalid("page", f"'{unknown[0]}'"[:80], "a control of this page")
         if not 0 <= place < len(self.presets):
             raise invalid("page", f"preset {place}", "a preset of this page")
-        shared = {path: value for path, value in asked.sensors[0][1].items() if path in controls and controls[path].of_all}
+        shared = {
+            path: value
+            for path, value in asked.sensors[0][1].items()
+            if path in controls and controls[path].of_all
+        }
         own = {path: value for path, value in values.items() if not controls[path].of_all}
         set_here = {path: controls[path].value(value) for path, value in (shared | own).items()}
         tables = with_values(self.presets[place].tables, set_here)
-        return self.presets[place], tables | ({"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {})
+        return self.presets[place], tables | (
+            {"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {}
+        )
 
     def _job(self, asked: PageRequest, number: int) -> Job[Run]:
         """Return the prepared run of a sensor."""
@@ -179,7 +228,13 @@ class Session:
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
             source = copy(source)
             source.header = dict(source.header)
-        return prepare(source, run_settings(preset.config, tables), repeats=REPEATS, judges_settings=False, **self.given)
+        return prepare(
+            source,
+            run_settings(preset.config, tables),
+            repeats=REPEATS,
+            judges_settings=False,
+            **self.given,
+        )
 
     def _stage(self, asked: PageRequest) -> Callable[[str], Progress]:
         """Return stages that tell the page what is done, and end when other settings come."""
@@ -198,17 +253,34 @@ class Session:
         return stage
 
     def _light_key(self, job: Job[Run]) -> str:
-        """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
+        """Return what light must have in common to serve for a first picture: all but the accuracy
+        that each pixel asks for.
+        """
         bands = [] if job.cases[0].picture else job.request.plan.light.bands.edges_nm.tolist()
-        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
+        return content_hash(
+            [
+                job.settings.model_dump(mode="json", include=LIGHT),
+                job.camera.model_dump(mode="json"),
+                bands,
+            ]
+        )
 
     def _kept(self, job: Job[Run]) -> LitRun | None:
-        """Return a run for the first picture, by ΔE alone, in light that is known or comes at once; None if it must be rendered."""
+        """Return a run for the first picture, by ΔE alone, in light that is known or comes at once;
+        None if it must be rendered.
+        """
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
             self._keep(LitRun(job, case.picture))
         elif key not in self._lights and job.request.plan.samples.exact:
-            self._keep(LitRun(job, job.request.render(job.request.first, job.request.plan)[0], None, job.request.plan))
+            self._keep(
+                LitRun(
+                    job,
+                    job.request.render(job.request.first, job.request.plan)[0],
+                    None,
+                    job.request.plan,
+                )
+            )
         if key not in self._lights:
             return None
         settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})
@@ -219,10 +291,16 @@ class Session:
         return LitRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
     def _keep(self, lit: LitRun) -> LitRun:
-        """Keep the light of a run; if it is the same as one that is kept, return the run in that one."""
+        """Keep the light of a run; if it is the same as one that is kept, return the run in that
+        one.
+        """
         key = self._light_key(lit.prepared)
         old = self._lights.pop(key).irradiance if key in self._lights else None
-        if old is not None and old.shape == lit.irradiance.shape and _bare(old.header) == _bare(lit.irradiance.header):
+        if (
+            old is not None
+            and old.shape == lit.irradiance.shape
+            and _bare(old.header) == _bare(lit.irradiance.header)
+        ):
             old.header = lit.irradiance.header  # with the white
             lit = replace(lit, irradiance=old)
         while len(self._lights) >= MOST_LIGHTS:
@@ -231,25 +309,55 @@ class Session:
         self._scenes.drop_all_but([each.irradiance for each in self._lights.values()])
         return lit
 
-    def _message(self, asked: PageRequest, number: int, result: RunResult, *, sure: bool, known: bool = False) -> dict[str, Any]:
-        """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if these are `known`."""
+    def _message(
+        self, asked: PageRequest, number: int, result: RunResult, *, sure: bool, known: bool = False
+    ) -> dict[str, Any]:
+        """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if
+        these are `known`.
+        """
         score, job = result.score, result.prepared
-        found: dict[str, Any] = {"number": asked.number, "sensor": number, "sure": sure, "values": self._values(result)}
+        found: dict[str, Any] = {
+            "number": asked.number,
+            "sensor": number,
+            "sure": sure,
+            "values": self._values(result),
+        }
         if not known:
             end = scale_end(result.statistics[0]["p99_delta_e"])
             codes = {"ideal": display_codes(score.ideal), "image": display_codes(score.image)}
             codes["delta_e"] = delta_e_colours(score.delta_e, end)
-            uris = {name: "data:image/png;base64," + base64.b64encode(png_bytes(each)).decode() for name, each in codes.items()}
+            uris = {
+                name: "data:image/png;base64," + base64.b64encode(png_bytes(each)).decode()
+                for name, each in codes.items()
+            }
             found |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
         if not sure:
-            words = f"mean ΔE {estimate(result.mean_delta_e)} of one sensor, with errors that are being measured"
+            words = (
+                f"mean ΔE {estimate(result.mean_delta_e)} of one sensor, with errors that are being"
+                " measured"
+            )
             return found | {"lines": [words], "unsure": "errors not measured yet"}
         preset, tables = self._settings(asked, number)
-        flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]
-        own = (job.file, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
+        flags = [
+            word
+            for name in ("sensor", "variant", "units")
+            if (value := getattr(job, name))
+            for word in (f"--{name}", value)
+        ]
+        own = (
+            (job.file, preset.config, tables)
+            if isinstance(self.source, str)
+            else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
+        )
         is_sure = converged(result.light, result.light_limit)
-        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if is_sure else NOT_CONVERGED}
-        return found | {"command": command_words(*own, REPEATS, flags), "settings": run_settings_text(job, result.irradiance)}
+        found |= {
+            "lines": text(run_document(result), LINE).splitlines(),
+            "unsure": "" if is_sure else NOT_CONVERGED,
+        }
+        return found | {
+            "command": command_words(*own, REPEATS, flags),
+            "settings": run_settings_text(job, result.irradiance),
+        }
 
     def _values(self, result: RunResult) -> dict[str, object]:
         """Return the values of the controls in effect, by their paths, as they are shown."""
@@ -259,25 +367,46 @@ class Session:
             score = result.score
             of_pixel = score.physics, score.readout, score.readout.adc
             places: list[object] = [getattr(settings, table), result.camera, *of_pixel, score.frame]
-            value = next((each for place in places if (each := getattr(place, name, None)) is not None), None)
+            value = next(
+                (each for place in places if (each := getattr(place, name, None)) is not None), None
+            )
             if table == "scene":
-                given = settings.scene.get(name, result.prepared.cases[0].scene.text().defaults.get(name))
-                value = result.plan.light.chart_white.get(LUMINANCE) if given is None and result.plan else given
-            shown[control.path] = settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
+                given = settings.scene.get(
+                    name, result.prepared.cases[0].scene.text().defaults.get(name)
+                )
+                value = (
+                    result.plan.light.chart_white.get(LUMINANCE)
+                    if given is None and result.plan
+                    else given
+                )
+            shown[control.path] = (
+                settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
+            )
         return shown
 
     def _curve(self, asked: PageRequest, number: int, lit: LitRun) -> Iterator[list[float]]:
-        """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the nearest first, in one light."""
+        """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the
+        nearest first, in one light.
+        """
         middle = round(A_DECADE * np.log10(lit.prepared.settings.pixel.pitch_um))
         for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):
-            pitch_um, sensors = float(f"{10 ** ((middle + step) / A_DECADE):.3g}"), list(asked.sensors)
+            pitch_um, sensors = (
+                float(f"{10 ** ((middle + step) / A_DECADE):.3g}"),
+                list(asked.sensors),
+            )
             sensors[number] = sensors[number][0], {**sensors[number][1], PITCH: pitch_um}
             try:
                 with collected_notes(alone=True):
                     job = self._job(asked._replace(sensors=tuple(sensors), metrics=()), number)
-                    key = content_hash([job.settings.model_dump(mode="json"), lit.irradiance.header])
+                    key = content_hash(
+                        [job.settings.model_dump(mode="json"), lit.irradiance.header]
+                    )
                     if key not in self._points:
-                        result = score_run(LitRun(job, lit.irradiance, None, lit.plan), self._stage(asked), self._scenes)
+                        result = score_run(
+                            LitRun(job, lit.irradiance, None, lit.plan),
+                            self._stage(asked),
+                            self._scenes,
+                        )
                         low, high = result.interval_delta_e or (0.0, 0.0)
                         self._points[key] = [pitch_um, result.mean_delta_e, (high - low) / 2]
             except PixsimError:

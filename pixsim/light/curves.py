@@ -1,4 +1,6 @@
-"""Curves against wavelength: quantum efficiencies and responses of channels, from numbers, pairs or files."""
+"""Curves against wavelength: quantum efficiencies and responses of channels, from numbers, pairs or
+files.
+"""
 
 from __future__ import annotations
 
@@ -15,81 +17,127 @@ from pixsim.base.bounds import SMALLEST, brief
 from pixsim.base.errors import names_in, quoted
 from pixsim.base.records import as_float
 from pixsim.light.quantities import MIN_FRACTION, Fraction
-from pixsim.light.tables import A_PER_W, IN_BRACKETS, PERCENT, WavelengthTable, quantum_efficiency_of, read_table, unit_hint
+from pixsim.light.tables import (
+    A_PER_W,
+    IN_BRACKETS,
+    PERCENT,
+    WavelengthTable,
+    quantum_efficiency_of,
+    read_table,
+    unit_hint,
+)
 
-EfficiencyCurve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
+EfficiencyCurve = tuple[
+    tuple[float, float], ...
+]  # (wavelength in nm, electrons per photon), wavelengths increasing
 ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
 MAX_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
-ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
+ALLOWED = (
+    "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not"
+    " all of them 0"
+)
 
 
 def as_quantum_efficiency(value: object) -> object:
-    """Quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is neither."""
+    """Quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV file.
+    ValueError if it is neither.
+    """
     if value is None:
         return None
     if isinstance(value, str | Path):
         try:
             value = float(str(value))
         except ValueError:
-            if (per_cent := re.fullmatch(r"\s*(\d{1,3}(?:\.\d{1,9})?)\s*%\s*", str(value))) and not Path(str(value)).exists():
+            if (
+                per_cent := re.fullmatch(r"\s*(\d{1,3}(?:\.\d{1,9})?)\s*%\s*", str(value))
+            ) and not Path(str(value)).exists():
                 number = float(per_cent[1])
-                raise ValueError(f"got '{value}'; allowed: a fraction: {number:g} % is {number / 100:g}") from None
+                raise ValueError(
+                    f"got '{value}'; allowed: a fraction: {number:g} % is {number / 100:g}"
+                ) from None
             return read_curve(Path(str(value)))
     if isinstance(value, int | float):
         value = as_float(value)
         if 1 < value <= 100:
             raise ValueError(f"got {value:g}; allowed: a fraction: {value:g} % is {value / 100:g}")
         if not MIN_FRACTION <= value <= 1:
-            raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
+            raise ValueError(
+                f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in"
+                " nm and value"
+            )
         return value
     try:
-        pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in cast("Iterable[tuple[object, object]]", value))
+        pairs = tuple(
+            (as_float(nm), as_float(efficiency))
+            for nm, efficiency in cast("Iterable[tuple[object, object]]", value)
+        )
     except (TypeError, ValueError):
         raise ValueError(
-            "got neither a number, nor a file, nor a list of pairs; allowed: 0.6, 'qe.csv', or [[400, 0.3], [550, 0.6]]"
+            "got neither a number, nor a file, nor a list of pairs; allowed: 0.6, 'qe.csv', or"
+            " [[400, 0.3], [550, 0.6]]"
         ) from None
     return _check_curve(pairs, "a list")
 
 
 def read_curve(path: Path) -> EfficiencyCurve:
-    """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are not a curve."""
+    """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are
+    not a curve.
+    """
     table = read_table(path, "quantum efficiency", ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
     return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
 def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
-    """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a responsivity makes it more than 1."""
+    """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a
+    responsivity makes it more than 1.
+    """
     nm = [float(each) for each in table.nm]
     for column in table.columns:
         highest = max(quantum_efficiency_of(column, table.nm), default=0.0)
         if column.unit == A_PER_W and highest > 1:
-            got = f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
-            raise ValueError(f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?")
-    return [tuple(zip(nm, quantum_efficiency_of(column, table.nm), strict=True)) for column in table.columns]
+            got = (
+                f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
+            )
+            raise ValueError(
+                f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?"
+            )
+    return [
+        tuple(zip(nm, quantum_efficiency_of(column, table.nm), strict=True))
+        for column in table.columns
+    ]
 
 
 IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the title, as nm,QE (%)"
 
 
 def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
-    """Pairs of a wavelength and a value, in ascending order if all wavelengths decrease; values below `SMALLEST` are 0."""
+    """Pairs of a wavelength and a value, in ascending order if all wavelengths decrease; values
+    below `SMALLEST` are 0.
+    """
     pairs = tuple((nm, 0.0 if abs(value) < SMALLEST else value) for nm, value in pairs)
     return pairs[::-1] if all(one > other for (one, _), (other, _) in pairwise(pairs)) else pairs
 
 
 def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     if len(pairs) < 2:
-        raise ValueError(f"got {source} of {len(pairs)} points; allowed: at least two points, {ALLOWED}")
+        raise ValueError(
+            f"got {source} of {len(pairs)} points; allowed: at least two points, {ALLOWED}"
+        )
     pairs = _rising(pairs)
     unit = unit_hint([nm for nm, _ in pairs], ALLOWED_NM)
     for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
             hint = f" {unit}." if unit else ""
-            raise ValueError(f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
+            raise ValueError(
+                f"got {source} with {nm:g} nm followed by {following:g} nm; allowed:"
+                f" {ALLOWED}.{hint}"
+            )
         if not 0 <= efficiency <= 1:
             hint = f" {IN_PER_CENT}." if 1 < efficiency <= 100 else ""
-            raise ValueError(f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
+            raise ValueError(
+                f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}"
+            )
     if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {ALLOWED}")
     return pairs
@@ -99,15 +147,22 @@ ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and su
 
 
 def as_share(value: object) -> object:
-    """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is none."""
+    """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file.
+    ValueError if it is none.
+    """
     if value is None:
         raise ValueError(f"got None; allowed: {ALLOWED_SHARE}")
     if isinstance(value, str | Path):
         try:
             value = float(str(value))
         except ValueError:
-            table = read_table(Path(str(value)), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM)
-            columns = [zip(map(float, table.nm), map(float, each.values), strict=True) for each in table.columns]
+            table = read_table(
+                Path(str(value)), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM
+            )
+            columns = [
+                zip(map(float, table.nm), map(float, each.values), strict=True)
+                for each in table.columns
+            ]
             return _check_shares(tuple(columns[0]) if columns else (), f"'{value}'")
     if isinstance(value, int | float):
         value = as_float(value)
@@ -116,33 +171,61 @@ def as_share(value: object) -> object:
             raise ValueError(f"got {value:g}; allowed: {ALLOWED_SHARE}{hint}")
         return value
     try:
-        pairs = tuple((as_float(nm), as_float(share)) for nm, share in cast("Iterable[tuple[object, object]]", value))
+        pairs = tuple(
+            (as_float(nm), as_float(share))
+            for nm, share in cast("Iterable[tuple[object, object]]", value)
+        )
     except (TypeError, ValueError):
-        raise ValueError(f"got neither a number, nor a file, nor a list of pairs; allowed: {ALLOWED_SHARE}") from None
+        raise ValueError(
+            f"got neither a number, nor a file, nor a list of pairs; allowed: {ALLOWED_SHARE}"
+        ) from None
     return _check_shares(pairs, "a list")
 
 
 def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     pairs = _rising(pairs)
     rises = all(one < other for (one, _), (other, _) in pairwise(pairs))
-    if len(pairs) < 2 or not (rises and ALLOWED_NM[0] <= pairs[0][0] and pairs[-1][0] <= ALLOWED_NM[1]):
-        raise ValueError(f"got {source} of {len(pairs)} points; allowed: two or more, wavelengths of 100 to 2000 nm that increase")
+    if len(pairs) < 2 or not (
+        rises and ALLOWED_NM[0] <= pairs[0][0] and pairs[-1][0] <= ALLOWED_NM[1]
+    ):
+        raise ValueError(
+            f"got {source} of {len(pairs)} points; allowed: two or more, wavelengths of 100 to 2000"
+            " nm that increase"
+        )
     if outside := [share for _, share in pairs if not 0 <= share < 1]:
         hint = f" {IN_PER_CENT}." if 1 <= outside[0] < 100 else ""
-        raise ValueError(f"got {source} with a share of {outside[0]:g}; allowed: {ALLOWED_SHARE}.{hint}")
+        raise ValueError(
+            f"got {source} with a share of {outside[0]:g}; allowed: {ALLOWED_SHARE}.{hint}"
+        )
     return pairs
 
 
 LARGEST_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
 Curves = dict[str, EfficiencyCurve]  # letter of a channel -> its curve
-COLOUR_WORDS = {"red": "R", "green": "G", "blue": "B", "clear": "C", "white": "W", "cyan": "C", "magenta": "M", "yellow": "Y"}
-SURELY_SEEN_NM = (400.0, 700.0)  # that curves of channels must cover: what lies outside is taken as 0
+COLOUR_WORDS = {
+    "red": "R",
+    "green": "G",
+    "blue": "B",
+    "clear": "C",
+    "white": "W",
+    "cyan": "C",
+    "magenta": "M",
+    "yellow": "Y",
+}
+SURELY_SEEN_NM = (
+    400.0,
+    700.0,
+)  # that curves of channels must cover: what lies outside is taken as 0
 LARGEST_STEP_NM = 20.0  # between their points there
-ALLOWED_CURVES = "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as title"
+ALLOWED_CURVES = (
+    "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as"
+    " title"
+)
 
 
 def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
-    """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV file. ValueError if it is neither.
+    """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV
+    file. ValueError if it is neither.
 
     kind : what the values are, for messages
     highest : that a value may be
@@ -152,18 +235,24 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
         if value is None:
             return None
         if isinstance(value, str | Path):
-            if kind == "sensitivities" and not (str(value).endswith(".csv") or Path(value).is_file()):
+            if kind == "sensitivities" and not (
+                str(value).endswith(".csv") or Path(value).is_file()
+            ):
                 return str(value)  # of a camera; `pixsim.sensor.colour` knows them
             return _read_curves(Path(value), kind, highest)
         if not isinstance(value, Mapping) or not value:
-            raise ValueError(f"got {brief(value)}; allowed: {ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1], [700, 0.5]] }}")
+            raise ValueError(
+                f"got {brief(value)}; allowed: {ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1],"
+                " [700, 0.5]] }"
+            )
         curves = {}
         for name, pairs in value.items():
             try:
                 curve = tuple((as_float(nm), as_float(number)) for nm, number in pairs)
             except (TypeError, ValueError):
                 raise ValueError(
-                    f"got no list of pairs for {names_in([str(name)])[0]}; allowed: R = [[400, 0.1], [700, 0.5]]"
+                    f"got no list of pairs for {names_in([str(name)])[0]}; allowed: R = [[400,"
+                    " 0.1], [700, 0.5]]"
                 ) from None
             curves[_letter(str(name))] = _check_channel(curve, kind, highest, f"channel {name}")
         return curves
@@ -172,23 +261,35 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
 
 
 def _read_curves(path: Path, kind: str, highest: float) -> Curves:
-    """Curves of channels from the columns of a table: in A/W those of quantum efficiencies are converted, sensitivities not."""
+    """Curves of channels from the columns of a table: in A/W those of quantum efficiencies are
+    converted, sensitivities not.
+    """
     table = read_table(path, kind, ALLOWED_CURVES, 2, MAX_FILE_BYTES, ALLOWED_NM)
-    titles = [IN_BRACKETS.sub("", PERCENT.sub("", column.title)).strip(" _") for column in table.columns]
+    titles = [
+        IN_BRACKETS.sub("", PERCENT.sub("", column.title)).strip(" _") for column in table.columns
+    ]
     letters = [_letter(title) for title in titles if title] or list("RGB")
     count = len(table.columns)
     if len(letters) != count:
         named = f"{len(letters)} channels in the title" if any(titles) else "no title"
-        raise ValueError(f"got '{path}' with {named} and {count} values; allowed: {ALLOWED_CURVES}, as wavelength_nm,R,G,B")
+        raise ValueError(
+            f"got '{path}' with {named} and {count} values; allowed: {ALLOWED_CURVES}, as"
+            " wavelength_nm,R,G,B"
+        )
     if twice := [letter for place, letter in enumerate(letters) if letter in letters[:place]]:
         raise ValueError(f"got '{path}' with two channels {twice[0]}; allowed: each letter once")
     if len({column.unit == A_PER_W for column in table.columns}) > 1 or (
         kind == "transmittances" and table.columns[0].unit == A_PER_W
     ):
-        raise ValueError(f"got '{path}' with {kind} in A/W; allowed: all channels of a sensor in A/W, or none")
+        raise ValueError(
+            f"got '{path}' with {kind} in A/W; allowed: all channels of a sensor in A/W, or none"
+        )
     if kind == "sensitivities":  # relative to energy, as A/W are
         curves = [
-            tuple((float(nm), float(value)) for nm, value in zip(table.nm, column.values, strict=True)) for column in table.columns
+            tuple(
+                (float(nm), float(value)) for nm, value in zip(table.nm, column.values, strict=True)
+            )
+            for column in table.columns
         ]
     else:
         curves = _efficiencies(table, path)
@@ -202,12 +303,19 @@ def _letter(name: str) -> str:
     """The letter of a channel, from a letter or a colour's name. ValueError if it is neither."""
     letter = COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
     if not re.fullmatch("[A-Z]", letter):
-        raise ValueError(f"got a channel named {quoted(name)}; allowed: one letter, as R, G, B, C (clear) or W (white)")
+        raise ValueError(
+            f"got a channel named {quoted(name)}; allowed: one letter, as R, G, B, C (clear) or W"
+            " (white)"
+        )
     return letter
 
 
-def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: str) -> EfficiencyCurve:
-    """The curve of a channel. ValueError if it has gaps, or values that are out of range or all zero."""
+def _check_channel(
+    curve: EfficiencyCurve, kind: str, highest: float, source: str
+) -> EfficiencyCurve:
+    """The curve of a channel. ValueError if it has gaps, or values that are out of range or all
+    zero.
+    """
     values = f"0 to {highest:g}"
     allowed = f"{kind} of {values}, wavelengths in nm that increase"
     curve = _rising(curve)
@@ -215,27 +323,36 @@ def _check_channel(curve: EfficiencyCurve, kind: str, highest: float, source: st
     for (nm, value), (following, _) in pairwise([*curve, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
             raise ValueError(
-                f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}." + (f" {unit}." if unit else "")
+                f"got {source} with {nm:g} nm followed by {following:g} nm; allowed: {allowed}."
+                + (f" {unit}." if unit else "")
             )
         if not 0 <= value <= highest:
             hint = f" {IN_PER_CENT}." if 1 < value <= 100 else ""
-            hint = " Set negative values, as noise of a measurement leaves them, to 0." if value < 0 else hint
+            hint = (
+                " Set negative values, as noise of a measurement leaves them, to 0."
+                if value < 0
+                else hint
+            )
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
     low, high = SURELY_SEEN_NM
     seen = [nm for nm, _ in curve]
     if not seen or seen[0] > low or seen[-1] < high:
         covered = f"{seen[0]:g} to {seen[-1]:g} nm" if seen else "no values"
         raise ValueError(
-            f"got {source} for {covered}; allowed: at least {low:g} to {high:g} nm. Give 0 where there is no response."
+            f"got {source} for {covered}; allowed: at least {low:g} to {high:g} nm. Give 0 where"
+            " there is no response."
         )
     for nm, following in pairwise(seen):
         if following - nm > LARGEST_STEP_NM and following > low and nm < high:
             gap = f"a gap from {nm:g} to {following:g} nm"
             raise ValueError(
-                f"got {source} with {gap}; allowed: steps of at most {LARGEST_STEP_NM:g} nm from {low:g} to {high:g} nm"
+                f"got {source} with {gap}; allowed: steps of at most {LARGEST_STEP_NM:g} nm from"
+                f" {low:g} to {high:g} nm"
             )
     if not any(value >= MIN_FRACTION for _, value in curve):
-        raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {allowed}, not all of them 0")
+        raise ValueError(
+            f"got {source} that is 0 at every wavelength; allowed: {allowed}, not all of them 0"
+        )
     return curve
 
 
@@ -257,21 +374,38 @@ def rows_schema(file: str, *others: dict[str, Any], most: int = 2) -> WithJsonSc
     file : what it holds
     most : numbers of a row, which has at least two
     """
-    rows = {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": most}}
-    return WithJsonSchema({"anyOf": [*others, {"type": "string", "description": f"{file}, next to the TOML file"}, rows]})
+    rows = {
+        "type": "array",
+        "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": most},
+    }
+    return WithJsonSchema(
+        {
+            "anyOf": [
+                *others,
+                {"type": "string", "description": f"{file}, next to the TOML file"},
+                rows,
+            ]
+        }
+    )
 
 
 QuantumEfficiency = Annotated[
     Fraction | tuple[tuple[float, float], ...],
     BeforeValidator(as_quantum_efficiency),
-    rows_schema("CSV file of wavelength in nm and quantum efficiency", {"type": "number", "exclusiveMinimum": 0, "maximum": 1}),
+    rows_schema(
+        "CSV file of wavelength in nm and quantum efficiency",
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
+    ),
 ]
 
 
 Share = Annotated[
     Annotated[float, Field(ge=0, lt=1)] | tuple[tuple[float, float], ...],
     BeforeValidator(as_share),
-    rows_schema("CSV file of wavelength in nm and share", {"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
+    rows_schema(
+        "CSV file of wavelength in nm and share",
+        {"type": "number", "minimum": 0, "exclusiveMaximum": 1},
+    ),
 ]
 
 
@@ -283,7 +417,11 @@ def _curves_schema(*others: dict[str, Any]) -> WithJsonSchema:
 
 
 Sensitivities = Annotated[
-    Curves | str, BeforeValidator(AS_CURVES["sensitivities"]), _curves_schema({"type": "string", "description": "packaged camera"})
+    Curves | str,
+    BeforeValidator(AS_CURVES["sensitivities"]),
+    _curves_schema({"type": "string", "description": "packaged camera"}),
 ]
-QuantumEfficiencies = Annotated[Curves, BeforeValidator(AS_CURVES["quantum_efficiencies"]), _curves_schema()]
+QuantumEfficiencies = Annotated[
+    Curves, BeforeValidator(AS_CURVES["quantum_efficiencies"]), _curves_schema()
+]
 Transmittances = Annotated[Curves, BeforeValidator(AS_CURVES["transmittances"]), _curves_schema()]

@@ -1,4 +1,6 @@
-"""Read and write OpenEXR files of float32 channels, and spectral irradiance as EXR; headers are checked before OpenEXR."""
+"""Read and write OpenEXR files of float32 channels, and spectral irradiance as EXR; headers are
+checked before OpenEXR.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,15 @@ from pixsim.base.bounds import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_output, replacing
 from pixsim.base.mapped import release
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
+from pixsim.light.spectral import (
+    DIFFUSER,
+    DIFFUSER_W,
+    EDGE,
+    LAMP,
+    WHITE_LAMPS,
+    WHOLE,
+    SpectralImage,
+)
 
 MAGIC = 20000630
 TILED = 0x200
@@ -34,7 +44,9 @@ ALLOWED = "a readable OpenEXR file"
 
 
 def judge_exr(path: Path) -> None:
-    """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares implausible sizes or counts."""
+    """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares
+    implausible sizes or counts.
+    """
     with opened(path, "EXR file", ALLOWED) as file:
         try:
             _judge(path, file)
@@ -54,7 +66,12 @@ def _judge(path: Path, file: IO[bytes]) -> None:
         raise invalid("EXR file", f"'{path}', which does not start like an EXR file", ALLOWED)
     for flag, kind in OTHER_KINDS.items():
         if version & flag:
-            raise invalid("EXR file", f"'{path}' with {kind}", "one flat image", "Save it as scan lines or tiles of one part.")
+            raise invalid(
+                "EXR file",
+                f"'{path}' with {kind}",
+                "one flat image",
+                "Save it as scan lines or tiles of one part.",
+            )
     stored = os.fstat(file.fileno()).st_size
     attributes = _attributes(path, file, stored)
     for needed in ("channels", "dataWindow", "compression"):
@@ -67,8 +84,14 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(attributes["channels"])
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise invalid("EXR file", f"{width} × {height} values in '{path}'", f"1 to {MAX_SIDE} per side")
-    check_size(f"EXR file '{path}'", 4 * width * height * count, f"bytes, for {width} × {height} × {count} values")
+        raise invalid(
+            "EXR file", f"{width} × {height} values in '{path}'", f"1 to {MAX_SIDE} per side"
+        )
+    check_size(
+        f"EXR file '{path}'",
+        4 * width * height * count,
+        f"bytes, for {width} × {height} × {count} values",
+    )
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & TILED:
@@ -107,7 +130,9 @@ def _read_name(file: IO[bytes]) -> str:
 
 
 def _channel_count(content: bytes) -> int:
-    """Count the channels of a list: each is a name and 16 bytes of type and sampling; a zero byte ends the list."""
+    """Count the channels of a list: each is a name and 16 bytes of type and sampling; a zero byte
+    ends the list.
+    """
     count, at = 0, 0
     while content[at : at + 1] not in (b"", b"\0"):
         end = content.index(b"\0", at)
@@ -120,20 +145,30 @@ def _channel_count(content: bytes) -> int:
 
 
 def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has another type or value."""
+    """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has
+    another type or value.
+    """
     header = metadata["header"]
     if not all(isinstance(header.get(name, {}), dict) for name in ("parameters", "camera")):
         raise ValueError("parameters and camera must be tables")
     if not all(isinstance(header.get(name, ""), str) for name in ("scene", "source", "units")):
         raise ValueError("scene, source and units must be strings")
-    numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get(LAMP, []), float)
+    numbers = np.array(
+        metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get(LAMP, []), float
+    )
     if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
         raise ValueError("there must be one finite number for each band")
     check_diffuser(header.get(DIFFUSER, {}), len(metadata["wavelength_nm"]))
-    if not isinstance(lamps := header.get(WHITE_LAMPS, []), list) or not all(isinstance(name, str) for name in lamps):
+    if not isinstance(lamps := header.get(WHITE_LAMPS, []), list) or not all(
+        isinstance(name, str) for name in lamps
+    ):
         raise ValueError(f"{WHITE_LAMPS} must be a list of names")
     reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
-    if not (1 <= reduced["factor"] < math.inf and len(reduced["samples"]) == 2 and min(reduced["samples"]) >= 1):
+    if not (
+        1 <= reduced["factor"] < math.inf
+        and len(reduced["samples"]) == 2
+        and min(reduced["samples"]) >= 1
+    ):
         raise ValueError("reduced must be a factor of at least 1 and two numbers of samples")
     if not SMALLEST <= header.get("luminance_cd_per_m2", 1.0) <= LARGEST:
         raise ValueError(f"luminance_cd_per_m2 must be {SMALLEST:g} to {LARGEST:g}")
@@ -141,14 +176,22 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
 
 
 def check_diffuser(stated: dict[str, Any], bands: int) -> None:
-    """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another type or value."""
+    """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another
+    type or value.
+    """
     if not isinstance(stated, dict):
         raise TypeError(f"{DIFFUSER} must be a table")
-    per_nm, numbers = (np.array(each, float) for each in (stated.get(DIFFUSER_W, []), [stated.get("distance_m", 1.0)]))
+    per_nm, numbers = (
+        np.array(each, float)
+        for each in (stated.get(DIFFUSER_W, []), [stated.get("distance_m", 1.0)])
+    )
     others = [value for name, value in stated.items() if name not in (DIFFUSER_W, "distance_m")]
     values = np.array([*per_nm, *numbers, *others], float)
     if per_nm.size not in (0, bands) or not np.isfinite(values).all() or values.min() < 0:
-        raise ValueError(f"{DIFFUSER} must be a table of numbers of 0 or more, one for each band where it has {DIFFUSER_W}")
+        raise ValueError(
+            f"{DIFFUSER} must be a table of numbers of 0 or more, one for each band where it has"
+            f" {DIFFUSER_W}"
+        )
 
 
 Rows = Callable[[slice], NDArray[np.float32]]
@@ -158,13 +201,23 @@ FLOAT = 2
 BLOCK_BYTES = 1 << 22  # a block and its sources fit into a processor's cache
 
 
-def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any], *, named: bool = True) -> None:
-    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete; `named` is of `replacing`."""
+def write_channels(
+    path: str | os.PathLike[str],
+    channels: dict[str, Any],
+    header: dict[str, Any],
+    *,
+    named: bool = True,
+) -> None:
+    """Write float32 channels to a losslessly compressed EXR, which is moved into place when
+    complete; `named` is of `replacing`.
+    """
     with writing(path, named=named) as unfinished:
         fill_channels(unfinished, channels, header)
 
 
-def fill_channels(unfinished: Path, channels: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+def fill_channels(
+    unfinished: Path, channels: dict[str, NDArray[Any]], header: dict[str, Any]
+) -> None:
     """Write the EXR of `write_channels` to the path that `writing` gives."""
     import OpenEXR
 
@@ -190,7 +243,9 @@ def writing(path: str | os.PathLike[str], *, named: bool = True) -> Iterator[Pat
 
 @contextmanager
 def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
-    """Open an EXR file. Raises PixsimError if it is missing, damaged, not an EXR, or declares an implausible size."""
+    """Open an EXR file. Raises PixsimError if it is missing, damaged, not an EXR, or declares an
+    implausible size.
+    """
     judge_exr(Path(path))
     import OpenEXR
 
@@ -202,30 +257,49 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     except PixsimError:
         raise
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
-        reason = "its pixels are damaged or truncated" if "part index" in str(error) else error  # OpenEXR drops a damaged part
+        reason = (
+            "its pixels are damaged or truncated" if "part index" in str(error) else error
+        )  # OpenEXR drops a damaged part
         raise invalid("EXR file", f"'{path}' ({reason})", ALLOWED) from None
 
 
 def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read the header of an EXR without its pixels; `channels` is the list of their names. Raises PixsimError as `_opened` does."""
+    """Read the header of an EXR without its pixels; `channels` is the list of their names. Raises
+    PixsimError as `_opened` does.
+    """
     with _opened(path, header_only=True) as file:
         header = dict(file.header())
         return header | {"channels": [channel.name for channel in header["channels"]]}
 
 
-def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Read the channels of an EXR, name -> (H, W) float32, and its header. Raises PixsimError as `_opened` does."""
+def read_channels(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Read the channels of an EXR, name -> (H, W) float32, and its header. Raises PixsimError as
+    `_opened` does.
+    """
     with _opened(path) as file:
-        planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
+        planes = {
+            name: channel.pixels.astype(np.float32, copy=False)
+            for name, channel in file.channels().items()
+        }
         return planes, dict(file.header())
 
 
-def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int], texts: Mapping[str, str], margin: int = 0) -> None:
-    """Write an uncompressed EXR a few rows at a time, from functions that map a slice of rows to (rows, W) float32.
+def write_rows(
+    path: Path,
+    channels: Mapping[str, Rows],
+    shape: tuple[int, int],
+    texts: Mapping[str, str],
+    margin: int = 0,
+) -> None:
+    """Write an uncompressed EXR a few rows at a time, from functions that map a slice of rows to
+    (rows, W) float32.
 
-    OpenEXR's Python module needs all channels in memory at once. The layout is that of "OpenEXR File Layout" (openexr.com,
-    technical documentation): one part, scan lines, 32-bit floats. `texts` go into the header; a margin of samples at each side is
-    outside of the display window. Raises OSError.
+    OpenEXR's Python module needs all channels in memory at once. The layout is that of "OpenEXR
+    File Layout" (openexr.com, technical documentation): one part, scan lines, 32-bit floats.
+    `texts` go into the header; a margin of samples at each side is outside of the display window.
+    Raises OSError.
     """
     height, width = shape
     names = sorted(channels, key=str.encode)  # the format prescribes this order
@@ -239,17 +313,24 @@ def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int],
         for top in range(0, height, step):
             rows = slice(top, min(top + step, height))
             block = np.empty(rows.stop - top, line)
-            block["row"], block["bytes"] = np.arange(top, rows.stop) - margin, 4 * len(names) * width
+            block["row"], block["bytes"] = (
+                np.arange(top, rows.stop) - margin,
+                4 * len(names) * width,
+            )
             for index, name in enumerate(names):
                 block["values"][:, index] = channels[name](rows)
             file.write(block.data)
 
 
-def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str], margin: int) -> bytes:
+def _header(
+    names: list[str], shape: tuple[int, int], texts: Mapping[str, str], margin: int
+) -> bytes:
     right, bottom = (count - margin - 1 for count in (shape[1], shape[0]))
     window = struct.pack("<4i", -margin, -margin, right, bottom)
     shown = struct.pack("<4i", 0, 0, right - margin, bottom - margin)
-    channels = b"".join(_name(name) + struct.pack("<iB3xii", FLOAT, 0, 1, 1) for name in names) + b"\0"
+    channels = (
+        b"".join(_name(name) + struct.pack("<iB3xii", FLOAT, 0, 1, 1) for name in names) + b"\0"
+    )
     attributes = [
         ("channels", "chlist", channels),
         ("compression", "compression", b"\0"),
@@ -261,7 +342,10 @@ def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str], 
         ("screenWindowWidth", "float", struct.pack("<f", 1)),
         *((name, "string", text.encode()) for name, text in sorted(texts.items())),
     ]
-    packed = [_name(name) + _name(kind) + struct.pack("<i", len(value)) + value for name, kind, value in attributes]
+    packed = [
+        _name(name) + _name(kind) + struct.pack("<i", len(value)) + value
+        for name, kind, value in attributes
+    ]
     return struct.pack("<2i", MAGIC, VERSION) + b"".join(packed) + b"\0"
 
 
@@ -277,8 +361,12 @@ def shortest(value: float) -> float:
     return float(np.format_float_scientific(np.float32(value), unique=True))
 
 
-MAX_BAND_BYTES = 1 << 30  # of the band channels of a factored image; above it, one illuminance channel replaces them
-CHANNEL_WIDTH_NM = 10.0  # of the band channels of a factored image; its finer bands are in the header
+MAX_BAND_BYTES = (
+    1 << 30
+)  # of the band channels of a factored image; above it, one illuminance channel replaces them
+CHANNEL_WIDTH_NM = (
+    10.0  # of the band channels of a factored image; its finer bands are in the header
+)
 
 
 def _band_channel(wavelength_nm: float) -> str:
@@ -292,13 +380,19 @@ MAX_CUT = 0.01  # of the height
 
 
 def reduced_to_fit(image: SpectralImage) -> SpectralImage:
-    """Return the image, or its means over larger samples where it has over 1024 across or its file would exceed 60 MB.
+    """Return the image, or its means over larger samples where it has over 1024 across or its file
+    would exceed 60 MB.
 
-    The finest sampling with whole numbers of samples in each mean is taken, if one is at most twice as coarse as needed; else
-    one that cuts little off the height. An image of few rows, where every one would cut more than 1 %, stays as it is.
+    The finest sampling with whole numbers of samples in each mean is taken, if one is at most twice
+    as coarse as needed; else one that cuts little off the height. An image of few rows, where every
+    one would cut more than 1 %, stays as it is.
     """
     height, width = image.shape
-    channels = len(_merged(image).wavelength_nm) + len(image.factors[0]) if image.factors else len(image.wavelength_nm)
+    channels = (
+        len(_merged(image).wavelength_nm) + len(image.factors[0])
+        if image.factors
+        else len(image.wavelength_nm)
+    )
     fitting = int(math.sqrt(MAX_REDUCED_BYTES / (4 * channels) * width / height))
     most = min(width, MAX_REDUCED_COLUMNS, max(fitting, 1))
     if most == width:
@@ -314,16 +408,22 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
     return image.box_reduced(best) if cut(best) * width / best <= MAX_CUT * height else image
 
 
-def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_only: bool = False) -> None:
-    """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
+def write_exr(
+    path: str | os.PathLike[str], image: SpectralImage, *, factors_only: bool = False
+) -> None:
+    """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the
+    same bits back.
 
-    Any reader can use the channels `S0.550,000000nm`, in W m⁻² nm⁻¹. An image with factors also has channels `factor.N`;
-    bands finer than 10 nm are then in the header, and the `S0` channels hold means over 10 nm. Where these means would take
-    more than 1 GiB, one channel `Y` in lx (`illuminanceUnits`) replaces them, since the factors determine all bands.
+    Any reader can use the channels `S0.550,000000nm`, in W m⁻² nm⁻¹. An image with factors also has
+    channels `factor.N`; bands finer than 10 nm are then in the header, and the `S0` channels hold
+    means over 10 nm. Where these means would take more than 1 GiB, one channel `Y` in lx
+    (`illuminanceUnits`) replaces them, since the factors determine all bands.
 
-    The file is not compressed: OpenEXR's lossless methods take ten times as long for two thirds of the bytes.
+    The file is not compressed: OpenEXR's lossless methods take ten times as long for two thirds of
+    the bytes.
 
-    factors_only : leave out the `S0` channels of an image with factors, which pixsim does not need; others need them
+    factors_only : leave out the `S0` channels of an image with factors, which pixsim does not need;
+        others need them
 
     Raises PixsimError if `path` cannot be written.
     """
@@ -338,14 +438,22 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_onl
         channels = {"Y": lambda rows: image.weighted_part(weight, (rows, WHOLE)).astype(np.float32)}
         header["illuminanceUnits"] = "lx"
     else:
-        channels = {_band_channel(nm): partial(shown.band, band) for band, nm in enumerate(shown.wavelength_nm)}
+        channels = {
+            _band_channel(nm): partial(shown.band, band)
+            for band, nm in enumerate(shown.wavelength_nm)
+        }
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
-        channels |= {f"factor.{r}": partial(_released, picture) for r, picture in enumerate(image.factors[1])}
+        channels |= {
+            f"factor.{r}": partial(_released, picture) for r, picture in enumerate(image.factors[1])
+        }
     tables = {"wavelength_nm": image.wavelength_nm, "band_width_nm": image.band_width_nm}
     tables |= {"within_nm": image.within[0], "within_shares": image.within[1]}
     tables |= {"spectra_w_per_m2_nm": image.factors[0]} if image.factors else {}
-    metadata = {name: table.tolist() for name, table in tables.items()} | {"pitch_um": image.pitch_um, "header": image.header}
+    metadata = {name: table.tolist() for name, table in tables.items()} | {
+        "pitch_um": image.pitch_um,
+        "header": image.header,
+    }
     metadata |= {"margin": margin} if margin else {}
     header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
@@ -360,7 +468,9 @@ def _released(picture: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
 
 
 def _merged(image: SpectralImage) -> SpectralImage:
-    """Return a factored image with neighbouring bands merged up to a width of 10 nm; wider bands stay as they are."""
+    """Return a factored image with neighbouring bands merged up to a width of 10 nm; wider bands
+    stay as they are.
+    """
     assert image.factors
     groups: list[list[int]] = []
     width = 0.0
@@ -372,8 +482,21 @@ def _merged(image: SpectralImage) -> SpectralImage:
             groups.append([band])
             width = band_nm
     widths = np.array([image.band_width_nm[group].sum() for group in groups])
-    mean = np.array([(image.band_width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]) / widths
-    spectra = np.array([(image.factors[0][:, group] * image.band_width_nm[group]).sum(axis=1) for group in groups]).T / widths
+    mean = (
+        np.array(
+            [(image.band_width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]
+        )
+        / widths
+    )
+    spectra = (
+        np.array(
+            [
+                (image.factors[0][:, group] * image.band_width_nm[group]).sum(axis=1)
+                for group in groups
+            ]
+        ).T
+        / widths
+    )
     return SpectralImage(mean, widths, image.pitch_um, factors=(spectra, image.factors[1]))
 
 
@@ -393,11 +516,18 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
         hint = "pixsim.read_irradiance reads light of another program."
-        raise invalid("irradiance file", f"'{path}', which has no pixsim header", "a file from pixsim.write_exr", hint)
+        raise invalid(
+            "irradiance file",
+            f"'{path}', which has no pixsim header",
+            "a file from pixsim.write_exr",
+            hint,
+        )
     try:
         metadata = checked_own(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
-        within = (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None
+        within = (
+            (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None
+        )
         more = {"header": metadata["header"], "within": within, "margin": metadata.get("margin", 0)}
         if "spectra_w_per_m2_nm" in metadata:
             spectra = np.array(metadata["spectra_w_per_m2_nm"])
@@ -406,4 +536,8 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
         data = np.stack([channels[_band_channel(nm)] for nm in metadata["wavelength_nm"]], axis=2)
         return SpectralImage(*bands, data=data, **more)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
-        raise invalid("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None
+        raise invalid(
+            "irradiance file",
+            f"'{path}' with a damaged header ({error})",
+            "a file from pixsim.write_exr",
+        ) from None

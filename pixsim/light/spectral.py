@@ -1,7 +1,7 @@
 """Spectral irradiance on the sensor plane, spectra, and functions of wavelength.
 
-Pictures are stored upright: row 0 is the top of the scene and column 0 its left, as the photographer sees it
-(the light on a real die is this picture turned by 180°).
+Pictures are stored upright: row 0 is the top of the scene and column 0 its left, as the
+photographer sees it (the light on a real die is this picture turned by 180°).
 """
 
 from __future__ import annotations
@@ -26,43 +26,65 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import is_mapped, release, update_with_array
 
 # The public names; everything else is internal.
-__all__ = ["SpectralImage", "colour_matching", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
+__all__ = [
+    "SpectralImage",
+    "colour_matching",
+    "d65",
+    "luminous_weight",
+    "photons_per_joule",
+    "photopic_efficiency",
+]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
 STRIP_VALUES = 1 << 18  # of all bands of a strip: 1 MiB in float32
 MAX_VALUE = float(np.finfo(np.float32).max)
-DIGEST = "digest"  # entry of a header: of light that was given, whose other entries need not say what it is
-# Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
+# entry of a header: of light that was given, whose other entries need not say what it is
+DIGEST = "digest"
+# Entries of a header: the light of the scene's white, in each band; and the lamps that make it
+# together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
-WHITE_RADIANCE = "white_w_per_m2_sr"  # entry of a header: radiance of white, of light without luminance
-# Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for `display.white = "diffuser"`.
+WHITE_RADIANCE = (  # entry of a header: radiance of white, of light without luminance
+    "white_w_per_m2_sr"
+)
+# Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for
+# `display.white = "diffuser"`.
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
 WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_words`
-LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
+# of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
+LEAST_LM_PER_W = 0.1
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
 def photons_per_joule(wavelength_nm: Positives) -> Array:
-    """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
+    """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of
+    2019.
+    """
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
 
 
 @lru_cache
 def _photometric_table() -> Array:
-    return np.loadtxt(str(resources.files("pixsim") / "data/observer_and_d65.csv"), delimiter=",", skiprows=3)
+    return np.loadtxt(
+        str(resources.files("pixsim") / "data/observer_and_d65.csv"), delimiter=",", skiprows=3
+    )
 
 
 def photopic_efficiency(wavelength_nm: Positives) -> Array:
-    """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
+    """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak,
+    0 outside 360-830 nm.
+    """
     table = _photometric_table()
-    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
+    return np.interp(
+        np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0
+    )
 
 
 def colour_matching(wavelength_nm: Positives) -> Array:
-    """Return x̄(λ), ȳ(λ) and z̄(λ) of the CIE 1931 observer (CIE 018:2019), (..., 3) as the wavelengths; 0 outside 360-830 nm.
+    """Return x̄(λ), ȳ(λ) and z̄(λ) of the CIE 1931 observer (CIE 018:2019), (..., 3) as the
+    wavelengths; 0 outside 360-830 nm.
 
     Relative to the peak of ȳ, which is 1.
 
@@ -70,26 +92,39 @@ def colour_matching(wavelength_nm: Positives) -> Array:
     [0.5120501, 1.0, 0.005749999]
     """
     nm, table = np.asarray(wavelength_nm, float), _photometric_table()
-    return np.stack([np.interp(nm, table[:, 0], table[:, column], left=0.0, right=0.0) for column in (1, 2, 3)], axis=-1)
+    return np.stack(
+        [np.interp(nm, table[:, 0], table[:, column], left=0.0, right=0.0) for column in (1, 2, 3)],
+        axis=-1,
+    )
 
 
 def d65(wavelength_nm: Positives) -> Array:
-    """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
+    """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0
+    outside 360-830 nm.
+    """
     table = _photometric_table()
-    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 4], left=0.0, right=0.0)
+    return np.interp(
+        np.asarray(wavelength_nm, float), table[:, 0], table[:, 4], left=0.0, right=0.0
+    )
 
 
 def luminous_weight(wavelength_nm: Positives, band_width_nm: Positives) -> Array:
-    """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from W m⁻² sr⁻¹ nm⁻¹).
+    """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from
+    W m⁻² sr⁻¹ nm⁻¹).
 
     683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
     """
     check_broadcast(wavelength_nm=np.shape(wavelength_nm), band_width_nm=np.shape(band_width_nm))
-    return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
+    return (
+        LUMINOUS_EFFICACY_LM_PER_W
+        * photopic_efficiency(wavelength_nm)
+        * np.asarray(band_width_nm, float)
+    )
 
 
 def bands_last_hint(shape: tuple[int, ...], bands: int) -> str:
-    """Return the line of Python that turns a cube whose bands are not its last axis; empty if no axis has their number.
+    """Return the line of Python that turns a cube whose bands are not its last axis; empty if no
+    axis has their number.
 
     >>> bands_last_hint((31, 480, 640), 31)
     'Its bands are axis 0: data = np.moveaxis(data, 0, 2)'
@@ -104,20 +139,23 @@ class SpectralImage:
 
     Parameters
     ----------
-    wavelength_nm, band_width_nm : (B,) wavelengths and widths of adjoining bands; each value is the mean over its band. The
-        wavelength is the band's centre. In a render it is the mean wavelength of the lamps' light in the band instead, where
-        this is 1 nm or more from the centre. The bands of a render adjoin and start at 360 nm, or where
-        header["computed_nm"] says: their upper edges are 360 + np.cumsum(band_width_nm)
+    wavelength_nm, band_width_nm : (B,) wavelengths and widths of adjoining bands; each value is the
+        mean over its band. The wavelength is the band's centre. In a render it is the mean
+        wavelength of the lamps' light in the band instead, where this is 1 nm or more from the
+        centre. The bands of a render adjoin and start at 360 nm, or where header["computed_nm"]
+        says: their upper edges are 360 + np.cumsum(band_width_nm)
     pitch_um : sampling pitch on the sensor
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
-    factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
-        With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
-    within : distribution of the light within each band, (nodes in nm (B, n), shares of the light (B, n)); None puts it at
-        `wavelength_nm`
+    factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum ×
+        picture. With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
+    within : distribution of the light within each band, (nodes in nm (B, n), shares of the light
+        (B, n)); None puts it at `wavelength_nm`
     header : provenance (camera, scene hash, seed, samples, versions), stored in files as JSON
-    margin : samples of the given pictures at each side that lie beyond the picture; a real lens's blur takes light from there
+    margin : samples of the given pictures at each side that lie beyond the picture; a real lens's
+        blur takes light from there
 
-    Raises PixsimError if the shapes do not match, if the pitch or the bands are not positive, or if the margin leaves no picture.
+    Raises PixsimError if the shapes do not match, if the pitch or the bands are not positive, or if
+    the margin leaves no picture.
 
     >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
     >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
@@ -138,49 +176,81 @@ class SpectralImage:
     ) -> None:
         self.wavelength_nm = np.asarray(wavelength_nm, float)
         if not self.wavelength_nm.size or self.wavelength_nm.ndim != 1:
-            raise invalid("wavelength_nm", f"an array of shape {self.wavelength_nm.shape}", "(B,), at least one")
+            raise invalid(
+                "wavelength_nm",
+                f"an array of shape {self.wavelength_nm.shape}",
+                "(B,), at least one",
+            )
         if np.shape(band_width_nm) not in ((), (1,), self.wavelength_nm.shape):
             got, bands = f"an array of shape {np.shape(band_width_nm)}", self.wavelength_nm.size
             raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
-        self.band_width_nm = np.broadcast_to(np.asarray(band_width_nm, float), self.wavelength_nm.shape).copy()
+        self.band_width_nm = np.broadcast_to(
+            np.asarray(band_width_nm, float), self.wavelength_nm.shape
+        ).copy()
         self.pitch_um = float(pitch_um)
         self.header = dict(header or {})
         if (data is None) == (factors is None):
             raise PixsimError("SpectralImage: give either data or factors, not both or neither")
         self.factors: tuple[Array, NDArray[np.float32]] | None = None
         if factors is not None:
-            self.factors = np.atleast_2d(np.asarray(factors[0], float)), np.asarray(factors[1], np.float32)
+            self.factors = (
+                np.atleast_2d(np.asarray(factors[0], float)),
+                np.asarray(factors[1], np.float32),
+            )
             spectra, pictures = self.factors
             if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
-                raise invalid("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
+                raise invalid(
+                    "factors",
+                    f"{spectra.shape} and {pictures.shape}",
+                    "spectra (r, B), pictures (r, H, W)",
+                )
         else:
             values = np.asarray(data, np.float32)
             self.data = values if is_mapped(values) else np.ascontiguousarray(values)
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
-                raise invalid("data", self.data.shape, f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})", hint)
+                raise invalid(
+                    "data",
+                    self.data.shape,
+                    f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})",
+                    hint,
+                )
         self.margin = margin
         if margin:
             self._set_margin(self.factors[1] if self.factors else self.data)
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
-        if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
-            raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, each of shape (B, n)")
+        if (
+            not self.within[0].shape
+            == self.within[1].shape
+            == (self.wavelength_nm.size, self.within[0].shape[-1])
+        ):
+            raise invalid(
+                "within",
+                f"{self.within[0].shape} and {self.within[1].shape}",
+                "nodes and shares, each of shape (B, n)",
+            )
 
     def digest(self) -> str:
-        """Return a hash of everything that the light is made of, 32 hexadecimal digits; arrays can change in place."""
+        """Return a hash of everything that the light is made of, 32 hexadecimal digits; arrays can
+        change in place.
+        """
         found = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
         found.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
         spectra = () if self.factors is None else self.factors[:1]
-        pictures = self._given if self.margin else self.data if self.factors is None else self.factors[1]
+        pictures = (
+            self._given if self.margin else self.data if self.factors is None else self.factors[1]
+        )
         for array in (self.wavelength_nm, self.band_width_nm, *self.within, *spectra, pictures):
             update_with_array(found, array)
         return found.hexdigest()
 
     @property
     def identified(self) -> SpectralImage:
-        """The same light with its `digest` in the header, which then tells it from others that nothing else tells apart."""
+        """The same light with its `digest` in the header, which then tells it from others that
+        nothing else tells apart.
+        """
         own = copy(self)
         own.header = self.header | {DIGEST: self.digest()}
         return own
@@ -189,7 +259,11 @@ class SpectralImage:
         """Keep the pictures that are given, and without their margin."""
         height, width = given.shape[1:] if self.factors else given.shape[:2]
         if not 0 < 2 * self.margin < min(height, width):
-            raise invalid("margin", self.margin, f"0 or more, and less than half of the {width} × {height} samples given")
+            raise invalid(
+                "margin",
+                self.margin,
+                f"0 or more, and less than half of the {width} × {height} samples given",
+            )
         self._given = given
         inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
         if self.factors:
@@ -202,7 +276,9 @@ class SpectralImage:
         """The picture with its margin as part of it."""
         if not self.margin:
             return self
-        content: dict[str, Any] = {"factors": (self.factors[0], self._given)} if self.factors else {"data": self._given}
+        content: dict[str, Any] = (
+            {"factors": (self.factors[0], self._given)} if self.factors else {"data": self._given}
+        )
         content |= {"within": self.within, "header": self.header}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 
@@ -234,13 +310,16 @@ class SpectralImage:
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
     def weighted(self, weight: Row) -> Array:
-        """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of threads.
+        """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of
+        threads.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
         """
         height, width = self.shape
         total = np.empty(self.shape)
-        for rows in strips(height, width * len(self.factors[0] if self.factors else weight), STRIP_VALUES):
+        for rows in strips(
+            height, width * len(self.factors[0] if self.factors else weight), STRIP_VALUES
+        ):
             total[rows] = self.weighted_part(weight, (rows, WHOLE))
         return total
 
@@ -253,23 +332,34 @@ class SpectralImage:
         Raises PixsimError if there is not one weight for each band.
         """
         if weight.shape != self.wavelength_nm.shape:
-            raise invalid("weight", f"an array of shape {weight.shape}", f"({self.wavelength_nm.size},), one for each band")
+            raise invalid(
+                "weight",
+                f"an array of shape {weight.shape}",
+                f"({self.wavelength_nm.size},), one for each band",
+            )
         if self.factors:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
-            terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
+            terms = (
+                (total, picture[part])
+                for total, picture in zip(totals, self.factors[1], strict=True)
+            )
         else:
             terms = ((weight[band], self.data[(*part, band)]) for band in np.flatnonzero(weight))
-        total = np.zeros([len(range(*span.indices(n))) for span, n in zip(part, self.shape, strict=True)])
+        total = np.zeros(
+            [len(range(*span.indices(n))) for span, n in zip(part, self.shape, strict=True)]
+        )
         for factor, picture in terms:
             total += factor * picture.astype(float)
             release(picture)
         return total
 
     def box_reduced(self, columns: Count) -> SpectralImage:
-        """Return the image on `columns` samples across, each the mean over its area, of the larger pitch.
+        """Return the image on `columns` samples across, each the mean over its area, of the larger
+        pitch.
 
-        The width stays. Where the height is no whole number of the larger samples, less than one of them is cut off, half above
-        and half below. `header["reduced"]` states the samples of the picture before, and their number along a side of a new one.
+        The width stays. Where the height is no whole number of the larger samples, less than one of
+        them is cut off, half above and half below. `header["reduced"]` states the samples of the
+        picture before, and their number along a side of a new one.
 
         Raises PixsimError unless columns is 1 to the present number.
 
@@ -280,9 +370,16 @@ class SpectralImage:
         height, width = self.shape
         ratio = width / columns if 1 <= columns <= width else math.nan
         if not (rows := int(height / ratio + EDGE) if math.isfinite(ratio) else 0):
-            raise invalid("columns", columns, f"1 to {width}, and at least one row of square samples")
+            raise invalid(
+                "columns", columns, f"1 to {width}, and at least one row of square samples"
+            )
         before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
-        header = self.header | {"reduced": {"samples": before["samples"], "factor": float(f"{before['factor'] * ratio:.12g}")}}
+        header = self.header | {
+            "reduced": {
+                "samples": before["samples"],
+                "factor": float(f"{before['factor'] * ratio:.12g}"),
+            }
+        }
         planes = np.empty((len(self.planes), rows, columns), np.float32)
         for plane, means in zip(self.planes, planes, strict=True):
             means[:] = _box_means(plane, rows, columns)
@@ -290,7 +387,9 @@ class SpectralImage:
 
     @property
     def planes(self) -> NDArray[np.float32]:
-        """The pictures, (n, H, W) float32: of the factors, relative to their spectra, or of the bands, W m⁻² nm⁻¹."""
+        """The pictures, (n, H, W) float32: of the factors, relative to their spectra, or of the
+        bands, W m⁻² nm⁻¹.
+        """
         return self.factors[1] if self.factors else np.moveaxis(self.data, 2, 0)
 
     def with_planes(
@@ -301,7 +400,8 @@ class SpectralImage:
         header: dict[str, Any] | None = None,
         margin: int = 0,
     ) -> SpectralImage:
-        """Return an image of the same bands with other `planes`, (n, H, W), of any height and width.
+        """Return an image of the same bands with other `planes`, (n, H, W), of any height and
+        width.
 
         pitch_um, header : None keeps those of this image
         margin : of the planes, as for a new image
@@ -309,10 +409,27 @@ class SpectralImage:
         Raises PixsimError if there are not as many planes as this image has.
         """
         if planes.ndim != 3 or len(planes) != len(self.planes):
-            raise invalid("planes", f"an array of shape {planes.shape}", f"({len(self.planes)}, rows, columns)")
-        content: dict[str, Any] = {"factors": (self.factors[0], planes)} if self.factors else {"data": np.moveaxis(planes, 0, 2)}
-        content |= {"within": self.within, "header": self.header if header is None else header, "margin": margin}
-        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um if pitch_um is None else pitch_um, **content)
+            raise invalid(
+                "planes",
+                f"an array of shape {planes.shape}",
+                f"({len(self.planes)}, rows, columns)",
+            )
+        content: dict[str, Any] = (
+            {"factors": (self.factors[0], planes)}
+            if self.factors
+            else {"data": np.moveaxis(planes, 0, 2)}
+        )
+        content |= {
+            "within": self.within,
+            "header": self.header if header is None else header,
+            "margin": margin,
+        }
+        return SpectralImage(
+            self.wavelength_nm,
+            self.band_width_nm,
+            self.pitch_um if pitch_um is None else pitch_um,
+            **content,
+        )
 
     def mean_spectrum(self) -> Array:
         """Return the mean over all samples, (B,) W m⁻² nm⁻¹."""
@@ -326,14 +443,17 @@ class SpectralImage:
         return (spectra * means[:, None]).sum(axis=0)
 
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
-        """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band.
+        """Return the mean of `response`, a function of nm, over each band (B,), weighted by the
+        light within the band.
 
         response : maps wavelengths in nm, (B, n), to numbers of the same shape, or to one number
 
         Raises PixsimError if it does not.
         """
         nodes_nm, shares = self.within
-        return np.asarray((shares * values_of("response", response, nodes_nm.shape, nodes_nm)).sum(axis=1))
+        return np.asarray(
+            (shares * values_of("response", response, nodes_nm.shape, nodes_nm)).sum(axis=1)
+        )
 
     def luminous_weight(self) -> Array:
         """Return the weights (B,) that turn band values into lx, or radiances into cd/m²."""
@@ -347,8 +467,8 @@ class SpectralImage:
     def white_spectrum(self) -> Array | None:
         """Light of the scene's white in each band, (B,) in any unit; None if it is unknown.
 
-        It is that of a white plate where the light says what one shows (`DIFFUSER`), or that of the lamps that the scene names as
-        its white, else the spectrum that all lamps share.
+        It is that of a white plate where the light says what one shows (`DIFFUSER`), or that of the
+        lamps that the scene names as its white, else the spectrum that all lamps share.
         """
         if of_plate := self.header.get(DIFFUSER, {}).get(DIFFUSER_W):
             return np.asarray(of_plate, float)
@@ -357,50 +477,73 @@ class SpectralImage:
         return self.factors[0][0] if self.factors and len(self.factors[0]) == 1 else None
 
     def validate(self) -> None:
-        """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors.
+        """Check the values. Raises PixsimError if one is not finite, or is negative and not one of
+        several factors.
 
-        Where the header says that the picture rings (`RINGS`), values down to `MAX_RING` of the largest may be negative.
+        Where the header says that the picture rings (`RINGS`), values down to `MAX_RING` of the
+        largest may be negative.
         """
         spectra, _ = self.factors or (np.ones((1, 1)), None)
         low, high = extremes(self.planes)
         others = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
         if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *others)):
-            got = f"values from {low:g} to {high:g}, and a value here or among the bands or spectra that is not finite"
-            raise invalid("irradiance", got, f"finite values, spectra and bands, at most {MAX_VALUE:.4g}")
-        if len(spectra) == 1 and (low < lowest_allowed(self.header, high) or float(spectra.min()) < 0):
+            got = (
+                f"values from {low:g} to {high:g}, and a value here or among the bands or spectra"
+                " that is not finite"
+            )
+            raise invalid(
+                "irradiance", got, f"finite values, spectra and bands, at most {MAX_VALUE:.4g}"
+            )
+        if len(spectra) == 1 and (
+            low < lowest_allowed(self.header, high) or float(spectra.min()) < 0
+        ):
             hint = "Clip the negative values to zero."
             raise invalid("irradiance", f"values from {low:g} to {high:g}", "0 or more", hint)
 
     def __repr__(self) -> str:
         height, width = self.shape
         count = len(self.factors[0]) if self.factors else 0
-        kind = f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}" if count else "general"
+        kind = (
+            f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}"
+            if count
+            else "general"
+        )
         return (
-            f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
-            f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
+            f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm,"
+            f" {self.wavelength_nm.size} bands {self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g}"
+            f" nm, {kind}, W m^-2 nm^-1>"
         )
 
 
-RINGS = "rings"  # entry of an image's header: its light is still to be blurred by a real lens, and rings below zero at edges
-MAX_RING = 1.5  # of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means over other cells
+# entry of an image's header: its light is still to be blurred by a real lens, and rings below zero
+# at edges
+RINGS = "rings"
+# of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means
+# over other cells
+MAX_RING = 1.5
 
 
 OUTLIER, MOST_OUTLIERS = 100.0, 10_000
 
 
 def lowest_allowed(header: dict[str, Any], highest: float) -> float:
-    """Return the lowest value that the planes of an image may have, by its header and its highest value."""
+    """Return the lowest value that the planes of an image may have, by its header and its highest
+    value.
+    """
     return -MAX_RING * max(highest, 0.0) if header.get(RINGS) is True else 0.0
 
 
-OUTLIERS = "outlier_samples"  # entry of a header: row, column of samples far above all others, which do not set exposure or white
+# entry of a header: row, column of samples far above all others, which do not set exposure or white
+OUTLIERS = "outlier_samples"
 
 
 def find_outliers(picture: Array) -> list[tuple[int, int]]:
-    """Return the samples (row, column) of a picture (H, W) that stand alone, far above all others: at most 1 in 10 000.
+    """Return the samples (row, column) of a picture (H, W) that stand alone, far above all others:
+    at most 1 in 10 000.
 
-    Such are fireflies of a path tracer, and hot pixels. Each is more than `OUTLIER` times the brightest other sample and its
-    neighbours; none is in a picture that is dark beside them, as of a star.
+    Such are fireflies of a path tracer, and hot pixels. Each is more than `OUTLIER` times the
+    brightest other sample and its neighbours; none is in a picture that is dark beside them, as of
+    a star.
 
     >>> picture = np.ones((50, 50))
     >>> picture[3, 4] = 1e6
@@ -418,25 +561,34 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
         return []
     places = [divmod(int(at), picture.shape[1]) for at in order[: steps[-1] + 1]]
     rest = values[steps[-1] + 1]
-    around = [picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] for row, column in places]
+    around = [
+        picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        for row, column in places
+    ]
     return places if all(np.count_nonzero(near > rest) == 1 for near in around) else []
 
 
 def without_outliers(image: SpectralImage) -> SpectralImage | None:
-    """Return an image whose outliers, as its header states them, are the median of their neighbours; None if it states none."""
+    """Return an image whose outliers, as its header states them, are the median of their
+    neighbours; None if it states none.
+    """
     places = image.header.get(OUTLIERS)
     if not isinstance(places, list) or not places:
         return None
     planes = np.array(image.planes)
     for place in places:
-        if not (isinstance(place, list) and len(place) == 2 and all(isinstance(at, int) for at in place)):
+        if not (
+            isinstance(place, list) and len(place) == 2 and all(isinstance(at, int) for at in place)
+        ):
             return None  # the header of another program
         row, column = place
         if not (0 <= row < planes.shape[1] and 0 <= column < planes.shape[2]):
             return None
         near = planes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         planes[:, row, column] = np.median(near, axis=(1, 2))
-    return image.with_planes(planes, header={name: value for name, value in image.header.items() if name != OUTLIERS})
+    return image.with_planes(
+        planes, header={name: value for name, value in image.header.items() if name != OUTLIERS}
+    )
 
 
 def white_words(known: bool, lamps: Sequence[str] = ()) -> str:
@@ -447,14 +599,20 @@ def white_words(known: bool, lamps: Sequence[str] = ()) -> str:
     """
     if lamps:
         return f"the scene's own white, of its lamps {', '.join(lamps)}"
-    return "the scene's lamp" if known else f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
+    return (
+        "the scene's lamp"
+        if known
+        else f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
+    )
 
 
 EDGE = 1e-9  # of a sample: rounding errors of a ratio
 
 
 def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """Return the means (rows, columns) of a picture over square areas that fill its width, centred in its height."""
+    """Return the means (rows, columns) of a picture over square areas that fill its width, centred
+    in its height.
+    """
     height, width = picture.shape
     ratio = width / columns
     edges_x = np.linspace(0, width, columns + 1)
@@ -465,13 +623,17 @@ def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray
 
 
 def _running(values: NDArray[Any], edges: Array) -> Array:
-    """Return the integrals of the rows of `values`, taken as constant in each, between edges in units of a row."""
+    """Return the integrals of the rows of `values`, taken as constant in each, between edges in
+    units of a row.
+    """
     at = np.clip(edges, 0, len(values))
     below = np.minimum(at.astype(int), len(values) - 1)
     result, total = np.empty((edges.size, values.shape[1])), np.zeros((1, values.shape[1]))
     for rows in strips(*values.shape):  # a picture in float64 need not be in memory
         strip = values[rows].astype(float)
-        total = np.cumsum(np.concatenate([total[-1:], strip]), axis=0)  # up to each row, and with the last one
+        total = np.cumsum(
+            np.concatenate([total[-1:], strip]), axis=0
+        )  # up to each row, and with the last one
         here = np.flatnonzero((below >= rows.start) & (below < rows.stop))
         row = below[here] - rows.start
         result[here] = total[row] + (at[here] - below[here])[:, None] * strip[row]
@@ -480,7 +642,9 @@ def _running(values: NDArray[Any], edges: Array) -> Array:
 
 
 def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the lowest and the highest value of planes (n, H, W); NaN if one is NaN, or there is none."""
+    """Return the lowest and the highest value of planes (n, H, W); NaN if one is NaN, or there is
+    none.
+    """
     if not planes.size:
         return math.nan, math.nan
     if not is_mapped(planes):
@@ -489,18 +653,24 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
     for plane in planes:
         for rows in strips(*plane.shape):
             part = plane[rows]
-            low, high = float(np.minimum(low, part.min())), float(np.maximum(high, part.max()))  # which keep NaN
+            low, high = (
+                float(np.minimum(low, part.min())),
+                float(np.maximum(high, part.max())),
+            )  # which keep NaN
             release(part)
     return low, high
 
 
 LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
-# Steps of the wavelength grids; a lamp uses the coarsest that resolves it. Powers of two, so that nodes, widths and ratios
-# are exact in Mitsuba's float32, and the nodes of its combined response are those of the grid.
+# Steps of the wavelength grids; a lamp uses the coarsest that resolves it. Powers of two, so that
+# nodes, widths and ratios are exact in Mitsuba's float32, and the nodes of its combined response
+# are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
 MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
 FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
-COARSE_SPACING_NM = 0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
+COARSE_SPACING_NM = (
+    0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
+)
 
 
 @dataclass(frozen=True)
@@ -534,24 +704,42 @@ class Spectrum:
     def __post_init__(self) -> None:
         x = self.nodes_nm
         if x.size < 2 or x.shape != self.values.shape or not np.all(np.diff(x) >= 0):
-            raise invalid("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in increasing order")
+            raise invalid(
+                "spectrum",
+                f"{x.size} wavelengths, {self.values.size} values",
+                "two nodes or more, in increasing order",
+            )
         if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
-            raise invalid("spectrum", "NaN or infinity among the wavelengths or values", "finite numbers")
+            raise invalid(
+                "spectrum", "NaN or infinity among the wavelengths or values", "finite numbers"
+            )
         if self.values.max() > MAX_COUNT or self.values.min() < -MAX_COUNT:
-            raise invalid("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MAX_COUNT:g}, for float32")
+            raise invalid(
+                "spectrum",
+                f"values up to {np.abs(self.values).max():.3g}",
+                f"up to {MAX_COUNT:g}, for float32",
+            )
 
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
 
     @cached_property
     def step_nm(self) -> float:
-        """Step of the coarsest grid that resolves the spectrum: 1 nm for tables at whole nanometres, else finer."""
+        """Step of the coarsest grid that resolves the spectrum: 1 nm for tables at whole
+        nanometres, else finer.
+        """
         if np.all(self.nodes_nm == np.rint(self.nodes_nm)):
             return STEPS_NM[0]
-        return STEPS_NM[1] if np.diff(self.nodes_nm).min(initial=1.0) >= COARSE_SPACING_NM else STEPS_NM[2]
+        return (
+            STEPS_NM[1]
+            if np.diff(self.nodes_nm).min(initial=1.0) >= COARSE_SPACING_NM
+            else STEPS_NM[2]
+        )
 
     def cell_means(self, edges_nm: Array) -> Array:
-        """Return the exact means over the cells between increasing edges, so that no spectral line is missed."""
+        """Return the exact means over the cells between increasing edges, so that no spectral line
+        is missed.
+        """
         x, y = self.nodes_nm, self.values
         running = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
         at = np.clip(edges_nm, x[0], x[-1])
@@ -566,10 +754,14 @@ class Spectrum:
         return float(self.cell_means(np.array([low_nm, high_nm]))[0] * (high_nm - low_nm))
 
     def on_grid(self, step_nm: float, span: Span = VISIBLE) -> Array:
-        """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the integral."""
+        """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the
+        integral.
+        """
         if (step_nm, span) not in self._on_grids:  # each band of a lamp asks for it
             nodes = grid_nm(step_nm, span)
-            self._on_grids[step_nm, span] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+            self._on_grids[step_nm, span] = self.cell_means(
+                np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]])
+            )
             self._on_grids[step_nm, span].flags.writeable = False
         return self._on_grids[step_nm, span]
 
@@ -587,7 +779,9 @@ def tabulated(values: Array) -> Spectrum:
 
 
 def regular_values(table: Spectrum) -> Array | None:
-    """Resample a table at equal steps without changing it; None if no step of at least 0.1 nm does so."""
+    """Resample a table at equal steps without changing it; None if no step of at least 0.1 nm does
+    so.
+    """
     distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
     whole = np.rint(distances).astype(int)
     if not np.allclose(distances, whole, rtol=0, atol=1e-6) or not np.all(whole > 0):

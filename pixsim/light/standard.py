@@ -1,4 +1,6 @@
-"""Standards of colour: CIE illuminants, the reflectance of the 24 patches of a ColorChecker, and opponent channels."""
+"""Standards of colour: CIE illuminants, the reflectance of the 24 patches of a ColorChecker, and
+opponent channels.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,14 @@ from pixsim.base.arrays import Array, Positives
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.light.spectral import d65
 
-# Luminance, red-green and blue-yellow of S-CIELAB from XYZ: X. Zhang & B. A. Wandell, J. SID 5 (1997) 61, and their first code.
+# Luminance, red-green and blue-yellow of S-CIELAB from XYZ: X. Zhang & B. A. Wandell, J. SID 5
+# (1997) 61, and their first code.
 OPPONENT_FROM_XYZ = np.array(
-    [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
+    [
+        [0.2787336, 0.7218031, -0.1065520],
+        [-0.4487736, 0.2898056, 0.0771569],
+        [0.0859513, -0.5899859, 0.5011089],
+    ]
 )
 XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
 CHROMATIC_PATCHES = slice(0, 18)  # patches 1-18 of 24; the others are grey
@@ -34,9 +41,11 @@ def illuminant_names() -> tuple[str, ...]:
 
 
 def illuminant(name: str, wavelength_nm: Positives) -> Array:
-    """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0 outside 360-780 nm.
+    """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0
+    outside 360-780 nm.
 
-    It is linear between the points of the tables. Those of FL and LED begin at 380 nm, and that of D65 ends at 830 nm.
+    It is linear between the points of the tables. Those of FL and LED begin at 380 nm, and that of
+    D65 ends at 830 nm.
 
     name : one of `illuminant_names`
 
@@ -46,7 +55,12 @@ def illuminant(name: str, wavelength_nm: Positives) -> Array:
         return d65(wavelength_nm)
     names, table = _table("illuminants")
     if name not in names:
-        raise invalid("illuminant", f"'{name}'", ", ".join(illuminant_names()), did_you_mean(name, illuminant_names()))
+        raise invalid(
+            "illuminant",
+            f"'{name}'",
+            ", ".join(illuminant_names()),
+            did_you_mean(name, illuminant_names()),
+        )
     nm, power = table[:, 0], table[:, 1 + names.index(name)]
     known = np.isfinite(power)
     return np.interp(np.asarray(wavelength_nm, float), nm[known], power[known], left=0.0, right=0.0)

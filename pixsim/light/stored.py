@@ -17,7 +17,8 @@ from pixsim.light.spectral import SpectralImage
 
 
 class PictureFile:
-    """A file of pictures without a name, whose space is free again when nothing uses it, however the process ends.
+    """A file of pictures without a name, whose space is free again when nothing uses it, however
+    the process ends.
 
     folder : on the disk that is to hold it
     """
@@ -28,13 +29,18 @@ class PictureFile:
         self._offsets: dict[bytes, int] = {}
 
     def stored(self, image: SpectralImage) -> StoredImage:
-        """Return the image with its pictures in the file, equal pictures once. Raises PixsimError if the disk is full."""
+        """Return the image with its pictures in the file, equal pictures once. Raises PixsimError
+        if the disk is full.
+        """
         whole = image.whole
         values = np.ascontiguousarray(whole.factors[1] if whole.factors else whole.data)
         digest = hashlib.blake2b(values.data, digest_size=16).digest()
-        with disk_faults_named(self._folder, self._folder, "It holds the pictures of all lights of the study."):
+        with disk_faults_named(
+            self._folder, self._folder, "It holds the pictures of all lights of the study."
+        ):
             if self._file is None:
-                self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115 – open as long as its images are
+                # Open as long as its images are.
+                self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115
                 weakref.finalize(self, self._file.close)
             if digest not in self._offsets:
                 offset = self._file.seek(0, os.SEEK_END)
@@ -45,19 +51,26 @@ class PictureFile:
         return StoredImage(image, self, self._offsets[digest])
 
     def mapped(self, offset: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return pictures at a place in the file; the memory holds what of them is read, as long as the array is used."""
+        """Return pictures at a place in the file; the memory holds what of them is read, as long as
+        the array is used.
+        """
         assert self._file is not None
         return np.asarray(np.memmap(self._file, np.float32, "r", offset, shape))
 
 
 class StoredImage(SpectralImage):
-    """A spectral image whose pictures lie in a file; they are mapped into memory each time that they are used.
+    """A spectral image whose pictures lie in a file; they are mapped into memory each time that
+    they are used.
 
     A copy, and the image in another process, has them in memory.
     """
 
     def __init__(self, image: SpectralImage, file: PictureFile, offset: int) -> None:
-        self.wavelength_nm, self.band_width_nm, self.within = image.wavelength_nm, image.band_width_nm, image.within
+        self.wavelength_nm, self.band_width_nm, self.within = (
+            image.wavelength_nm,
+            image.band_width_nm,
+            image.within,
+        )
         self.pitch_um, self.header = image.pitch_um, dict(image.header)
         self._spectra = image.factors[0] if image.factors else None
         self._file, self._offset, self.margin = file, offset, image.margin
@@ -90,7 +103,9 @@ class StoredImage(SpectralImage):
     def in_memory(self) -> SpectralImage:
         """Return the image with its pictures in memory."""
         values = np.array(self._given)
-        content: dict[str, Any] = {"data": values} if self._spectra is None else {"factors": (self._spectra, values)}
+        content: dict[str, Any] = (
+            {"data": values} if self._spectra is None else {"factors": (self._spectra, values)}
+        )
         content |= {"within": self.within, "header": self.header, "margin": self.margin}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 

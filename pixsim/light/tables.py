@@ -1,8 +1,10 @@
-"""Read tables of numbers against wavelength, in the forms that instruments, spreadsheets and other programs write.
+"""Read tables of numbers against wavelength, in the forms that instruments, spreadsheets and other
+programs write.
 
-Columns are parted by commas, semicolons, tabs or blanks, numbers have a point or a comma, in UTF-8, UTF-16 or Latin-1, in rising or
-falling order. Units that a title states are obeyed. What a file holds is not quoted in messages, but for its numbers: it may be
-another than the user believes, such as a key.
+Columns are parted by commas, semicolons, tabs or blanks, numbers have a point or a comma, in UTF-8,
+UTF-16 or Latin-1, in rising or falling order. Units that a title states are obeyed. What a file
+holds is not quoted in messages, but for its numbers: it may be another than the user believes, such
+as a key.
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ from pixsim.base.notes import Note, warn
 COMMENT = "#"
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
 BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
-# Between titles that blanks part: two blanks, one that is neither before nor within brackets, a comma, one after a bracket.
+# Between titles that blanks part: two blanks, one that is neither before nor within brackets, a
+# comma, one after a bracket.
 WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
 MAX_DIGITS = 400  # of a cell: more than any double needs
-# Titles stand close above the numbers, in short cells; the time to look for words and units in one grows with its square.
+# Titles stand close above the numbers, in short cells; the time to look for words and units in one
+# grows with its square.
 MAX_TITLE, MOST_TITLES = 1000, 100
 # Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
 UNIT_WORDS = {
@@ -40,10 +44,16 @@ POWERS = {"nm": 0, "µm": 3, "Å": -1, "pm": -3, "m": 9}  # of ten, to nm; the l
 NO_WAVELENGTH = {"ev": "eV", "cm": "cm⁻¹", "wavenumber": "cm⁻¹", "thz": "THz", "hz": "Hz"}
 IN_BRACKETS = re.compile(r"[(\[]([^)\]]*)[)\]]")
 PERCENT = re.compile(r"%|(?<![a-z])(per ?cent|pct|prozent|pourcent)(?![a-z])", re.IGNORECASE)
-AMPERE_PER_WATT = re.compile(r"(?<![^\W_])([mµμu]?)A(?:\s*/\s*W|[\s·.*]?W\s*\^?\(?[-−]1\)?|⋅?W⁻¹|[\s_]per[\s_]W)(?![a-z])")
+AMPERE_PER_WATT = re.compile(
+    r"(?<![^\W_])([mµμu]?)A(?:\s*/\s*W|[\s·.*]?W\s*\^?\(?[-−]1\)?|⋅?W⁻¹|[\s_]per[\s_]W)(?![a-z])"
+)
 PREFIXES = {"": 0, "m": -3, "u": -6, "µ": -6, "μ": -6}
 A_PER_W = "A/W"
-PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = 6.62607015e-34, 299792458.0, 1.602176634e-19  # SI 2019, exact
+PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = (
+    6.62607015e-34,
+    299792458.0,
+    1.602176634e-19,
+)  # SI 2019, exact
 HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
 
 
@@ -52,7 +62,8 @@ class Column:
     """Values of a table's column, as the file writes them but for the power of ten of their unit.
 
     title : of the column; empty without one
-    unit : "" for plain numbers, to which those in per cent are converted; A/W; or what else stands in the title's brackets
+    unit : "" for plain numbers, to which those in per cent are converted; A/W; or what else stands
+        in the title's brackets
     """
 
     title: str
@@ -62,14 +73,18 @@ class Column:
 
 @dataclass(frozen=True)
 class WavelengthTable:
-    """Wavelengths in nm that increase, if the file's order is one, and columns of values against them."""
+    """Wavelengths in nm that increase, if the file's order is one, and columns of values against
+    them.
+    """
 
     nm: tuple[Decimal, ...]
     columns: tuple[Column, ...]
 
 
 def as_text(content: bytes) -> str | None:
-    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1; None if it is no text."""
+    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1; None if
+    it is no text.
+    """
     halves = [content[start::2].count(0) for start in (0, 1)]
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encoding = "utf-16"
@@ -86,7 +101,8 @@ def as_text(content: bytes) -> str | None:
 
 @dataclass(frozen=True)
 class Cells:
-    """Rows of a table that are neither blank nor comments, with their line numbers, as cells without blanks around them.
+    """Rows of a table that are neither blank nor comments, with their line numbers, as cells
+    without blanks around them.
 
     separator : of the columns; None for blanks
     comment : the last line of comment before the first row of numbers
@@ -117,18 +133,35 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
     plain = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENT)]
     separator = _separator([line for line in plain if BEGINS_NUMBER.match(line)] or plain)
     if separator is None:
-        rows = [re.sub(r"(?<=\d)\s+%", "%", line).split() if BEGINS_NUMBER.match(line) else [line.strip()] for line in lines]
+        rows = [
+            (
+                re.sub(r"(?<=\d)\s+%", "%", line).split()
+                if BEGINS_NUMBER.match(line)
+                else [line.strip()]
+            )
+            for line in lines
+        ]
     else:
         try:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
+            rows = [
+                [cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)
+            ]
         except csv.Error as error:
             raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
-    used = [(number, row) for number, row in enumerate(rows, 1) if any(row) and not row[0].startswith(COMMENT)]
+    used = [
+        (number, row)
+        for number, row in enumerate(rows, 1)
+        if any(row) and not row[0].startswith(COMMENT)
+    ]
     for _, row in used:
         while not row[-1]:
             row.pop()
     start = next((number for number, row in used if BEGINS_NUMBER.match(row[0])), len(lines) + 1)
-    comments = [line.strip().lstrip(COMMENT).strip() for line in lines[: start - 1] if line.lstrip().startswith(COMMENT)]
+    comments = [
+        line.strip().lstrip(COMMENT).strip()
+        for line in lines[: start - 1]
+        if line.lstrip().startswith(COMMENT)
+    ]
     return Cells(used, separator, comments[-1] if comments else "")
 
 
@@ -139,13 +172,18 @@ def _separator(lines: Sequence[str]) -> str | None:
     if lines and all("\t" in line.strip() for line in lines):
         return "\t"
     # In 400 0,3 the comma is a decimal mark; in 400, 0.3 it is not.
-    if all(len(words := line.split()) > 1 and all(as_number(word, ",") is not None for word in words) for line in lines):
+    if all(
+        len(words := line.split()) > 1 and all(as_number(word, ",") is not None for word in words)
+        for line in lines
+    ):
         return None
     return "," if any("," in line for line in lines) else None
 
 
 def as_number(cell: str, decimal: str) -> Decimal | None:
-    """Number of a cell, exactly; one in per cent with its sign as a fraction. None if it is no number."""
+    """Number of a cell, exactly; one in per cent with its sign as a fraction. None if it is no
+    number.
+    """
     plain = cell.replace(decimal, ".")
     bare = plain.removesuffix("%").rstrip()
     if len(bare) > MAX_DIGITS or not NUMBER.fullmatch(bare):
@@ -154,7 +192,12 @@ def as_number(cell: str, decimal: str) -> Decimal | None:
 
 
 def read_table(
-    path: Path, what: str, allowed: str, least: int, max_bytes: int, bounds_nm: tuple[float, float] = (0.0, math.inf)
+    path: Path,
+    what: str,
+    allowed: str,
+    least: int,
+    max_bytes: int,
+    bounds_nm: tuple[float, float] = (0.0, math.inf),
 ) -> WavelengthTable:
     """Read a table whose first column is wavelength.
 
@@ -162,7 +205,8 @@ def read_table(
     least : number of columns of values that each line must have; with 1 others are left out
     bounds_nm : that wavelengths have; outside, the unit that they seem to have is named
 
-    ValueError if it is none: where no numbers stand, which wavelengths cannot be, or which unit is none of wavelength.
+    ValueError if it is none: where no numbers stand, which wavelengths cannot be, or which unit is
+    none of wavelength.
     """
     cells = read_cells(path, what, allowed, max_bytes)
     headers: list[list[str]] = []
@@ -176,16 +220,29 @@ def read_table(
         elif rows or row[0][:1].isdigit():  # not a title
             words = "two numbers" if least == 1 else f"{least + 1} numbers"
             values = "value" if least == 1 else f"{least} values"
-            raise ValueError(f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}")
+            raise ValueError(
+                f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}"
+            )
         else:
             headers.append(row)
-    if least == 1 and cells.separator == "," and _has_decimal_commas_too([row for _, row in cells.rows[len(headers) :]]):
-        raise ValueError(f"got '{path}' with commas between columns and within numbers; allowed: {allowed}. Part columns by ;")
+    if (
+        least == 1
+        and cells.separator == ","
+        and _has_decimal_commas_too([row for _, row in cells.rows[len(headers) :]])
+    ):
+        raise ValueError(
+            f"got '{path}' with commas between columns and within numbers; allowed: {allowed}. Part"
+            " columns by ;"
+        )
     if rows and all(float(one[0]) > float(other[0]) for one, other in pairwise(rows)):
         rows.reverse()
     count = min(map(len, rows), default=1)
     width = min((len(row) for _, row in cells.rows[len(headers) :]), default=1)
-    named = [titles for header in headers[-MOST_TITLES:] if (titles := _titles(header, width, cells.separator))]
+    named = [
+        titles
+        for header in headers[-MOST_TITLES:]
+        if (titles := _titles(header, width, cells.separator))
+    ]
     if least > 1 and not named and headers and len(headers[-1]) > 1:
         got = f"'{path}' with {len(headers[-1]) - 1} channels in the title and {count - 1} values"
         raise ValueError(f"got {got}; allowed: {allowed}, as wavelength_nm,R,G,B")
@@ -197,24 +254,37 @@ def read_table(
     unit, units = "", [("", 0)] * count
     for titles in ([comment] if comment else []) + named:
         unit = _wavelength_unit(titles[0], path, allowed) or unit
-        units[1:] = [_value_unit(title) or known for title, known in zip(titles[1:count], units[1:], strict=True)]
-    names = next((titles for titles in reversed(named) if not _is_of_units(titles)), named[-1] if named else [""] * count)
+        units[1:] = [
+            _value_unit(title) or known
+            for title, known in zip(titles[1:count], units[1:], strict=True)
+        ]
+    names = next(
+        (titles for titles in reversed(named) if not _is_of_units(titles)),
+        named[-1] if named else [""] * count,
+    )
     units = [("", 0) if at in marked else stated for at, stated in enumerate(units)]
     if len({stated == "%" for stated, _ in units[1:]}) > 1:
-        raise ValueError(f"got '{path}' with some columns in per cent and others not; allowed: {allowed}")
+        raise ValueError(
+            f"got '{path}' with some columns in per cent and others not; allowed: {allowed}"
+        )
     columns = []
     for at in range(1, count):
         stated, power = units[at]
         highest = max(float(row[at]) for row in rows)
         if stated == "%" and highest <= 1:
-            words = f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
+            words = (
+                f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
+            )
             warn(Note("file_as_read", words=f"{words}Fractions have no % in their title"))
         scaled = tuple(_scaled(row[at], power) for row in rows)
         columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)
     if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
         mend = "" if unit else ", or state the unit in the title"
-        raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{mend}")
+        raise ValueError(
+            f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}."
+            f" {hint}{mend}"
+        )
     return WavelengthTable(nm, tuple(columns))
 
 
@@ -224,11 +294,18 @@ def _scaled(number: Decimal, power: int) -> Decimal:
 
 def _has_decimal_commas_too(rows: Sequence[Sequence[str]]) -> bool:
     """Whether rows as 400,0,231 are a wavelength and a value below 1 with a decimal comma."""
-    return bool(rows) and all(len(row) > 2 and row[1] in ("0", "1") and all(cell.isdigit() for cell in row) for row in rows)
+    return bool(rows) and all(
+        len(row) > 2 and row[1] in ("0", "1") and all(cell.isdigit() for cell in row)
+        for row in rows
+    )
 
 
-def _titles(header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS) -> list[str]:
-    """Title of each of `count` columns; empty if a header has another number of them, or longer texts."""
+def _titles(
+    header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS
+) -> list[str]:
+    """Title of each of `count` columns; empty if a header has another number of them, or longer
+    texts.
+    """
     if max(map(len, header), default=0) > MAX_TITLE:
         return []
     if separator is not None or not header:
@@ -242,10 +319,17 @@ def _words(title: str) -> list[str]:
 
 
 def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
-    """Symbol of the unit that a title of wavelengths states; empty without one. ValueError for one of energy or frequency."""
+    """Symbol of the unit that a title of wavelengths states; empty without one. ValueError for one
+    of energy or frequency.
+    """
     unit = unit_of_wavelength(title)
-    if not unit and (other := next((NO_WAVELENGTH[word] for word in _words(title) if word in NO_WAVELENGTH), "")):
-        raise ValueError(f"got '{path}' in {other}, by its title; allowed: {allowed}. Convert it to wavelength in nm")
+    if not unit and (
+        other := next((NO_WAVELENGTH[word] for word in _words(title) if word in NO_WAVELENGTH), "")
+    ):
+        raise ValueError(
+            f"got '{path}' in {other}, by its title; allowed: {allowed}. Convert it to wavelength"
+            " in nm"
+        )
     return unit
 
 
@@ -263,7 +347,9 @@ def unit_of_wavelength(text: str) -> str:
 
 
 def _value_unit(title: str) -> tuple[str, int] | None:
-    """Unit that the title of values states, and the power of ten that converts to it; None without one."""
+    """Unit that the title of values states, and the power of ten that converts to it; None without
+    one.
+    """
     if found := AMPERE_PER_WATT.search(title):
         return A_PER_W, PREFIXES[found[1]]
     if PERCENT.search(title):
@@ -280,8 +366,11 @@ def _is_of_units(titles: Sequence[str]) -> bool:
     )
 
 
-def unit_hint(wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", where: str = "") -> str:
-    """What unit wavelengths seem to have, if they cannot be what they are said to be; empty if they can, or no unit fits.
+def unit_hint(
+    wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", where: str = ""
+) -> str:
+    """What unit wavelengths seem to have, if they cannot be what they are said to be; empty if they
+    can, or no unit fits.
 
     wavelengths : in nm, by the unit `stated`; empty for none, which is nm
     bounds_nm : that they have
@@ -294,7 +383,10 @@ def unit_hint(wavelengths: Sequence[float], bounds_nm: tuple[float, float], stat
     fits = [
         unit
         for unit in POWERS
-        if bounds_nm[0] <= low * 10.0 ** (POWERS[unit] - known) <= high * 10.0 ** (POWERS[unit] - known) <= bounds_nm[1]
+        if bounds_nm[0]
+        <= low * 10.0 ** (POWERS[unit] - known)
+        <= high * 10.0 ** (POWERS[unit] - known)
+        <= bounds_nm[1]
     ]
     if not fits:
         return ""
@@ -309,5 +401,6 @@ def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float,
     if column.unit != A_PER_W:
         return tuple(map(float, column.values))
     return tuple(
-        float(value) * HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan for value, at in zip(column.values, nm, strict=True)
+        float(value) * HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan
+        for value, at in zip(column.values, nm, strict=True)
     )

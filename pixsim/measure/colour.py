@@ -1,10 +1,12 @@
-"""A colour sensor under CIE D55: its patches, colour matrix and noise, measured on frames of its mosaic, next to closed forms.
+"""A colour sensor under CIE D55: its patches, colour matrix and noise, measured on frames of its
+mosaic, next to closed forms.
 
-Even fields of the chromatic patches of ISO 17321-1, of a perfect white and of 18 % grey fill frames of one device. White is at
-72 % of saturation in the channel that it fills most, so that grey is at 13 % (ISO 15739). Means over the pixels of each channel,
-over those of white, are the balanced responses, to which the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise
-is that of the difference of two frames of grey, as luminance Y and as R - Y and B - Y of the display's linear light, of single
-samples without interpolation between pixels.
+Even fields of the chromatic patches of ISO 17321-1, of a perfect white and of 18 % grey fill frames
+of one device. White is at 72 % of saturation in the channel that it fills most, so that grey is at
+13 % (ISO 15739). Means over the pixels of each channel, over those of white, are the balanced
+responses, to which the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise is that
+of the difference of two frames of grey, as luminance Y and as R - Y and B - Y of the display's
+linear light, of single samples without interpolation between pixels.
 """
 
 from __future__ import annotations
@@ -37,12 +39,14 @@ GREY = 0.18  # reflectance
 PAIRS = 2  # frames of each field
 LEAST_WHITE = 5.0  # standard errors of a channel's white: with fewer, its balance is not known
 ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
-REDRAWS = 24  # of the measured means within their standard errors, for those of what follows: known to 15 %
+# of the measured means within their standard errors, for those of what follows: known to 15 %
+REDRAWS = 24
 
 
 @dataclass(frozen=True)
 class ColourTruth:
-    """What follows from the parameters: the chart under the lamp as the channels record it, crosstalk included.
+    """What follows from the parameters: the chart under the lamp as the channels record it,
+    crosstalk included.
 
     rendition : of the chromatic patches
     white_e : (C,) electrons of white in a value of each channel
@@ -59,7 +63,8 @@ class Colour:
     readout : how the pixels are read, without a channel
     patches_dn, patches_error_dn : (18, C) means and their standard errors
     white_dn, white_error_dn : (C,)
-    gain_error : (C,) relative, of the mean gain of the device's pixels in each channel against that of its type
+    gain_error : (C,) relative, of the mean gain of the device's pixels in each channel against that
+        of its type
     grey_dn : (C,)
     grey_noise_dn : (n, C) temporal noise of single samples
     seed : of the redraws
@@ -86,36 +91,53 @@ class Colour:
     @cached_property
     def measured(self) -> Rendition:
         """The chart as the frames have it; XYZ are those of the tables."""
-        return replace(self.truth.rendition, responses=np.maximum(self.patches_dn / self.white_dn, 0.0))
+        return replace(
+            self.truth.rendition, responses=np.maximum(self.patches_dn / self.white_dn, 0.0)
+        )
 
     @cached_property
     def redrawn(self) -> list[Rendition]:
         """The same with the means of patches and white redrawn within their standard errors."""
         draws, rng = [], stream("datasheet", self.seed, "colour errors")
         for _ in range(REDRAWS):
-            patches = self.patches_dn + self.patches_error_dn * rng.standard_normal(self.patches_dn.shape)
+            patches = self.patches_dn + self.patches_error_dn * rng.standard_normal(
+                self.patches_dn.shape
+            )
             white = self.white_dn + self.white_error_dn * rng.standard_normal(self.white_dn.shape)
             draws.append(replace(self.measured, responses=np.maximum(patches / white, 0.0)))
         return draws
 
     def estimate(self, quantity: Callable[[Rendition], float]) -> Estimate:
-        """Return a quantity of the measured chart, with the spread of its redraws as standard error."""
-        return Estimate(quantity(self.measured), float(np.std([quantity(one) for one in self.redrawn], ddof=1)))
+        """Return a quantity of the measured chart, with the spread of its redraws as standard
+        error.
+        """
+        return Estimate(
+            quantity(self.measured), float(np.std([quantity(one) for one in self.redrawn], ddof=1))
+        )
 
     @cached_property
     def white_balance(self) -> list[Estimate]:
-        """Gain of each channel that makes white equal in all, relative to the channel that white fills most, (C,)."""
+        """Gain of each channel that makes white equal in all, relative to the channel that white
+        fills most, (C,).
+        """
         most = int(np.argmax(self.truth.white_e))
         errors = np.hypot(self.white_error_dn, self.white_dn * self.gain_error)
-        signals = [Estimate(*pair) for pair in zip(self.white_dn.tolist(), errors.tolist(), strict=True)]
-        return [Estimate(1.0) if number == most else signals[most] / signal for number, signal in enumerate(signals)]
+        signals = [
+            Estimate(*pair) for pair in zip(self.white_dn.tolist(), errors.tolist(), strict=True)
+        ]
+        return [
+            Estimate(1.0) if number == most else signals[most] / signal
+            for number, signal in enumerate(signals)
+        ]
 
     @property
     def true_white_balance(self) -> Array:
         return np.asarray(self.truth.white_e.max() / self.truth.white_e)
 
     def snr(self) -> tuple[Estimate, Estimate]:
-        """Mean luminance of grey over the noise of luminance, and over that of R - Y and B - Y together."""
+        """Mean luminance of grey over the noise of luminance, and over that of R - Y and B - Y
+        together.
+        """
         opponent = opponents(self.measured)
         luminance = float((opponent[0] * self.grey_dn / self.white_dn).sum())
         noise = (opponent[:, None, :] * (self.grey_noise_dn / self.white_dn)).sum(axis=2)  # (3, n)
@@ -123,16 +145,24 @@ class Colour:
         count = noise.shape[1]
         together = variances[1] + variances[2]
         # Of a sum of two variances, with their covariance; normal noise.
-        spread = math.sqrt(2 * (variances[1] ** 2 + variances[2] ** 2 + 2 * float(np.mean(noise[1] * noise[2])) ** 2) / count)
+        spread = math.sqrt(
+            2
+            * (variances[1] ** 2 + variances[2] ** 2 + 2 * float(np.mean(noise[1] * noise[2])) ** 2)
+            / count
+        )
         if not min(variances[0], together) > 0:  # below the rounding of the ADC
             return Estimate(math.nan, math.nan), Estimate(math.nan, math.nan)
         ratios = luminance / math.sqrt(variances[0]), luminance / math.sqrt(together)
-        return Estimate(ratios[0], ratios[0] / math.sqrt(2 * count)), Estimate(ratios[1], ratios[1] * spread / together / 2)
+        return Estimate(ratios[0], ratios[0] / math.sqrt(2 * count)), Estimate(
+            ratios[1], ratios[1] * spread / together / 2
+        )
 
     def true_snr(self) -> tuple[float, float]:
         """The same from the parameters, mean temporal variance of the pixels."""
         p, opponent = self.readout, opponents(self.truth.rendition)
-        variance = frame_variance_dn2(GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False)
+        variance = frame_variance_dn2(
+            GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False
+        )
         of_white = variance / (self.truth.white_e * p.dn_per_e) ** 2
         luminance, *chrominance = (opponent**2 * of_white).sum(axis=1)
         # The matrix need not keep white.
@@ -141,7 +171,9 @@ class Colour:
 
 
 def matrix_to_display(rendition: Rendition) -> Array:
-    """Return the matrix from balanced channels to the display's primaries, (3, C); noise of a measurement may raise its gains."""
+    """Return the matrix from balanced channels to the display's primaries, (3, C); noise of a
+    measurement may raise its gains.
+    """
     return product(rendition.to_display, rendition.fitted(DEVELOP.matrix))
 
 
@@ -151,12 +183,16 @@ def smi(rendition: Rendition) -> float:
 
 
 def noise_gain(rendition: Rendition, primary: int) -> float:
-    """Return by how much the matrix amplifies equal noise of the balanced channels in a primary of the display."""
+    """Return by how much the matrix amplifies equal noise of the balanced channels in a primary of
+    the display.
+    """
     return float(np.sqrt(np.square(matrix_to_display(rendition)[primary]).sum()))
 
 
 def opponents(rendition: Rendition) -> Array:
-    """Return the matrix from balanced channels to Y, R - Y and B - Y of the display's linear light, (3, C)."""
+    """Return the matrix from balanced channels to Y, R - Y and B - Y of the display's linear light,
+    (3, C).
+    """
     red, green, blue = matrix_to_display(rendition)
     weights = XYZ_FROM_RGB[1] / XYZ_FROM_RGB[1].sum()
     luminance = weights[0] * red + weights[1] * green + weights[2] * blue
@@ -166,10 +202,17 @@ def opponents(rendition: Rendition) -> Array:
 def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
     """Return what follows from the parameters of a colour pixel as it is read.
 
-    Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix amplifies noise too much.
+    Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix
+    amplifies noise too much.
     """
     physics, power = readout.physics, illuminant(LAMP, STANDARD_NM)
-    responses = np.stack([one.quantum_efficiency(STANDARD_NM) * photons_per_joule(STANDARD_NM) for one in physics.channels], axis=1)
+    responses = np.stack(
+        [
+            one.quantum_efficiency(STANDARD_NM) * photons_per_joule(STANDARD_NM)
+            for one in physics.channels
+        ],
+        axis=1,
+    )
     xyz, white_xyz = chart_xyz(STANDARD_NM, power)
     seen = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
     rates = (power[:, None] * responses).sum(axis=0)
@@ -180,8 +223,13 @@ def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
     collections = collections_of(physics, lights, (1, 1))
     white = rates
     if collections:
-        collection = ColourCollection(layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, readout.bin_side)
-        rendition, white = rendition.mixed_by(collection.mixing_um2, rates), collection.white_e_per_s
+        collection = ColourCollection(
+            layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, readout.bin_side
+        )
+        rendition, white = (
+            rendition.mixed_by(collection.mixing_um2, rates),
+            collection.white_e_per_s,
+        )
     check_told_apart(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)
     largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
@@ -189,12 +237,13 @@ def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
 
 
 def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
-    """Capture the fields of a colour sensor in the exposure of an experiment, and return their statistics.
+    """Capture the fields of a colour sensor in the exposure of an experiment, and return their
+    statistics.
 
     gain_spread : PRNU, which is part of the standard error of the white balance
 
-    Raises PixsimError as `colour_truth` does, for a frame without pixels of every channel, and for a channel that white hardly
-    fills.
+    Raises PixsimError as `colour_truth` does, for a frame without pixels of every channel, and for
+    a channel that white hardly fills.
     """
     readout, time_s = experiment.readout.with_physics(channel=""), experiment.integration_s
     truth, layout = colour_truth(readout, time_s), readout.physics.layout
@@ -205,29 +254,53 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     numbers = layout.numbers(shape)
     counts = np.bincount(numbers.ravel(), minlength=len(layout.channels))
     if not counts.all():
-        got = f"{rows} × {columns} pixels, none of channel {layout.channels[int(np.argmin(counts))]}"
+        got = (
+            f"{rows} × {columns} pixels, none of channel {layout.channels[int(np.argmin(counts))]}"
+        )
         raise invalid("shape", got, "at least one unit cell")
 
     def field_of(name: str, signals_e: Array) -> list[Frames]:
         mean_e = of_channels(signals_e, layout, shape)
-        return [read_out(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index)) for index in range(PAIRS)]
+        return [
+            read_out(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index))
+            for index in range(PAIRS)
+        ]
 
     def means(frames: list[Frames]) -> tuple[Array, Array]:
         """Means of the channels, and their variances."""
-        total = np.bincount(numbers.ravel(), np.sum(frames, axis=0, dtype=float).ravel()) / counts / PAIRS
-        squares = np.bincount(numbers.ravel(), np.square((frames[0] - frames[1]).astype(float)).ravel()) / counts / 2
+        total = (
+            np.bincount(numbers.ravel(), np.sum(frames, axis=0, dtype=float).ravel())
+            / counts
+            / PAIRS
+        )
+        squares = (
+            np.bincount(numbers.ravel(), np.square((frames[0] - frames[1]).astype(float)).ravel())
+            / counts
+            / 2
+        )
         return total, squares / counts / PAIRS
 
     dark, dark_variance = means(field_of("colour dark", np.zeros(len(layout.channels))))
-    fields = [means(field_of(f"patch {index}", truth.white_e * seen)) for index, seen in enumerate(truth.rendition.responses)]
+    fields = [
+        means(field_of(f"patch {index}", truth.white_e * seen))
+        for index, seen in enumerate(truth.rendition.responses)
+    ]
     white, white_variance = means(field_of("white", truth.white_e))
     signal, error = white - dark, np.sqrt(white_variance + dark_variance)
     faint = np.flatnonzero(signal <= LEAST_WHITE * np.maximum(error, ROUNDING_DN))
     if faint.size:
         first = int(faint[0])
-        got = f"white of {signal[first]:.3g} DN with a standard error of {error[first]:.2g} DN in channel {layout.channels[first]}"
-        hint = "Its filter or quantum efficiency passes too little of D55; or take more pixels, bits or gain."
-        raise invalid("colour", got, f"more than {LEAST_WHITE:g} standard errors in each channel", hint)
+        got = (
+            f"white of {signal[first]:.3g} DN with a standard error of {error[first]:.2g} DN in"
+            f" channel {layout.channels[first]}"
+        )
+        hint = (
+            "Its filter or quantum efficiency passes too little of D55; or take more pixels, bits"
+            " or gain."
+        )
+        raise invalid(
+            "colour", got, f"more than {LEAST_WHITE:g} standard errors in each channel", hint
+        )
     grey = field_of("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)
     least = int(counts.min())
@@ -241,6 +314,8 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         white_error_dn=error,
         gain_error=gain_spread / np.sqrt(counts),
         grey_dn=means(grey)[0] - dark,
-        grey_noise_dn=np.stack([difference[numbers == number][:least] for number in range(len(counts))], axis=1),
+        grey_noise_dn=np.stack(
+            [difference[numbers == number][:least] for number in range(len(counts))], axis=1
+        ),
         seed=experiment.seed,
     )

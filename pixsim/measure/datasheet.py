@@ -1,7 +1,9 @@
-"""A pixel's data sheet: one simulated device measured as in EMVA 1288, ISO 15739 and ISO 12232, next to the true values.
+"""A pixel's data sheet: one simulated device measured as in EMVA 1288, ISO 15739 and ISO 12232,
+next to the true values.
 
-The closed forms of `pixsim.sensor` hold up to 6 σ below the full well. Close to the full well this module integrates
-numerically over shot noise, reset and read noise, and the spread of gain and offset between pixels.
+The closed forms of `pixsim.sensor` hold up to 6 σ below the full well. Close to the full well this
+module integrates numerically over shot noise, reset and read noise, and the spread of gain and
+offset between pixels.
 """
 
 from __future__ import annotations
@@ -52,15 +54,23 @@ from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
-from pixsim.viewer.without_effect import TABLES, GivenSettings, fields_of, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import (
+    TABLES,
+    GivenSettings,
+    fields_of,
+    warn_of_settings_without_effect,
+)
 
-LEAST_NOISE_DN = 0.1  # of light at saturation: below it, most frames of even light have one code and no noise
+LEAST_NOISE_DN = (
+    0.1  # of light at saturation: below it, most frames of even light have one code and no noise
+)
 GREY_FRAMES = 16  # ISO 15739 requires at least 8
 GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
 
 
 def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> tuple[float, float]:
-    """Mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e` photo-electrons; the quantiser adds 1/12 DN².
+    """Mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e` photo-electrons; the
+    quantiser adds 1/12 DN².
 
     Shot noise is approximated by a normal distribution, as in `pixsim.sensor.saturation`.
     """
@@ -74,26 +84,37 @@ def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> t
 
 def expected_curve(mean_e: Array, integration_s: float, readout: Readout) -> tuple[Array, Array]:
     """`expected_moments` at (n,) signals: (n,) means (DN) and (n,) temporal variances (DN²)."""
-    mean, variance = np.array([expected_moments(electrons, integration_s, readout) for electrons in mean_e.tolist()]).T
+    mean, variance = np.array(
+        [expected_moments(electrons, integration_s, readout) for electrons in mean_e.tolist()]
+    ).T
     return mean, variance
 
 
 def variance_peak_e(readout: Readout, integration_s: float, brightest_e: float) -> float:
     """Mean photo-electrons at which the temporal variance peaks: the saturation of EMVA 1288."""
-    return peak_e(lambda electrons: expected_moments(electrons, integration_s, readout)[1], brightest_e)
+    return peak_e(
+        lambda electrons: expected_moments(electrons, integration_s, readout)[1], brightest_e
+    )
 
 
 def row_noise(experiment: Experiment) -> RowNoise:
     """Temporal noise that the pixels of a row of the device share, by the pixel's parameters."""
     readout = experiment.readout
-    return RowNoise((readout.dn_per_e * constant_e(readout, is_temporal=True, along="row")) ** 2, experiment.sensor.shape[0])
+    return RowNoise(
+        (readout.dn_per_e * constant_e(readout, is_temporal=True, along="row")) ** 2,
+        experiment.sensor.shape[0],
+    )
 
 
 def dark_map_e(experiment: Experiment) -> Array:
-    """(rows, columns) mean dark signal of the device's pixels: pixel offsets, column offsets and dark charge, e-."""
+    """(rows, columns) mean dark signal of the device's pixels: pixel offsets, column offsets and
+    dark charge, e-.
+    """
     sensor, map_e = experiment.sensor, np.zeros(experiment.sensor.shape)
     if sensor.dark_gain is not None:
-        map_e = map_e + sensor.dark_gain * (experiment.readout.dark_current_e_per_s * experiment.integration_s)
+        map_e = map_e + sensor.dark_gain * (
+            experiment.readout.dark_current_e_per_s * experiment.integration_s
+        )
     for offset_e in (sensor.offset_e, sensor.column_offset_e):
         if offset_e is not None:
             map_e = map_e + offset_e
@@ -114,7 +135,8 @@ class DataSheet(Result):
     grey : (frames, rows, columns) at 13 % of saturation, DN
     grey_photons, bright_photons : per pixel, of `grey` and `bright_stack`
     channels : of a colour sensor, the light series of its other channels
-    colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be told apart; None if monochrome
+    colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be
+        told apart; None if monochrome
     """
 
     experiment: Experiment = field(repr=False)
@@ -144,8 +166,12 @@ class DataSheet(Result):
     @cached_property
     def transfer(self) -> PhotonTransfer:
         """Gain, responsivity, dark noise and saturation from the light series."""
-        spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value  # NaN: too small to be seen
-        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread, self.of_rows)
+        spread = (
+            0.0 if math.isnan(self.prnu.value) else self.prnu.value
+        )  # NaN: too small to be seen
+        return estimators.photon_transfer(
+            self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread, self.of_rows
+        )
 
     @property
     def signal_dn(self) -> Array:
@@ -156,7 +182,12 @@ class DataSheet(Result):
     def rising(self) -> PairSeries:
         """`dim`, followed by `light` up to saturation."""
         end = self.transfer.saturation_index + 1
-        return PairSeries(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
+        return PairSeries(
+            *(
+                np.concatenate([dim, light[:end]])
+                for dim, light in zip(self.dim, self.light, strict=True)
+            )
+        )
 
     @cached_property
     def linearity(self) -> Linearity:
@@ -176,20 +207,30 @@ class DataSheet(Result):
     @cached_property
     def dark_currents(self) -> tuple[Estimate, Estimate]:
         """Dark current from the mean and from the variance, e-/s."""
-        return estimators.dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels, self.of_rows)
+        return estimators.dark_current(
+            self.dark_series, self.transfer.gain_dn_per_e, self.pixels, self.of_rows
+        )
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
-        """(temperatures in K, dark currents from the mean); their errors exclude that of K, which they share."""
+        """(temperatures in K, dark currents from the mean); their errors exclude that of K, which
+        they share.
+        """
         gain = Estimate(self.transfer.gain_dn_per_e.value)
-        currents = [estimators.dark_current(warm, gain, self.pixels, self.of_rows)[0] for warm in self.warm.values()]
+        currents = [
+            estimators.dark_current(warm, gain, self.pixels, self.of_rows)[0]
+            for warm in self.warm.values()
+        ]
         return np.array(list(self.warm)), currents
 
     @property
     def true_dark_noise_e(self) -> float:
         """Temporal dark noise by the pixel's parameters."""
         p = self.experiment.readout
-        return math.sqrt(variance_e2(p, is_temporal=True) + p.dark_current_e_per_s * self.experiment.integration_s)
+        return math.sqrt(
+            variance_e2(p, is_temporal=True)
+            + p.dark_current_e_per_s * self.experiment.integration_s
+        )
 
     @cached_property
     def true_prnu(self) -> float:
@@ -201,11 +242,15 @@ class DataSheet(Result):
             return 0.0
         dark = dark_map_e(self.experiment)
         light = self.bright_photons * self.experiment.efficiency * self.experiment.sensor.gain
-        return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(light.mean())
+        return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(
+            light.mean()
+        )
 
     @cached_property
     def expected(self) -> tuple[Array, Array]:
-        """(n,) signals (DN) and (n,) temporal variances (DN²) of the light series by the model, minus those in the dark."""
+        """(n,) signals (DN) and (n,) temporal variances (DN²) of the light series by the model,
+        minus those in the dark.
+        """
         e = self.experiment
         mean, variance = expected_curve(e.photons * e.efficiency, e.integration_s, e.readout)
         dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.readout)
@@ -214,11 +259,15 @@ class DataSheet(Result):
     @cached_property
     def true_linearity(self) -> Linearity:
         """Deviation of the model's mean signals from a straight line."""
-        return estimators.linearity(self.experiment.photons, self.expected[0], self.transfer.saturation_index)
+        return estimators.linearity(
+            self.experiment.photons, self.expected[0], self.transfer.saturation_index
+        )
 
     @property
     def full_in_the_dark(self) -> float:
-        """The fraction of hot pixels whose dark charge alone saturates them at the longest time of the dark series."""
+        """The fraction of hot pixels whose dark charge alone saturates them at the longest time of
+        the dark series.
+        """
         e, p = self.experiment, self.experiment.readout
         if e.sensor.dark_gain is None or not e.physics.hot_pixel_fraction:
             return 0.0
@@ -228,12 +277,21 @@ class DataSheet(Result):
     @cached_property
     def entries(self) -> list[Entry]:
         """All lines of the data sheet, grouped by standard."""
-        return [*(*sensitivity(self), *channels(self), *spatial(self), *dark(self)), *(*noise(self), *speed(self), *colour(self))]
+        return [
+            *(*sensitivity(self), *channels(self), *spatial(self), *dark(self)),
+            *(*noise(self), *speed(self), *colour(self)),
+        ]
 
     def __repr__(self) -> str:
         physics, t = self.experiment.physics, self.transfer
-        values = f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d {t.dark_noise_e.value:.3g} e-"
-        return f"<DataSheet of {physics.pitch_um:g} µm pixels: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
+        values = (
+            f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d"
+            f" {t.dark_noise_e.value:.3g} e-"
+        )
+        return (
+            f"<DataSheet of {physics.pitch_um:g} µm pixels: {values}, μ_e.sat"
+            f" {rounded(t.saturation_e.value, 4)} e->"
+        )
 
 
 def datasheet(
@@ -246,18 +304,21 @@ def datasheet(
     seed: Whole | None = None,
     progress: Stage | None = None,
 ) -> DataSheet:
-    """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the true values.
+    """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the
+    true values.
 
-    file : a TOML file with a table [pixel], such as a data sheet; the file of a technology, or the name of a packaged one
+    file : a TOML file with a table [pixel], such as a data sheet; the file of a technology, or the
+        name of a packaged one
     config : one or more TOML files with [pixel] and [exposure]; later ones take precedence
     pixel : a Pixel, or fields of one, each in its unit, which override those of the files
-    exposure : integration time of the light series and gain of all frames, as an Exposure or its fields; by default 30 ms, or less
-        where the dark current is high
+    exposure : integration time of the light series and gain of all frames, as an Exposure or its
+        fields; by default 30 ms, or less where the dark current is high
     wavelength_nm : of the light; by default the peak of the response
     seed : of the sensor and its noise; None means that of `config`, or 0
     progress : returns a callback for each named stage
 
-    Raises PixsimError for invalid input, and if the pixel's codes are so coarse that no frame shows noise.
+    Raises PixsimError for invalid input, and if the pixel's codes are so coarse that no frame shows
+    noise.
 
     >>> sheet = datasheet("0.35um", pixel={"pitch_um": 6.5, "bits": 12})
     >>> gain = next(entry for entry in sheet.entries if entry.symbol == "K")
@@ -265,14 +326,29 @@ def datasheet(
     True
     """
     settings = datasheet_settings(file, config, pixel, exposure, seed)
-    return make_datasheet(settings.pixel, settings.exposure, stage=progress, wavelength_nm=wavelength_nm, seed=settings.seed)
+    return make_datasheet(
+        settings.pixel,
+        settings.exposure,
+        stage=progress,
+        wavelength_nm=wavelength_nm,
+        seed=settings.seed,
+    )
 
 
-# A data sheet is of single exposures of even light, as they are read. Camera and lens stand in a sensor's file for other commands.
+# A data sheet is of single exposures of even light, as they are read. Camera and lens stand in a
+# sensor's file for other commands.
 NOT_OF_SHEETS = (
     *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
     *fields_of("exposure", Exposure, "integration_s", "gain_db"),
-    *("lens.veiling_glare", "lens.veiling_glare_outside", "motion", "correction", "develop", "display", "pixel.registration"),
+    *(
+        "lens.veiling_glare",
+        "lens.veiling_glare_outside",
+        "motion",
+        "correction",
+        "develop",
+        "display",
+        "pixel.registration",
+    ),
 )
 
 
@@ -283,49 +359,81 @@ def datasheet_settings(
     exposure: Exposure | Mapping[str, Any] | None,
     seed: int | str | None,
 ) -> Run:
-    """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists all problems.
+    """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists
+    all problems.
 
     Warns of settings that a data sheet does not take.
     """
     files = listed(config)
-    if isinstance(pixel, Pixel) and (given := [name for name, value in (("file", file), ("config", files)) if value]):
-        raise invalid(", ".join(given), "with a Pixel", "fields of a pixel beside a file", "Set these values in the Pixel instead.")
+    if isinstance(pixel, Pixel) and (
+        given := [name for name, value in (("file", file), ("config", files)) if value]
+    ):
+        raise invalid(
+            ", ".join(given),
+            "with a Pixel",
+            "fields of a pixel beside a file",
+            "Set these values in the Pixel instead.",
+        )
     name = None if file is None else os.fspath(file)
-    if name is not None and (name in packaged_sensors() or (name.endswith(".toml") and "pixel" in read_toml(Path(name)))):
+    if name is not None and (
+        name in packaged_sensors() or (name.endswith(".toml") and "pixel" in read_toml(Path(name)))
+    ):
         files.insert(0, name)
     elif name is not None:
         fields = dict(pixel or {})
         if "technology" in fields:
             raise PixsimError(
-                f"pixel: got '{name}' and {setting('pixel.technology', fields['technology'])}; give only one of them."
+                f"pixel: got '{name}' and {setting('pixel.technology', fields['technology'])}; give"
+                " only one of them."
             )
         pixel = fields | {"technology": name}
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
-    settings = run_settings(files, {name: value for name, value in options.items() if value is not None})
+    settings = run_settings(
+        files, {name: value for name, value in options.items() if value is not None}
+    )
     imaging = Imaging.of(settings, Camera())
-    stated = GivenSettings.of_setting(imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False)
+    stated = GivenSettings.of_setting(
+        imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False
+    )
     warn_of_settings_without_effect({"": [stated]})
     return settings
 
 
-def make_datasheet(pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any) -> DataSheet:
-    """Measure one simulated device of a pixel; `how` are the keywords of `make_experiment`, which raises PixsimError."""
+def make_datasheet(
+    pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any
+) -> DataSheet:
+    """Measure one simulated device of a pixel; `how` are the keywords of `make_experiment`, which
+    raises PixsimError.
+    """
     return measure(make_experiment(pixel, exposure, **how), stage, how.get("wavelength_nm"))
 
 
-def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: float | None = None) -> DataSheet:
-    """Capture every frame of the experiment and return its data sheet; `stage` receives the progress.
+def measure(
+    experiment: Experiment, stage: Stage | None = None, wavelength_nm: float | None = None
+) -> DataSheet:
+    """Capture every frame of the experiment and return its data sheet; `stage` receives the
+    progress.
 
-    wavelength_nm : of the light on the other channels of a colour sensor; None takes the peak of each
+    wavelength_nm : of the light on the other channels of a colour sensor; None takes the peak of
+        each
 
     Raises PixsimError if codes are so coarse that no frame shows noise.
     """
     report_progress = stage or no_stage
     p = experiment.readout
-    largest_dn2 = float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False)) - QUANTISATION_DN2
+    largest_dn2 = (
+        float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False))
+        - QUANTISATION_DN2
+    )
     if largest_dn2 < LEAST_NOISE_DN**2:
-        got = f"{p.adc.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from which K is measured"
-        allowed = f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at saturation"
+        got = (
+            f"{p.adc.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from"
+            " which K is measured"
+        )
+        allowed = (
+            f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at"
+            " saturation"
+        )
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
     def pairs(name: str, photons: Array, of: Experiment = experiment) -> PairSeries:
@@ -342,7 +450,8 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
     bright, grey = saturation / 2, GREY_SHARE * saturation
     count = experiment.stack_frames
     stacks = [
-        estimators.stack(experiment.frames(count, level, name)) for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
+        estimators.stack(experiment.frames(count, level, name))
+        for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
     ]
     others = experiment.physics.layout.channels if experiment.physics.layout else ()
     channels: dict[str, tuple[Experiment, PhotonTransfer]] = {}
@@ -354,7 +463,9 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
         series_ = pairs(f"channel {letter}", own.photons, own)
         channels[letter] = (
             own,
-            estimators.photon_transfer(series_, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise(own)),
+            estimators.photon_transfer(
+                series_, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise(own)
+            ),
         )
     report_progress("dark series")
     return DataSheet(
@@ -363,7 +474,10 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
         dim=dim,
         dark=dark,
         dark_series=experiment.dark_series(),
-        warm={temperature_k: experiment.dark_series(temperature_k) for temperature_k in experiment.temperatures_k},
+        warm={
+            temperature_k: experiment.dark_series(temperature_k)
+            for temperature_k in experiment.temperatures_k
+        },
         dark_stack=stacks[0],
         bright_stack=stacks[1],
         grey=np.stack([*experiment.frames(GREY_FRAMES, grey, "grey")]).astype(float),
@@ -416,15 +530,30 @@ class Entry:
 
     @property
     def off(self) -> float:
-        """Relative deviation, measured/true - 1; NaN if there is no true value or it is 0 within rounding."""
-        return self.measured / self.true - 1 if abs(self.true) > ROUNDING * abs(self.measured) else math.nan
+        """Relative deviation, measured/true - 1; NaN if there is no true value or it is 0 within
+        rounding.
+        """
+        return (
+            self.measured / self.true - 1
+            if abs(self.true) > ROUNDING * abs(self.measured)
+            else math.nan
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the line for JSON, with None for NaN and infinity."""
         return plain(asdict(self) | {"off": self.off})
 
 
-def line(standard: str, name: str, symbol: str, unit: str, measured: Estimate, true: float, source: str, note: str = "") -> Entry:
+def line(
+    standard: str,
+    name: str,
+    symbol: str,
+    unit: str,
+    measured: Estimate,
+    true: float,
+    source: str,
+    note: str = "",
+) -> Entry:
     return Entry(standard, name, symbol, unit, measured.value, measured.error, true, source, note)
 
 
@@ -445,7 +574,9 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     peak = "peak of the model's expected variance"
     straight = e.pixel.conversion == "linear" and e.pixel.well_limit == "swing"
     span = "full well" if e.pixel.adc_full_scale_e is None else "adc_full_scale_e"
-    of_gain = f"(2^bits - 1 - black) / {span}" if p.adc.gain_e_per_dn is None else "1 / gain_e_per_dn"
+    of_gain = (
+        f"(2^bits - 1 - black) / {span}" if p.adc.gain_e_per_dn is None else "1 / gain_e_per_dn"
+    )
     of_gain += f" · 10^({p.gain_db:g} dB / 20)" if p.gain_db else ""
     of_line = "straight line" if straight else "the model's expected curve"
     return [
@@ -470,7 +601,9 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
 
 
 def channels(sheet: DataSheet) -> list[Entry]:
-    """Responsivity, quantum efficiency, threshold and saturation of the other channels of a colour sensor."""
+    """Responsivity, quantum efficiency, threshold and saturation of the other channels of a colour
+    sensor.
+    """
     lines = []
     for letter, (e, t) in sheet.channels.items():
         k, eta, at = e.readout.dn_per_e, e.efficiency, f"channel {letter}, {e.wavelength_nm:g} nm"
@@ -489,11 +622,16 @@ def channels(sheet: DataSheet) -> list[Entry]:
 
 
 def colour(sheet: DataSheet) -> list[Entry]:
-    """SMI, noise gains of the colour matrix, white balance, and SNR of luminance and chrominance of a colour sensor."""
+    """SMI, noise gains of the colour matrix, white balance, and SNR of luminance and chrominance of
+    a colour sensor.
+    """
     c = sheet.colour
     if not isinstance(c, Colour):
         return []
-    true, row = c.truth.rendition, "norm of the row of the matrix from balanced channels to the display's linear light"
+    true, row = (
+        c.truth.rendition,
+        "norm of the row of the matrix from balanced channels to the display's linear light",
+    )
     balance = zip(c.channels, c.white_balance, c.true_white_balance.tolist(), strict=True)
     grey = "from the parameters: 18 % grey with white at 72 % of saturation"
     lines = [
@@ -514,30 +652,53 @@ def colour(sheet: DataSheet) -> list[Entry]:
     )
     for (name, symbol, of), measured, expected in zip(names, c.snr(), c.true_snr(), strict=True):
         lines.append(
-            line(COLOUR, name, symbol, "dB", decibel(measured), 20 * math.log10(expected), f"{grey}; temporal noise of {of}")
+            line(
+                COLOUR,
+                name,
+                symbol,
+                "dB",
+                decibel(measured),
+                20 * math.log10(expected),
+                f"{grey}; temporal noise of {of}",
+            )
         )
     return lines
 
 
 def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
-    """A linearity error in per cent; its standard error is the mean (LE) or largest one of the fitted signals."""
+    """A linearity error in per cent; its standard error is the mean (LE) or largest one of the
+    fitted signals.
+    """
     within, light = sheet.linearity.within, sheet.light
     error = np.sqrt(light.variance_dn2[within] / (2 * sheet.pixels)) / sheet.signal_dn[within]
-    return Estimate(100 * getattr(sheet.linearity, name), 100 * float(error.mean() if name == "error" else error.max()))
+    return Estimate(
+        100 * getattr(sheet.linearity, name),
+        100 * float(error.mean() if name == "error" else error.max()),
+    )
 
 
 def spatial(sheet: DataSheet) -> list[Entry]:
-    """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not positive), and PRNU1288."""
-    p, map_e, k = sheet.experiment.readout, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
+    """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not
+    positive), and PRNU1288.
+    """
+    p, map_e, k = (
+        sheet.experiment.readout,
+        dark_map_e(sheet.experiment),
+        sheet.transfer.gain_dn_per_e,
+    )
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
     nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
-    dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
+    dsnu = (
+        "from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) ="
+        f" {nominal:.4g}"
+    )
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
     whole = estimators.parts(FrameStack(1, map_e, np.zeros_like(map_e)))
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [
-        replace(part, value=part.value + left_e2 * (name == "of rows")) for part, (name, _) in zip(whole, PARTS, strict=True)
+        replace(part, value=part.value + left_e2 * (name == "of rows"))
+        for part, (name, _) in zip(whole, PARTS, strict=True)
     ]
     split = zip(PARTS, estimators.parts(sheet.dark_stack, sheet.of_rows), true_e2, strict=True)
     kept = f"{SPLIT}, and the row noise that {sheet.dark_stack.frames} frames leave"
@@ -555,16 +716,29 @@ def spatial(sheet: DataSheet) -> list[Entry]:
 def doubling_from(physics: PixelPhysics) -> str:
     if physics.pixel.dark_current and physics.pixel.dark_current.doubling_k:
         return "pixel.dark_current.doubling_k"
-    return "assumed, as for silicon" if physics.technology.name == NO_TECHNOLOGY else "from the technology file"
+    return (
+        "assumed, as for silicon"
+        if physics.technology.name == NO_TECHNOLOGY
+        else "from the technology file"
+    )
 
 
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
     p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
-    current, unit, gain = sheet.experiment.readout.dark_current_e_per_s, "e-/s", sheet.experiment.sensor.dark_gain
+    current, unit, gain = (
+        sheet.experiment.readout.dark_current_e_per_s,
+        "e-/s",
+        sheet.experiment.sensor.dark_gain,
+    )
     at = f"mean of the pixels at {p.pixel.temperature_k:g} K"
-    if p.hot_pixel_fraction and gain is not None:  # few pixels have much of it: that of one device differs from the stated mean
-        at = f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give {current:.4g}"
+    if (
+        p.hot_pixel_fraction and gain is not None
+    ):  # few pixels have much of it: that of one device differs from the stated mean
+        at = (
+            f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give"
+            f" {current:.4g}"
+        )
         current *= float(gain.mean())
     entries = [
         line(EMVA, "dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
@@ -572,7 +746,9 @@ def dark(sheet: DataSheet) -> list[Entry]:
     ]
     temperatures, warm = sheet.warm_currents
     if warm and current:
-        doubling = estimators.doubling_k(temperatures, *np.array([(current.value, current.error) for current in warm]).T)
+        doubling = estimators.doubling_k(
+            temperatures, *np.array([(current.value, current.error) for current in warm]).T
+        )
         name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
         entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, doubling_from(p)))
     return entries
@@ -588,31 +764,50 @@ def highest_dn(experiment: Experiment) -> float:
     """Full scale of the device in DN: the ADC's top code, or the level of a full well below it."""
     p = experiment.readout
     full_e = p.full_well_e + mean_offset_e(experiment)
-    return float(p.adc.top_code_dn) if p.adc_range_e <= full_e else p.adc.black_level_dn + full_e * p.dn_per_e
+    return (
+        float(p.adc.top_code_dn)
+        if p.adc_range_e <= full_e
+        else p.adc.black_level_dn + full_e * p.dn_per_e
+    )
 
 
 def largest_light_e(experiment: Experiment) -> float:
-    """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset leave of well and ADC range."""
+    """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset
+    leave of well and ADC range.
+    """
     p, gain = experiment.readout, experiment.sensor.dark_gain
-    dark_e = p.dark_current_e_per_s * experiment.integration_s * (1.0 if gain is None else float(gain.mean()))
+    dark_e = (
+        p.dark_current_e_per_s
+        * experiment.integration_s
+        * (1.0 if gain is None else float(gain.mean()))
+    )
     return min(p.full_well_e, p.adc_range_e - mean_offset_e(experiment)) - dark_e
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise and S/N at 13 % of saturation, and dynamic range."""
     e, p, k = sheet.experiment, sheet.experiment.readout, sheet.experiment.readout.dn_per_e
-    (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey, sheet.of_rows), sheet.grey_photons * e.efficiency
+    (temporal, fixed, total), signal_e = (
+        estimators.noise_15739(sheet.grey, sheet.of_rows),
+        sheet.grey_photons * e.efficiency,
+    )
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
-    temporal_dn2 = k**2 * float(variance_e2(p, signal_e + dark_e, is_temporal=True)) + QUANTISATION_DN2
+    temporal_dn2 = (
+        k**2 * float(variance_e2(p, signal_e + dark_e, is_temporal=True)) + QUANTISATION_DN2
+    )
     fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
     row_dn2, rows = sheet.of_rows.variance_dn2, sheet.of_rows.rows
     of_mean_dn = math.sqrt((temporal_dn2 - row_dn2) / sheet.pixels + row_dn2 / rows)
     signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, of_mean_dn)
     dark_dn2 = temporal_dn2 - k**2 * signal_e
     more = sheet.dark_stack.frames - 1
-    of_variance_dn2 = float(estimators.variance_error(dark_dn2, sheet.pixels * more, sheet.of_rows.in_frames(more)))
-    dark_noise = Estimate(math.sqrt(sheet.dark_stack.temporal_dn2), of_variance_dn2 / (2 * math.sqrt(dark_dn2)))
+    of_variance_dn2 = float(
+        estimators.variance_error(dark_dn2, sheet.pixels * more, sheet.of_rows.in_frames(more))
+    )
+    dark_noise = Estimate(
+        math.sqrt(sheet.dark_stack.temporal_dn2), of_variance_dn2 / (2 * math.sqrt(dark_dn2))
+    )
     full_dn = Estimate(highest_dn(e) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [
@@ -641,12 +836,34 @@ def speed(sheet: DataSheet) -> list[Entry]:
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])
-    dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
+    dark_dn2 = (
+        float(dark_map_e(e).var(ddof=1))
+        + sheet.true_dark_noise_e**2
+        + QUANTISATION_DN2 / p.dn_per_e**2
+    )
     for wanted in estimators.SIGNAL_TO_NOISE:
-        exposure = estimators.exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
+        exposure = estimators.exposure_at_snr(
+            lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels)
+        )
         true_e = signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
-        true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.saturation_e else math.nan
+        true = (
+            estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.saturation_e else math.nan
+        )
         note = "" if math.isfinite(exposure.value) else "not reached below saturation"
-        name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(estimators.NOISE_SPEED_LX_S) / exposure
-        entries.append(line(SPEED, name, f"S_noise{wanted:g}", "", speed, true, f"10 / H_S/N; {of_daylight}", note))
+        name, speed = (
+            f"noise-based speed, S/N {wanted:g}",
+            Estimate(estimators.NOISE_SPEED_LX_S) / exposure,
+        )
+        entries.append(
+            line(
+                SPEED,
+                name,
+                f"S_noise{wanted:g}",
+                "",
+                speed,
+                true,
+                f"10 / H_S/N; {of_daylight}",
+                note,
+            )
+        )
     return entries

@@ -1,9 +1,10 @@
 """The estimators of EMVA 1288, ISO 15739 and ISO 12232: from frames to values with standard errors.
 
-K and R are slopes through the origin between 0 and 70 % of saturation (section 6.6), σ_d and the absolute sensitivity
-threshold follow from the dark (2.4, 6.6), DSNU and PRNU from stacks (8.2), the linearity error from relative deviations
-between 5 and 95 % (6.7), dark currents from slopes over time (7.1) and their doubling from slopes over temperature (7.2).
-Standard errors follow from the variance of a sample variance (2σ⁴/n) and of a sample mean (σ²/n).
+K and R are slopes through the origin between 0 and 70 % of saturation (section 6.6), σ_d and the
+absolute sensitivity threshold follow from the dark (2.4, 6.6), DSNU and PRNU from stacks (8.2), the
+linearity error from relative deviations between 5 and 95 % (6.7), dark currents from slopes over
+time (7.1) and their doubling from slopes over temperature (7.2). Standard errors follow from the
+variance of a sample variance (2σ⁴/n) and of a sample mean (σ²/n).
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ Frames = NDArray[np.int32]
 class Pair(NamedTuple):
     """Statistics of two frames under the same light.
 
-    mean_dn : of both frames. variance_dn2 : temporal. frame_variance_dn2 : over the pixels of a frame, with fixed pattern.
+    mean_dn : of both frames. variance_dn2 : temporal. frame_variance_dn2 : over the pixels of a
+        frame, with fixed pattern.
     """
 
     mean_dn: float
@@ -38,10 +40,16 @@ class Pair(NamedTuple):
 
 
 def pair(first: Frames, second: Frames) -> Pair:
-    """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288, section 6.6)."""
+    """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288,
+    section 6.6).
+    """
     a, b = first.astype(float), second.astype(float)
     variance = float(np.mean((a - b) ** 2)) / 2 - (a.mean() - b.mean()) ** 2 / 2
-    return Pair(float((a.mean() + b.mean()) / 2), float(variance), float((a.var(ddof=1) + b.var(ddof=1)) / 2))
+    return Pair(
+        float((a.mean() + b.mean()) / 2),
+        float(variance),
+        float((a.var(ddof=1) + b.var(ddof=1)) / 2),
+    )
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,9 @@ class FrameStack:
 
     @property
     def spatial_dn2(self) -> float:
-        """Variance of the mean image, minus its residual temporal noise (EMVA 1288, section 8.1)."""
+        """Variance of the mean image, minus its residual temporal noise (EMVA 1288, section
+        8.1).
+        """
         return float(self.mean_dn.var(ddof=1)) - self.temporal_dn2 / self.frames
 
 
@@ -108,14 +118,18 @@ class Estimate:
         if not other.value:
             return Estimate(math.inf if self.value else math.nan, math.nan)
         value = self.value / other.value
-        return Estimate(value, math.hypot(self.error / other.value, value * other.error / other.value))
+        return Estimate(
+            value, math.hypot(self.error / other.value, value * other.error / other.value)
+        )
 
     def __mul__(self, factor: float) -> Estimate:
         return Estimate(self.value * factor, self.error * factor)
 
 
 def root(square: Estimate, of_none: float = math.nan) -> Estimate:
-    """Square root of a variance; `of_none` if the estimate is not positive: NaN, as in EMVA 1288, or 0."""
+    """Square root of a variance; `of_none` if the estimate is not positive: NaN, as in EMVA 1288,
+    or 0.
+    """
     if square.value <= 0:
         return Estimate(of_none, math.sqrt(square.error))
     value = math.sqrt(square.value)
@@ -124,7 +138,8 @@ def root(square: Estimate, of_none: float = math.nan) -> Estimate:
 
 @dataclass(frozen=True)
 class RowNoise:
-    """Temporal noise that the pixels of a row share: fewer values of a frame are independent than it has pixels.
+    """Temporal noise that the pixels of a row share: fewer values of a frame are independent than
+    it has pixels.
 
     variance_dn2 : of it
     rows : of the frame
@@ -146,7 +161,8 @@ NO_ROW_NOISE = RowNoise()
 
 
 def variance_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
-    """Standard error of the temporal variance from one pair of frames: √(2 [(o² + 2 o r)/pixels + r²/rows]) of the own part o.
+    """Standard error of the temporal variance from one pair of frames: √(2 [(o² + 2 o r)/pixels +
+    r²/rows]) of the own part o.
 
     of_rows : with its variance r
     """
@@ -157,20 +173,30 @@ def variance_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_
 
 
 def mean_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
-    """Standard error of the mean of one pair of frames. The arguments are those of `variance_error`."""
+    """Standard error of the mean of one pair of frames. The arguments are those of
+    `variance_error`.
+    """
     row = of_rows.variance_dn2
-    return np.asarray(np.sqrt(np.maximum(variance - row, 0.0) / (2 * pixels) + row / (2 * of_rows.rows)))
+    return np.asarray(
+        np.sqrt(np.maximum(variance - row, 0.0) / (2 * pixels) + row / (2 * of_rows.rows))
+    )
 
 
 def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float = 0.0) -> Estimate:
-    """Least-squares slope through the origin; `common_error` is that of a constant subtracted from every y."""
+    """Least-squares slope through the origin; `common_error` is that of a constant subtracted from
+    every y.
+    """
     power = float(np.sum(x * x))
-    error = math.hypot(math.sqrt(float(np.sum((x * y_error) ** 2))), common_error * float(np.sum(x)))
+    error = math.hypot(
+        math.sqrt(float(np.sum((x * y_error) ** 2))), common_error * float(np.sum(x))
+    )
     return Estimate(float(np.sum(x * y)) / power, error / power)
 
 
 def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimate]:
-    """Slope and intercept by least squares with equal weights; standard errors from those of the points."""
+    """Slope and intercept by least squares with equal weights; standard errors from those of the
+    points.
+    """
     middle = x - x.mean()
     power = float(np.sum(middle**2))
     slope = float(np.sum(middle * y)) / power
@@ -187,7 +213,8 @@ class PhotonTransfer:
     gain_dn_per_e : K. responsivity_dn_per_p : R. efficiency : η = R/K. dark_noise_e : σ_d.
     saturation_p, saturation_e : μ_p.sat, μ_e.sat. threshold_p, threshold_e : μ_p.min, μ_e.min.
     limited : quantisation dominates, so that σ_d is an upper bound.
-    saturation_index, fitted : index of the variance's peak, and a mask of the exposures that K and R are fitted to.
+    saturation_index, fitted : index of the variance's peak, and a mask of the exposures that K and
+        R are fitted to.
     """
 
     gain_dn_per_e: Estimate
@@ -216,13 +243,17 @@ class PhotonTransfer:
 def saturation_index(variance_dn2: Array) -> int:
     """Index of the peak of the temporal variance: the saturation of EMVA 1288, section 6.6.
 
-    The scan starts at the brightest exposure, as in the standard. It returns the first peak that exceeds the two next dimmer
-    exposures and half of the largest value: beyond saturation the variance is small and irregular. Without such a peak it
-    returns the largest value.
+    The scan starts at the brightest exposure, as in the standard. It returns the first peak that
+    exceeds the two next dimmer exposures and half of the largest value: beyond saturation the
+    variance is small and irregular. Without such a peak it returns the largest value.
     """
     v = variance_dn2
     for index in range(len(v) - 2, 1, -1):
-        if v[index] > v.max() / 2 and v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2]):
+        if (
+            v[index] > v.max() / 2
+            and v[index] >= v[index + 1]
+            and v[index] > max(v[index - 1], v[index - 2])
+        ):
             return index
     return int(np.argmax(v))
 
@@ -235,11 +266,12 @@ def photon_transfer(
     gain_spread: float = 0.0,
     of_rows: RowNoise = NO_ROW_NOISE,
 ) -> PhotonTransfer:
-    """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with that many pixels.
+    """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with
+    that many pixels.
 
     of_rows : for the standard errors
-    gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels, which the standard errors of
-        R and η include
+    gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels,
+        which the standard errors of R and η include
     """
     signal, excess = light.mean_dn - dark_mean_dn, light.variance_dn2 - dark_variance_dn2
     saturated = saturation_index(light.variance_dn2)
@@ -247,9 +279,13 @@ def photon_transfer(
     fitted[saturated:] = False
     x, y, p = signal[fitted], excess[fitted], light.at[fitted]
     dark_error = float(variance_error(dark_variance_dn2, pixels, of_rows))
-    gain = slope_through_origin(x, y, variance_error(light.variance_dn2[fitted], pixels, of_rows), dark_error)
+    gain = slope_through_origin(
+        x, y, variance_error(light.variance_dn2[fitted], pixels, of_rows), dark_error
+    )
     of_means = mean_error(light.variance_dn2[fitted], pixels, of_rows)
-    response = slope_through_origin(p, x, of_means, float(mean_error(dark_variance_dn2, pixels, of_rows)))
+    response = slope_through_origin(
+        p, x, of_means, float(mean_error(dark_variance_dn2, pixels, of_rows))
+    )
     efficiency = response / gain
     limited = dark_variance_dn2 < LIMITED_DN2
     dark_variance = Estimate(max(dark_variance_dn2, LIMITED_DN2), dark_error)
@@ -269,7 +305,9 @@ def photon_transfer(
         efficiency=of_type(efficiency),
         dark_noise_e=dark_noise,
         saturation_p=saturation_p,
-        saturation_e=Estimate(saturation_p.value * efficiency.value, saturation_p.error * efficiency.value),
+        saturation_e=Estimate(
+            saturation_p.value * efficiency.value, saturation_p.error * efficiency.value
+        ),
         threshold_p=threshold_e / efficiency,
         threshold_e=threshold_e,
         limited=limited,
@@ -282,8 +320,10 @@ def photon_transfer(
 class Linearity:
     """Relative deviation of the mean signal from a straight line fitted to minimise it.
 
-    deviation : (n,) at every exposure. within : (n,) mask of the exposures between 5 and 95 % of saturation.
-    error : mean |deviation| within that range (Release 4.0). lowest, highest : its extremes (Release 3.1).
+    deviation : (n,) at every exposure. within : (n,) mask of the exposures between 5 and 95 % of
+        saturation.
+    error : mean |deviation| within that range (Release 4.0). lowest, highest : its extremes
+        (Release 3.1).
     """
 
     deviation: Array
@@ -294,45 +334,64 @@ class Linearity:
 
 
 def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
-    """Linearity error from a fit weighted by 1/signal², which minimises relative deviations (section 6.7)."""
+    """Linearity error from a fit weighted by 1/signal², which minimises relative deviations
+    (section 6.7).
+    """
     low, high = (share * signal_dn[saturated] for share in LINEARITY_SHARES)
     within = (signal_dn >= low) & (signal_dn <= high)
     within[saturated + 1 :] = False
-    line = np.polynomial.Polynomial.fit(photons[within], signal_dn[within], 1, w=1 / signal_dn[within])
+    line = np.polynomial.Polynomial.fit(
+        photons[within], signal_dn[within], 1, w=1 / signal_dn[within]
+    )
     deviation = signal_dn / line(photons) - 1
     inside = deviation[within]
-    return Linearity(deviation, within, float(np.abs(inside).mean()), float(inside.min()), float(inside.max()))
+    return Linearity(
+        deviation, within, float(np.abs(inside).mean()), float(inside.min()), float(inside.max())
+    )
 
 
 def spatial_error(variance: float, residual: float, count: int) -> float:
-    """Standard error of the spatial variance of `count` given pixels, each with a residual temporal variance."""
+    """Standard error of the spatial variance of `count` given pixels, each with a residual temporal
+    variance.
+    """
     return math.sqrt((4 * max(variance, 0.0) * residual + 2 * residual**2) / count)
 
 
 def spatial_error_dn2(images: FrameStack) -> float:
     """`spatial_error` of a stack's mean image."""
-    return spatial_error(images.spatial_dn2, images.temporal_dn2 / images.frames, images.mean_dn.size)
+    return spatial_error(
+        images.spatial_dn2, images.temporal_dn2 / images.frames, images.mean_dn.size
+    )
 
 
 def dsnu_e(dark: FrameStack, gain: Estimate) -> Estimate:
-    """DSNU1288 = s_dark/K: standard deviation of the mean dark image over the pixels, e- (section 8.2)."""
+    """DSNU1288 = s_dark/K: standard deviation of the mean dark image over the pixels, e- (section
+    8.2).
+    """
     return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark))) / gain
 
 
 def prnu(dark: FrameStack, bright: FrameStack) -> Estimate:
-    """PRNU1288 = √(s²_bright - s²_dark)/signal from stacks in the dark and at half of saturation, a fraction (section 8.2)."""
+    """PRNU1288 = √(s²_bright - s²_dark)/signal from stacks in the dark and at half of saturation, a
+    fraction (section 8.2).
+    """
     signal = float(bright.mean_dn.mean() - dark.mean_dn.mean())
     error_dn2 = math.hypot(spatial_error_dn2(bright), spatial_error_dn2(dark))
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
-def parts(images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
-    """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
+def parts(
+    images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE
+) -> tuple[Estimate, Estimate, Estimate]:
+    """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0,
+    section 8.3).
 
-    The three add up to the spatial variance; each is corrected for the others and for temporal noise. Standard errors come
-    from the residual temporal noise in the means of columns, rows and pixels.
+    The three add up to the spatial variance; each is corrected for the others and for temporal
+    noise. Standard errors come from the residual temporal noise in the means of columns, rows and
+    pixels.
 
-    of_rows : of a frame, for the standard errors. The standard takes what the mean image keeps of it for a fixed pattern
+    of_rows : of a frame, for the standard errors. The standard takes what the mean image keeps of
+        it for a fixed pattern
     """
     rows, columns = images.mean_dn.shape
     mean, noise = images.mean_dn, images.temporal_dn2 / images.frames
@@ -351,28 +410,43 @@ def parts(images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimat
     )
 
 
-def dark_current(dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
-    """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1).
+def dark_current(
+    dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE
+) -> tuple[Estimate, Estimate]:
+    """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided
+    by K and K² (section 7.1).
 
     of_rows : for the standard errors
     """
-    of_mean, _ = straight_line(dark.at, dark.mean_dn, mean_error(dark.variance_dn2, pixels, of_rows))
-    of_variance, _ = straight_line(dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, of_rows))
+    of_mean, _ = straight_line(
+        dark.at, dark.mean_dn, mean_error(dark.variance_dn2, pixels, of_rows)
+    )
+    of_variance, _ = straight_line(
+        dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, of_rows)
+    )
     variance = of_variance / gain
     # K² doubles the relative error of K.
-    error = math.hypot(of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value)
+    error = math.hypot(
+        of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value
+    )
     return of_mean / gain, Estimate(variance.value / gain.value, error)
 
 
 def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Array) -> Estimate:
-    """Doubling temperature ϑ_d from the slope of log₂(dark current) over temperature (7.2); NaN if a current is not positive."""
+    """Doubling temperature ϑ_d from the slope of log₂(dark current) over temperature (7.2); NaN if
+    a current is not positive.
+    """
     if np.any(current_e_per_s <= 0):
         return Estimate(math.nan, math.nan)
-    slope, _ = straight_line(temperature_k, np.log2(current_e_per_s), error_e_per_s / current_e_per_s / math.log(2))
+    slope, _ = straight_line(
+        temperature_k, np.log2(current_e_per_s), error_e_per_s / current_e_per_s / math.log(2)
+    )
     return Estimate(1 / slope.value, slope.error / slope.value**2)
 
 
-SATURATION_SPEED_LX_S = 78.0  # ISO 12232: S = 78/H_sat, with half a stop of headroom above 18 % grey
+SATURATION_SPEED_LX_S = (
+    78.0  # ISO 12232: S = 78/H_sat, with half a stop of headroom above 18 % grey
+)
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H, with H at the given S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
 MIN_FRAMES = 8
@@ -380,12 +454,15 @@ TINY = 1e-300
 DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
-def noise_15739(frames: Array, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
-    """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO 15739, section 6.2.3).
+def noise_15739(
+    frames: Array, of_rows: RowNoise = NO_ROW_NOISE
+) -> tuple[Estimate, Estimate, Estimate]:
+    """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO
+    15739, section 6.2.3).
 
-    σ_diff² is the mean variance of a frame minus the average frame, σ_ave² the variance of the average frame:
-    temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). Standard errors come from temporal noise alone, for a
-    given fixed pattern.
+    σ_diff² is the mean variance of a frame minus the average frame, σ_ave² the variance of the
+    average frame: temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). Standard errors
+    come from temporal noise alone, for a given fixed pattern.
 
     of_rows : for the standard errors
 
@@ -402,21 +479,34 @@ def noise_15739(frames: Array, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estima
     temporal_error = float(variance_error(temporal_dn2, pixels * (n - 1), of_rows.in_frames(n - 1)))
     fixed_error = spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
     total = Estimate(temporal_dn2 + fixed_dn2, math.hypot(temporal_error, fixed_error))
-    return root(Estimate(temporal_dn2, temporal_error), 0.0), root(Estimate(fixed_dn2, fixed_error), 0.0), root(total, 0.0)
+    return (
+        root(Estimate(temporal_dn2, temporal_error), 0.0),
+        root(Estimate(fixed_dn2, fixed_error), 0.0),
+        root(total, 0.0),
+    )
 
 
 def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     """Electrons in a pixel per lx·s of CIE D65 on the sensor, 360-830 nm."""
     step = np.ones_like(DAYLIGHT_NM)
     spectrum = d65(DAYLIGHT_NM)
-    electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
+    electrons = (
+        physics.band_quantum_efficiency(DAYLIGHT_NM, step)
+        * photons_per_joule(DAYLIGHT_NM)
+        * spectrum
+    )
     lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
-    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
+    area_um2 = (
+        collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
+    )
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 
 
-def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float, relative_error: float) -> Estimate:
-    """Lowest exposure that reaches the wanted S/N, by log-log interpolation; NaN if it is not reached.
+def exposure_at_snr(
+    exposure: Array, signal: Array, noise: Array, wanted: float, relative_error: float
+) -> Estimate:
+    """Lowest exposure that reaches the wanted S/N, by log-log interpolation; NaN if it is not
+    reached.
 
     `relative_error` is that of one S/N.
     """

@@ -1,9 +1,11 @@
-"""The photon-transfer experiment of EMVA 1288: one simulated sensor under uniform monochromatic light, and in the dark.
+"""The photon-transfer experiment of EMVA 1288: one simulated sensor under uniform monochromatic
+light, and in the dark.
 
-The light rises in equal steps from dark to beyond saturation at one integration time, with two frames a step (Release 4.0
-Linear, section 6.5). Stacks of frames in the dark and at half of saturation give the spatial terms (8), dark pairs at several
-times (7.1) and temperatures (7.2) the dark current. The fixed pattern is sampled once. Every frame has its own random stream,
-so that it does not depend on which other frames are captured.
+The light rises in equal steps from dark to beyond saturation at one integration time, with two
+frames a step (Release 4.0 Linear, section 6.5). Stacks of frames in the dark and at half of
+saturation give the spatial terms (8), dark pairs at several times (7.1) and temperatures (7.2) the
+dark current. The fixed pattern is sampled once. Every frame has its own random stream, so that it
+does not depend on which other frames are captured.
 """
 
 from __future__ import annotations
@@ -28,20 +30,37 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
+from pixsim.sensor.readout import (
+    MAX_BLACK,
+    Sensor,
+    dark_spread_e,
+    least_black_level_dn,
+    read_out,
+    sample_sensor,
+)
 from pixsim.sensor.technology import load_technology
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
 DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
-BEYOND_SATURATION = 1.1  # of the light that fills the well, so that the series spans the peak of the variance
+BEYOND_SATURATION = (
+    1.1  # of the light that fills the well, so that the series spans the peak of the variance
+)
 STACK = 64  # frames; the standard requires at least 16
 DARK_TIMES = 8  # the standard requires at least 6
-TEMPERATURE_STEPS_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # of the dark series, from the pixel's temperature
+TEMPERATURE_STEPS_K = (
+    0.0,
+    5.0,
+    10.0,
+    15.0,
+    20.0,
+    25.0,
+)  # of the dark series, from the pixel's temperature
 MAX_TEMPERATURE_K = 400.0
 USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
-DARK_SHARE = 0.02  # of saturation: limit of the dark charge in the light series, if no integration time is given
+# of saturation: limit of the dark charge in the light series, if no integration time is given
+DARK_SHARE = 0.02
 MAX_DARK_SHARE = 0.2  # of saturation, at the longest time of the dark series
 MAX_DARK_S = 3600.0
 SEARCH_NM = (200.0, 1200.0)  # range of the search for the peak of the response
@@ -53,7 +72,8 @@ MAX_LIGHT = 4.0  # times saturation, of generated charge: end of the search for 
 class Experiment:
     """The sensor and the exposures of a photon-transfer experiment.
 
-    All pixels of a colour sensor have the filter of the channel that has the most: EMVA 1288 takes each channel for itself.
+    All pixels of a colour sensor have the filter of the channel that has the most: EMVA 1288 takes
+    each channel for itself.
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
@@ -84,21 +104,26 @@ class Experiment:
     @property
     def pixel(self) -> Pixel:
         """Settings of the pixel, with the black level that is used."""
-        return self.physics.pixel.model_copy(update={"black_level_dn": self.readout.adc.black_level_dn})
+        return self.physics.pixel.model_copy(
+            update={"black_level_dn": self.readout.adc.black_level_dn}
+        )
 
     @cached_property
     def efficiency(self) -> float:
         """Electrons per photon on the whole pixel (η of EMVA 1288): QE(λ) times fill factor."""
         return pixel_efficiency(self.physics, self.wavelength_nm)
 
-    def frame(self, photons: float, integration_s: float, *key: object, sensor: Sensor | None = None) -> Frames:
+    def frame(
+        self, photons: float, integration_s: float, *key: object, sensor: Sensor | None = None
+    ) -> Frames:
         """One frame of the device, (rows, columns) DN; the key names its random stream."""
         exposed = sensor or self.sensor
         mean_e = np.full(exposed.shape, photons * self.efficiency)
         return read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
 
     def of_channel(self, letter: str, wavelength_nm: float | None) -> Experiment:
-        """The light series of the same device under the filter of another channel, to the same electrons.
+        """The light series of the same device under the filter of another channel, to the same
+        electrons.
 
         wavelength_nm : of the light; None takes the peak of the channel's response
 
@@ -116,12 +141,16 @@ class Experiment:
         return (self.frame(photons, self.integration_s, *key, index) for index in range(count))
 
     def dark_series(self, temperature_k: float | None = None) -> PairSeries:
-        """Dark pairs at each integration time; at higher temperatures the times are shorter, so that the well does not fill."""
+        """Dark pairs at each integration time; at higher temperatures the times are shorter, so
+        that the well does not fill.
+        """
         key: tuple[object, ...] = ("dark series",)
         sensor, times = self.sensor, self.dark_times_s
         if temperature_k is not None:
             key, sensor = ("temperature", round(1e6 * temperature_k)), self.warmed(temperature_k)
-            times = times * min(self.readout.dark_current_e_per_s / sensor.readout.dark_current_e_per_s, 1.0)
+            times = times * min(
+                self.readout.dark_current_e_per_s / sensor.readout.dark_current_e_per_s, 1.0
+            )
         frames = (
             (self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2))
             for number, time_s in enumerate(times.tolist())
@@ -130,9 +159,13 @@ class Experiment:
 
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""
-        pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
+        pixel = Pixel.model_validate(
+            self.physics.pixel.model_dump() | {"temperature_k": temperature_k}
+        )
         device = self.physics
-        warm = replace(derive(pixel, device.technology), full_well_e=device.full_well_e, channel=device.channel)
+        warm = replace(
+            derive(pixel, device.technology), full_well_e=device.full_well_e, channel=device.channel
+        )
         return replace(self.sensor, readout=replace(self.readout, physics=warm))
 
 
@@ -154,7 +187,11 @@ def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
 
 def most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
     """A colour pixel with the channel that has the most pixels; a monochrome one as it is."""
-    return physics if physics.layout is None else physics.channels[int(np.argmax(physics.layout.shares))]
+    return (
+        physics
+        if physics.layout is None
+        else physics.channels[int(np.argmax(physics.layout.shares))]
+    )
 
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:
@@ -165,25 +202,42 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
     return float(highest[highest.size // 2])
 
 
-FINE_DN = 0.6  # spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
-MIDWAY_DN = 0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
+# spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
+FINE_DN = 0.6
+MIDWAY_DN = (
+    0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
+)
 
 
 def with_black_level(readout: Readout, integration_s: float) -> Readout:
-    """The readout with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it.
+    """The readout with a black level of at least 6 σ of its dark noise; raises PixsimError if its
+    ADC has too few codes for it.
 
-    A device whose dark frame spreads over less than `FINE_DN` has every pixel at the same place between two codes, and its
-    measured temporal noise depends on that place (at σ = 0.46 DN by ±4 %). The level is then set where it does not.
+    A device whose dark frame spreads over less than `FINE_DN` has every pixel at the same place
+    between two codes, and its measured temporal noise depends on that place (at σ = 0.46 DN by ±4
+    %). The level is then set where it does not.
     """
     adc, least = readout.adc, least_black_level_dn(readout, integration_s)
     if adc.black_level_dn >= least:
         return readout
     if least > MAX_BLACK * adc.top_code_dn:
-        room = f"for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
-        if readout.gain_db:  # where the ADC spans a given charge, more bits would make finer codes only
+        room = (
+            f"for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the"
+            " codes"
+        )
+        if (
+            readout.gain_db
+        ):  # where the ADC spans a given charge, more bits would make finer codes only
             hint = "Lower exposure.gain_db, or reduce the dark noise."
-            raise invalid("exposure.gain_db", f"{readout.gain_db:g}", f"a gain with room {room}", hint)
-        raise invalid("pixel.bits", adc.bits, f"enough bits {room}", "Raise pixel.bits, or reduce the dark noise.")
+            raise invalid(
+                "exposure.gain_db", f"{readout.gain_db:g}", f"a gain with room {room}", hint
+            )
+        raise invalid(
+            "pixel.bits",
+            adc.bits,
+            f"enough bits {room}",
+            "Raise pixel.bits, or reduce the dark noise.",
+        )
     raised = replace(readout, adc=replace(adc, black_level_dn=float(least)))
     if dark_spread_e(raised, integration_s) * raised.dn_per_e >= FINE_DN:
         return raised
@@ -193,24 +247,35 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
 
 
 def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
-    """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of saturation.
+    """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of
+    saturation.
 
     Raises PixsimError if dark charge would fill half the well.
     """
     dark = readout.dark_current_e_per_s
     chosen = exposure.integration_s
     if chosen is None:
-        return min(USUAL_INTEGRATION_S, DARK_SHARE * readout.saturation_e / dark) if dark else USUAL_INTEGRATION_S
+        return (
+            min(USUAL_INTEGRATION_S, DARK_SHARE * readout.saturation_e / dark)
+            if dark
+            else USUAL_INTEGRATION_S
+        )
     if dark * chosen > readout.saturation_e / 2:
-        expected = f"at most {rounded(readout.saturation_e / 2 / dark, 3)} s, which fills half of the well"
+        expected = (
+            f"at most {rounded(readout.saturation_e / 2 / dark, 3)} s, which fills half of the well"
+        )
         raise invalid(
-            "exposure.integration_s", f"{chosen:g} s, which collects {rounded(dark * chosen, 3)} e- of dark charge", expected
+            "exposure.integration_s",
+            f"{chosen:g} s, which collects {rounded(dark * chosen, 3)} e- of dark charge",
+            expected,
         )
     return chosen
 
 
 def filling_light_e(readout: Readout, integration_s: float) -> float:
-    """Mean photo-electrons that fill the well or reach the ADC's top code, including soft saturation."""
+    """Mean photo-electrons that fill the well or reach the ADC's top code, including soft
+    saturation.
+    """
     dark_e = readout.dark_current_e_per_s * integration_s
     grid = np.linspace(0.01, MAX_LIGHT, 400) * readout.saturation_e
     level = stored_signal_e(grid, integration_s, readout)
@@ -219,14 +284,18 @@ def filling_light_e(readout: Readout, integration_s: float) -> float:
 
 
 def dark_times_s(readout: Readout, integration_s: float) -> Array:
-    """Equally spaced integration times, until dark charge fills a fifth of the well, at most an hour."""
+    """Equally spaced integration times, until dark charge fills a fifth of the well, at most an
+    hour.
+    """
     dark = readout.dark_current_e_per_s
     longest = min(MAX_DARK_SHARE * readout.saturation_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
     return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
 
 
 def temperatures_k(pixel: Pixel) -> tuple[float, ...]:
-    """The pixel's temperature and higher ones (lower ones near 400 K); empty if the dark current is given as a number."""
+    """The pixel's temperature and higher ones (lower ones near 400 K); empty if the dark current is
+    given as a number.
+    """
     if pixel.dark_current_e_per_s is not None:
         return ()
     sign = 1 if pixel.temperature_k + TEMPERATURE_STEPS_K[-1] <= MAX_TEMPERATURE_K else -1
@@ -247,16 +316,19 @@ def make_experiment(
 
     Parameters
     ----------
-    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current is high; gain_db is that of
-        all frames
+    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current
+        is high; gain_db is that of all frames
     wavelength_nm : of the light; by default the peak of the response
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well
 
-    Raises PixsimError for a wavelength without response, for too few bits for the black level, and for too few pixels.
+    Raises PixsimError for a wavelength without response, for too few bits for the black level, and
+    for too few pixels.
     """
     if min(shape) < LEAST_SIDE:
-        raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
+        raise invalid(
+            "shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}"
+        )
     derived = derive(pixel, load_technology(pixel.technology))
     for note in pixel_notes(derived):
         warn(note)
@@ -274,7 +346,9 @@ def make_experiment(
         wavelength_nm=nm,
         integration_s=time_s,
         photons=photons,
-        dim_photons=np.geomspace(min(1.0 / efficiency, photons[0] / 2), photons[0], DIM_EXPOSURES, endpoint=False),
+        dim_photons=np.geomspace(
+            min(1.0 / efficiency, photons[0] / 2), photons[0], DIM_EXPOSURES, endpoint=False
+        ),
         dark_times_s=dark_times_s(readout, time_s),
         temperatures_k=temperatures_k(pixel),
         asked_black_dn=pixel.black_level_dn,

@@ -1,4 +1,6 @@
-"""What a lens designer expects of a lens: first-order data, spots, PSFs, MTFs and curves over the field, and its layout."""
+"""What a lens designer expects of a lens: first-order data, spots, PSFs, MTFs and curves over the
+field, and its layout.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ from pixsim.base.notes import Note, collected_notes
 from pixsim.base.progress import Stage
 from pixsim.base.result import Result
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.field_blur import UM_PER_NM, ChannelWavefronts, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.field_blur import (
+    UM_PER_NM,
+    ChannelWavefronts,
+    even_window,
+    fit_wavefronts,
+    periodic_psf,
+)
 from pixsim.optics.ghosts import Ghost
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens, load_lens
@@ -39,10 +47,14 @@ PSF_SPOTS = 6  # rms radii along a side of a PSF
 PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MOST_FINE = 3000  # samples along a side, on which waves interfere
-MOST_WIDTHS = 300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
+MOST_WIDTHS = (
+    300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
+)
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
-MOST_TRACED = 5e6  # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28 surfaces
+# rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28
+# surfaces
+MOST_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
 CUT_FIELDS, CUT_HEIGHTS = (0.0, 0.7, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
 CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
@@ -54,7 +66,8 @@ BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
 class Spot:
     """Rays of one field in the image plane.
 
-    x_um, y_um : (wavelengths, rays) from the chief ray of the primary wavelength; NaN for rays that do not get through
+    x_um, y_um : (wavelengths, rays) from the chief ray of the primary wavelength; NaN for rays that
+        do not get through
     """
 
     x_um: Array
@@ -78,7 +91,8 @@ class LensData(Result):
     psfs : (n, n) of each field; the chief ray of the primary wavelength in the middle
     psf_pitch_um : of the squares over which PSFs are means
     dark : (F,), whether no light reaches the image of a field: its spot and MTF are NaN, its PSF 0
-    geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
+    geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the
+        limit of diffraction
     frequency_lp_per_mm : (n,)
     mtf : (F, 2, n), tangential and sagittal
     curve_deg : (n,) of the curves over the field
@@ -111,17 +125,23 @@ class LensData(Result):
 
     @cached_property
     def rms_waves(self) -> Array:
-        """(F,) rms wavefront without piston and tilt, relative to the primary wavelength; NaN without light."""
+        """(F,) rms wavefront without piston and tilt, relative to the primary wavelength; NaN
+        without light.
+        """
         return np.where(self.dark, np.nan, rms_wavefronts(self.lens, self.field_deg))
 
     @cached_property
     def ghosts(self) -> list[Ghost]:
-        """Light on the axis that two surfaces reflect, at the primary wavelength, the largest share first."""
+        """Light on the axis that two surfaces reflect, at the primary wavelength, the largest share
+        first.
+        """
         return self.lens.ghosts(self.lens.primary_nm, self.reflectance)
 
     @property
     def focused_ghost(self) -> Ghost | None:
-        """The one whose light is closest together on the sensor; None without two surfaces that reflect."""
+        """The one whose light is closest together on the sensor; None without two surfaces that
+        reflect.
+        """
         return min(self.ghosts, key=lambda ghost: ghost.blur_mm, default=None)
 
     @property
@@ -137,11 +157,14 @@ class LensData(Result):
     @property
     def diffraction_mtf(self) -> Array:
         """MTF of a lens without aberrations on the axis, for the wavelengths together, (n,)."""
-        return _diffraction_mtf(self.frequency_lp_per_mm, self.wavelength_nm, self.lens.working_f_number)
+        return _diffraction_mtf(
+            self.frequency_lp_per_mm, self.wavelength_nm, self.lens.working_f_number
+        )
 
     @property
     def mtf50_lp_per_mm(self) -> Array:
-        """First of the frequencies at which the lower MTF, tangential or sagittal, is below one half, (F,); inf if none is.
+        """First of the frequencies at which the lower MTF, tangential or sagittal, is below one
+        half, (F,); inf if none is.
 
         NaN without light.
         """
@@ -155,10 +178,14 @@ class LensData(Result):
         return 100 * (1 - self.lens.fresnel_transmittance(self.lens.primary_nm))
 
     def axial_colour(self) -> tuple[Array, Array]:
-        """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from that of the primary one, (m,)."""
+        """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from that
+        of the primary one, (m,).
+        """
         low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
         nm = np.linspace(low, high, CURVE_FIELDS) if high > low else np.array([low])
-        focus_mm = np.array([self.lens.first_order(float(each)).back_focal_length_mm for each in nm])
+        focus_mm = np.array(
+            [self.lens.first_order(float(each)).back_focal_length_mm for each in nm]
+        )
         return nm, 1e3 * (focus_mm - self.primary.back_focal_length_mm)
 
     @property
@@ -167,7 +194,9 @@ class LensData(Result):
         return asked_frequencies(self.pitch_um)
 
     def mtf_at(self, frequency_lp_per_mm: float) -> Array:
-        """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2), 1 for full contrast."""
+        """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2), 1 for full
+        contrast.
+        """
         index = int(np.argmin(np.abs(self.frequency_lp_per_mm - frequency_lp_per_mm)))
         return np.asarray(self.mtf[:, :, index])
 
@@ -178,7 +207,10 @@ class LensData(Result):
 
     def __repr__(self) -> str:
         first = self.primary
-        return f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm, {f_stop(first.f_number)}>"
+        return (
+            f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm,"
+            f" {f_stop(first.f_number)}>"
+        )
 
 
 def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
@@ -200,7 +232,8 @@ def lens_data(
     notes : of how the file was read
     reflectance : of coated surfaces in air; None for bare glass
 
-    Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not reach the image.
+    Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not
+    reach the image.
     """
     wavelengths = np.array(wavelength_nm or lens.prescription.wavelengths_nm)
     primary = lens.primary_nm
@@ -212,22 +245,34 @@ def lens_data(
     dark = np.asarray(illumination[:: (CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
     if dark[0]:
         got = "no light on the axis"
-        raise invalid(f"lens '{lens.prescription.name}'", got, "light on the axis", "Check its clear apertures and semi-diameters.")
+        raise invalid(
+            f"lens '{lens.prescription.name}'",
+            got,
+            "light on the axis",
+            "Check its clear apertures and semi-diameters.",
+        )
     spots = []
     for angle, none in zip(fields, dark, strict=True):
         waves = lens.wavefront(angle, wavelengths, x, y)
         seen = waves.passed & np.isfinite(waves.opd_waves) & ~none
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
-        spots.append(Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off))))
+        spots.append(
+            Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off)))
+        )
     asked = asked_frequencies(pitch_um)
     shortest, f_number = float(wavelengths.min()), lens.working_f_number
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
     highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
     frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
-    dark = dark | np.array([math.isnan(spot.rms_um) for spot in spots])  # or too little light for a ray
+    dark = dark | np.array(
+        [math.isnan(spot.rms_um) for spot in spots]
+    )  # or too little light for a ray
     side = PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
     geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
-    pitch = min(max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES), 500 / min(highest, 1.05 * cutoff))
+    pitch = min(
+        max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES),
+        500 / min(highest, 1.05 * cutoff),
+    )
     seen_fields = fields[~dark]
     if not geometric:
         psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
@@ -236,14 +281,21 @@ def lens_data(
         pitch = side / MOST_SAMPLES
         psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
     else:
-        mtf = np.array([[line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)] for psf in psfs])
+        mtf = np.array(
+            [
+                [line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)]
+                for psf in psfs
+            ]
+        )
     for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
         psfs.insert(int(index), np.zeros_like(psfs[0]))
         mtf = np.insert(mtf, index, np.nan, axis=0)
     mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
     chief = lens.chief_ray(curve, primary)
     tangential, sagittal = lens.foci_mm(curve, primary)
-    ends = lens.chief_ray(curve[:, None], np.array([wavelengths.min(), wavelengths.max()])).height_mm
+    ends = lens.chief_ray(
+        curve[:, None], np.array([wavelengths.min(), wavelengths.max()])
+    ).height_mm
     curves = {
         "image_height_mm": chief.height_mm,
         "chief_ray_angle_deg": chief.angle_deg,
@@ -274,14 +326,26 @@ def lens_data(
 
 def spot_points() -> tuple[Array, Array]:
     """Return points of the stop of about equal areas, (rays,) each."""
-    radius = np.concatenate([[0.0], *(np.full(6 * ring, ring / SPOT_RINGS) for ring in range(1, SPOT_RINGS + 1))])
+    radius = np.concatenate(
+        [[0.0], *(np.full(6 * ring, ring / SPOT_RINGS) for ring in range(1, SPOT_RINGS + 1))]
+    )
     radius *= SPOT_RINGS / (SPOT_RINGS + 0.5)  # a ring is the middle of its area
-    angle = np.concatenate([[0.0], *((np.arange(6 * ring) + 0.5) / (3 * ring) * np.pi for ring in range(1, SPOT_RINGS + 1))])
+    angle = np.concatenate(
+        [
+            [0.0],
+            *(
+                (np.arange(6 * ring) + 0.5) / (3 * ring) * np.pi
+                for ring in range(1, SPOT_RINGS + 1)
+            ),
+        ]
+    )
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
-    """Return the rms wavefront at the primary wavelength without piston and tilt, (F,), in waves."""
+    """Return the rms wavefront at the primary wavelength without piston and tilt, (F,), in
+    waves.
+    """
     x, y = spot_points()
     waves = lens.wavefront(field_deg, lens.primary_nm, x, y)
     found = []
@@ -289,27 +353,38 @@ def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
         seen = passed & np.isfinite(opd)
         basis = np.column_stack([np.ones(int(seen.sum())), cosines[seen]])
         residual = (
-            opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0] if seen.sum() > basis.shape[1] else [math.nan]
+            opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0]
+            if seen.sum() > basis.shape[1]
+            else [math.nan]
         )
         found.append(float(np.std(residual)))
     return np.array(found)
 
 
-def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float) -> list[Array]:
-    """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the middle of y upwards, (n, n).
+def point_spreads(
+    lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float
+) -> list[Array]:
+    """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the
+    middle of y upwards, (n, n).
 
-    None at all if the cone of light at the image plane has much finer waves than the f-number tells, as far from a focus.
+    None at all if the cone of light at the image plane has much finer waves than the f-number
+    tells, as far from a focus.
 
     side_um : at least, of the square that a PSF lies in
     """
     heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
     rays = pupil_rays(lens, field_deg, wavelength_nm)
-    fronts = [fit_wavefronts(float(nm), heights, of_nm) for nm, of_nm in zip(wavelength_nm, rays, strict=True)]
+    fronts = [
+        fit_wavefronts(float(nm), heights, of_nm)
+        for nm, of_nm in zip(wavelength_nm, rays, strict=True)
+    ]
     light = ChannelWavefronts(fronts, np.full(len(fronts), 1 / len(fronts)))
     found = []
     for height in heights:
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
-        widest_per_nm = max(2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts)
+        widest_per_nm = max(
+            2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts
+        )
         if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MOST_FINE:
             return []
         found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
@@ -319,7 +394,9 @@ def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: 
 def ray_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
 ) -> tuple[list[Array], Array]:
-    """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the limit of diffraction."""
+    """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the
+    limit of diffraction.
+    """
     rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
     grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
@@ -337,18 +414,27 @@ def ray_spreads(
         for values in (along, across):
             reach = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
             line, _ = np.histogram(values, LINE_BINS, (-reach, reach))
-            lines.append(line_mtf(line.astype(float), 2 * reach / LINE_BINS, frequency_lp_per_mm) * limit)
+            lines.append(
+                line_mtf(line.astype(float), 2 * reach / LINE_BINS, frequency_lp_per_mm) * limit
+            )
         mtf.append(lines)
     return psfs, np.array(mtf)
 
 
 def _diffraction_mtf(frequency_lp_per_mm: Array, wavelength_nm: Array, f_number: float) -> Array:
     """Return the MTF of diffraction (n,), the mean over the wavelengths."""
-    return np.asarray(np.mean([diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm], axis=0))
+    return np.asarray(
+        np.mean(
+            [diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm],
+            axis=0,
+        )
+    )
 
 
 def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
-    """Return the MTF (n,) of a line spread function: the modulus of its Fourier transform, 1 at frequency 0."""
+    """Return the MTF (n,) of a line spread function: the modulus of its Fourier transform, 1 at
+    frequency 0.
+    """
     at_mm = (np.arange(line.size) - line.size // 2) * pitch_um * 1e-3
     turning = np.exp(-2j * np.pi * frequency_lp_per_mm[:, None] * at_mm)
     return np.asarray(np.abs(turning @ line) / line.sum())
@@ -356,14 +442,15 @@ def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
 
 @dataclass(frozen=True)
 class CrossSection:
-    """A lens cut along the y-z plane, and rays at the primary wavelength, in mm from the first vertex.
+    """A lens cut along the y-z plane, and rays at the primary wavelength, in mm from the first
+    vertex.
 
     length_mm : from there to the image plane
     surfaces : (z, y) of each surface, from its lower to its upper edge
     glass_behind : whether there is glass behind each surface
     stop : z of the stop's edges, and the stop's radius
-    rays : field angle in degrees -> rays that clear apertures do not stop, each by its height in the stop as a fraction of the
-        stop's radius, its z and its y
+    rays : field angle in degrees -> rays that clear apertures do not stop, each by its height in
+        the stop as a fraction of the stop's radius, its z and its y
     """
 
     length_mm: float
@@ -374,11 +461,16 @@ class CrossSection:
 
 
 def cross_section(lens: Lens) -> CrossSection:
-    """Return a lens cut along the y-z plane, with rays through the centre of the stop, its edges and halfway between."""
+    """Return a lens cut along the y-z plane, with rays through the centre of the stop, its edges
+    and halfway between.
+    """
     surfaces, heights = lens.prescription.surfaces, np.array(CUT_HEIGHTS)
     vertices = np.cumsum([0.0, *(surface.thickness_mm for surface in surfaces)])
     length_mm = float(vertices[-1])
-    fields = [share * lens.max_field_deg for share in (CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1])]
+    fields = [
+        share * lens.max_field_deg
+        for share in (CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1])
+    ]
     paths = [lens.ray_points(angle, lens.primary_nm, 0 * heights, CUT_HEIGHTS) for angle in fields]
     reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
     outlines = []
@@ -392,14 +484,18 @@ def cross_section(lens: Lens) -> CrossSection:
     at = vertices[stop] + float(sag_and_slope(surfaces[stop], np.array(semi**2))[0])
     rays: dict[float, list[tuple[float, Array, Array]]] = {}
     for angle, path in zip(fields, paths, strict=True):
-        passed = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS).passed[0]
+        passed = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS).passed[
+            0
+        ]
         z, y = path[passed, :, 2], path[passed, :, 1]
         if math.isinf(lens.object_distance_mm):
             before = BEFORE_LENS * length_mm
             z = np.column_stack([z[:, 0] - before, z])
             y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
-    return CrossSection(length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays)
+    return CrossSection(
+        length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays
+    )
 
 
 LEAST_LENGTH = 1e-6  # of an argument, in its unit; its reciprocal is the most
@@ -426,22 +522,27 @@ def lens(
     reflectance: Reflectance | None = None,
     progress: Stage | None = None,
 ) -> LensData:
-    """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination and chief ray angles.
+    """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination
+    and chief ray angles.
 
     The lens is as in its file unless the arguments change it.
 
-    file : a packaged lens by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file
+    file : a packaged lens by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml`
+        or `.zmx` file
     focal_length_mm : scale the whole lens to it
     f_number : stop the lens down
     field_deg : largest field angle that is looked at
-    refocus : move the image plane to the paraxial focus, or to the least rms wavefront on the axis or over the field; None means
-        the file's plane, or axis if an object distance or `focus_nm` is given
+    refocus : move the image plane to the paraxial focus, or to the least rms wavefront on the axis
+        or over the field; None means the file's plane, or axis if an object distance or `focus_nm`
+        is given
     focus_nm : wavelength of that focus; None means those of the file
     object_distance_m : of the object from the entrance pupil
     wavelength_nm : of equal weight; empty means those of the file
     pitch_um : of a pixel, whose Nyquist frequency joins 10, 30 and 60 lp/mm
-    configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass : as in `load_lens`
-    reflectance : share of the light that coated surfaces in air reflect, for what two of them reflect; None means bare glass
+    configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass : as in
+        `load_lens`
+    reflectance : share of the light that coated surfaces in air reflect, for what two of them
+        reflect; None means bare glass
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and for what pixsim does not trace.
@@ -450,23 +551,48 @@ def lens(
     >>> round(float(data.primary.f_number), 3), 100.0 in data.asked_lp_per_mm
     (8.0, True)
     """
-    positive = [("focal_length_mm", focal_length_mm), ("f_number", f_number), ("object_distance_m", object_distance_m)]
-    positive += [("focus_nm", focus_nm), ("pitch_um", pitch_um), *(("wavelength_nm", nm) for nm in wavelength_nm)]
+    positive = [
+        ("focal_length_mm", focal_length_mm),
+        ("f_number", f_number),
+        ("object_distance_m", object_distance_m),
+    ]
+    positive += [
+        ("focus_nm", focus_nm),
+        ("pitch_um", pitch_um),
+        *(("wavelength_nm", nm) for nm in wavelength_nm),
+    ]
     for name, value in positive:
         if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
-            raise invalid(setting(name), f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
+            raise invalid(
+                setting(name),
+                f"{value:g}",
+                f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}",
+            )
     if len(wavelength_nm) > MAX_WAVELENGTHS:
-        raise invalid(setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
+        raise invalid(
+            setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}"
+        )
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
         raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     if reflectance is not None and not 0 <= reflectance < 1:
         raise invalid(setting("reflectance"), f"{reflectance:g}", "a number from 0 to below 1")
     with collected_notes() as notes:
-        own = load_lens(file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass)
-        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm)
+        own = load_lens(
+            file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass
+        )
+        chosen = chosen_lens(
+            own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm
+        )
     if progress:
-        surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
-        progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else "trace")
+        surfaces, wavelengths = (
+            len(chosen.prescription.surfaces),
+            len(wavelength_nm or chosen.prescription.wavelengths_nm),
+        )
+        progress(
+            f"trace {surfaces} surfaces at {wavelengths} wavelengths"
+            if surfaces * wavelengths > MANY_TO_TRACE
+            else "trace"
+        )
     return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes), reflectance)
 
 

@@ -1,9 +1,11 @@
-"""Edge-based spatial frequency response (e-SFR) of a picture of a slanted edge, measured as in ISO 12233.
+"""Edge-based spatial frequency response (e-SFR) of a picture of a slanted edge, measured as in ISO
+12233.
 
-ISO 12233:2023, clause 6 and annex D; ISO 12233:2017, annex D; P. D. Burns, Slanted-edge MTF for digital camera and scanner
-analysis, Proc. IS&T PICS (2000); P. D. Burns and D. Williams, Camera Resolution and Distortion: Advanced Edge Fitting, Proc. IS&T
-EI, IQSP-171 (2018), for edges that are curved. The SFR is measured along the normal of the edge, in cycles per pixel of the
-sensor, also where a channel of a colour mosaic has only some of them.
+ISO 12233:2023, clause 6 and annex D; ISO 12233:2017, annex D; P. D. Burns, Slanted-edge MTF for
+digital camera and scanner analysis, Proc. IS&T PICS (2000); P. D. Burns and D. Williams, Camera
+Resolution and Distortion: Advanced Edge Fitting, Proc. IS&T EI, IQSP-171 (2018), for edges that are
+curved. The SFR is measured along the normal of the edge, in cycles per pixel of the sensor, also
+where a channel of a colour mosaic has only some of them.
 """
 
 from __future__ import annotations
@@ -35,17 +37,26 @@ from pixsim.base.notes import Note, collected_notes, warn
 from pixsim.base.records import UnitInterval
 from pixsim.base.result import Result
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, black_levels_of, layout_of, read_picture, stated_number
+from pixsim.sensor.raw import (
+    BITS_OF_PICTURES,
+    ENCODING,
+    SUFFIXES,
+    black_levels_of,
+    layout_of,
+    read_picture,
+    stated_number,
+)
 from pixsim.viewer.judges.sharpness import first_crossing
 
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
-HALF_WINDOW_PX = 64  # error by the truncated tails of diffraction at 5.3 µm and f/8: ±20 0.010, ±48 0.0042, ±64 0.0032
+# error by the truncated tails of diffraction at 5.3 µm and f/8: ±20 0.010, ±48 0.0042, ±64 0.0032
+HALF_WINDOW_PX = 64
 MIN_HALF_WINDOW_PX = 8
 MIN_SIDE_PX = 24
 MIN_SLANT_DEG = 1.0
-# Tapered fraction of the Tukey window. ISO's Hamming and Hann windows have no flat part and remove 1.6 times as much of the
-# tails of diffraction, which decay as 1/x².
+# Tapered fraction of the Tukey window. ISO's Hamming and Hann windows have no flat part and remove
+# 1.6 times as much of the tails of diffraction, which decay as 1/x².
 TAPER = 0.5
 MAX_CORRECTION = 10.0  # ISO 12233: the response of the central difference is 0 at 2 cy/px
 EDGE_SEARCH_PX = 4  # smoothing along a row for the first estimate of the edge
@@ -53,39 +64,60 @@ CENTROID_HALF_PX = 8.0
 FIT_ROUNDS = 4
 MAX_DEGREE = 5  # ISO 12233:2023
 DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a curve
-MIN_BEND_PX = 0.01  # RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %
-MAX_MISFIT_PX = 0.1  # RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
+MIN_BEND_PX = (
+    0.01  # RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %
+)
+# RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
+MAX_MISFIT_PX = 0.1
 PHASES = 8  # of the edge within a pixel
 MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which may be correlated
 MIN_CONTRAST = 0.05  # Michelson contrast of linear data
 MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
 MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
 MIN_LINES = 0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
-MAX_BELOW_BLACK = 0.01  # of the step: level of the dark side below black, which dark subtraction leaves
+MAX_BELOW_BLACK = (
+    0.01  # of the step: level of the dark side below black, which dark subtraction leaves
+)
 MAX_SATURATED = 1e-3  # of a region's pixels
 SHARPENS = "this sharpens the edge"  # what clipping does
-LUMINANCE, LUMINANCE_WEIGHTS = "luminance", {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
+LUMINANCE, LUMINANCE_WEIGHTS = (
+    "luminance",
+    {"R": 0.2126, "G": 0.7152, "B": 0.0722},
+)  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
 FINER = 4  # frequencies for each of the DFT
-POOLED_BINS = 9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
-MAX_SFR = 1.02  # without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters to nobody
+POOLED_BINS = (
+    9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
+)
+# without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
+# to nobody
+MAX_SFR = 1.02
 LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
-# A side that clips keeps the codes below its top: more pixels have the top code than noise as on the other side could leave there.
+# A side that clips keeps the codes below its top: more pixels have the top code than noise as on
+# the other side could leave there.
 TOP_QUANTILE = 0.9995  # above it are hot pixels
-MAX_AT_TOP = 0.01  # with noise of at least one code; Gaussian noise of one code leaves 0.2 % in the code at TOP_QUANTILE
+# with noise of at least one code; Gaussian noise of one code leaves 0.2 % in the code at
+# TOP_QUANTILE
+MAX_AT_TOP = 0.01
 MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
-# Without noise a side that is clipped shows by a kink: the edge runs into it at a slope that lens and pixel fade out.
+# Without noise a side that is clipped shows by a kink: the edge runs into it at a slope that lens
+# and pixel fade out.
 KINK_LEVEL = 1e-3  # of the step, or 1.5 codes, from a side: where the edge is taken to begin
 KINK_PX = 0.15  # along the normal, of pixels that give the slope there
 MAX_KINK = 0.2  # of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26
-MIN_KINK_RATIO = 3.0  # to the slope at the other side: an edge that no lens blurs has a kink at both
+MIN_KINK_RATIO = (
+    3.0  # to the slope at the other side: an edge that no lens blurs has a kink at both
+)
 SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
 MAX_SHADING = 0.02  # of the step, within half of the window
 SHADING_SIGMAS = 4.0
 MIN_NOISE = 1e-4  # of the step, less tells nothing
 MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
 UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
-MAX_PARITY, PARITY_SIGMAS = 0.01, 6.0  # differences of the means of a cell's places on a side: of the step, and of their noise
+MAX_PARITY, PARITY_SIGMAS = (
+    0.01,
+    6.0,
+)  # differences of the means of a cell's places on a side: of the step, and of their noise
 
 
 @checked_methods
@@ -93,19 +125,26 @@ MAX_PARITY, PARITY_SIGMAS = 0.01, 6.0  # differences of the means of a cell's pl
 class EdgeResponse(Result):
     """The e-SFR of one edge (ISO 12233).
 
-    frequency_cy_per_px : (F,) along the edge's normal, in cycles per pixel of the sensor: 0 to 1, or to 0.5 or 0.25 where a
-        channel of a mosaic has too few pixels for bins of a quarter of a pixel
+    frequency_cy_per_px : (F,) along the edge's normal, in cycles per pixel of the sensor: 0 to 1,
+        or to 0.5 or 0.25 where a channel of a mosaic has too few pixels for bins of a quarter of a
+        pixel
     sfr : (F,) 1 at frequency 0
-    sfr_interval : (2, F) bounds of the interval of 95 % at each frequency, from the picture's own noise
-    distance_px, edge_spread : (N,) bin centres, a quarter of a pixel apart, or as above a half or a whole one, and bin means in the
-        picture's unit
+    sfr_interval : (2, F) bounds of the interval of 95 % at each frequency, from the picture's own
+        noise
+    distance_px, edge_spread : (N,) bin centres, a quarter of a pixel apart, or as above a half or a
+        whole one, and bin means in the picture's unit
     angle_deg : of the edge from the vertical, clockwise with row 0 on top, -45 to 135
-    rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel of the channel
-    contrast : Michelson contrast; 1 also where the dark side is below black, as after dark subtraction
+    rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel
+        of the channel
+    contrast : Michelson contrast; 1 also where the dark side is below black, as after dark
+        subtraction
     edge_degree : of the polynomial that was fitted to the edge; 1 for a straight edge
-    edge_sagitta_px : largest distance of the edge from the straight line through its ends, along the rows or columns across it
-    mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for a bound above the last one
-    nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or less for a channel of a mosaic
+    edge_sagitta_px : largest distance of the edge from the straight line through its ends, along
+        the rows or columns across it
+    mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for
+        a bound above the last one
+    nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or
+        less for a channel of a mosaic
     channel : that was measured; None for a picture of one channel
     pitch_um : of the pixels; None if it is unknown
     notes : warnings of the picture
@@ -134,18 +173,25 @@ class EdgeResponse(Result):
 
     @property
     def mtf50_cy_per_px(self) -> float | None:
-        """Frequency at which the SFR first falls to one half; None if it does not up to the last frequency."""
+        """Frequency at which the SFR first falls to one half; None if it does not up to the last
+        frequency.
+        """
         return first_crossing(self.frequency_cy_per_px, self.sfr, 0.5)
 
     @property
     def at_nyquist(self) -> float:
-        """SFR at the Nyquist frequency of the sensor, half a cycle per pixel: 1 for full contrast."""
+        """SFR at the Nyquist frequency of the sensor, half a cycle per pixel: 1 for full
+        contrast.
+        """
         return self.at(NYQUIST_CY_PER_PX)[0]
 
     def at(self, frequency_cy_per_px: float) -> tuple[float, float, float]:
         """SFR at a frequency, and the bounds of its interval."""
         curves = (self.sfr, *self.sfr_interval)
-        sfr, low, high = (float(np.interp(frequency_cy_per_px, self.frequency_cy_per_px, curve)) for curve in curves)
+        sfr, low, high = (
+            float(np.interp(frequency_cy_per_px, self.frequency_cy_per_px, curve))
+            for curve in curves
+        )
         return sfr, low, high
 
     def frequency_cy_per_mm(self, pitch_um: Positive) -> Array:
@@ -159,7 +205,8 @@ class EdgeResponse(Result):
 
 
 class ChannelGrid(NamedTuple):
-    """Pixels of one channel at one place of the unit cell, which are a grid of their own in the region.
+    """Pixels of one channel at one place of the unit cell, which are a grid of their own in the
+    region.
 
     data : (M, K)
     row, x : (M,) and (K,) pixels of the region
@@ -194,26 +241,34 @@ def edge_response(
 
     Parameters
     ----------
-    picture : (H, W) linear in light with 0 for no light: DN minus black level, or electrons; row 0 on top
+    picture : (H, W) linear in light with 0 for no light: DN minus black level, or electrons; row 0
+        on top
     region : x0, y0, x1, y1 in pixels, x1 and y1 excluded; by default the whole picture
     half_window_px : half of the window along the normal; reduced if the region is too small for it
     saturation : value from which a pixel counts as saturated, in the same unit
-    is_unclipped : whether a side that has too little noise is only warned of, where it would be refused as clipped
-    layout : of a frame with colour filters: RG/GB, the rows of a mosaic's unit cell, or R+G+B, planes one below the other
-    channel : a letter of the layout, `luminance`, or a place in the unit cell as row,column; without a layout the cell has 2 × 2
+    is_unclipped : whether a side that has too little noise is only warned of, where it would be
+        refused as clipped
+    layout : of a frame with colour filters: RG/GB, the rows of a mosaic's unit cell, or R+G+B,
+        planes one below the other
+    channel : a letter of the layout, `luminance`, or a place in the unit cell as row,column;
+        without a layout the cell has 2 × 2
 
-    The edge is a polynomial through the centroids of the rows' derivatives, of the highest degree up to 5 whose term their scatter
-    does not explain; a straight edge has a line. Pixels are binned by their distance from it, in bins of 1/4 pixel.
-    The SFR is |DFT| of the windowed derivative of the bin means, divided by the responses of the bin and of the central difference
-    (both sinc) and normalised at frequency 0. Of a mosaic only the channel's own pixels are binned; nothing is interpolated.
-    Luminance is 0.2126 R + 0.7152 G + 0.0722 B of channels balanced to equal levels beside the edge, which is grey.
-    Non-uniform illumination acts as blur: correct the picture with a flat field first.
+    The edge is a polynomial through the centroids of the rows' derivatives, of the highest degree
+    up to 5 whose term their scatter does not explain; a straight edge has a line. Pixels are binned
+    by their distance from it, in bins of 1/4 pixel. The SFR is |DFT| of the windowed derivative of
+    the bin means, divided by the responses of the bin and of the central difference (both sinc) and
+    normalised at frequency 0. Of a mosaic only the channel's own pixels are binned; nothing is
+    interpolated. Luminance is 0.2126 R + 0.7152 G + 0.0722 B of channels balanced to equal levels
+    beside the edge, which is grey. Non-uniform illumination acts as blur: correct the picture with
+    a flat field first.
 
-    The interval takes the scatter of the pixels about the mean of their bin as white noise. It warns of noise that is not, of a
-    curve above 1.02, of shading, and of rows whose edges scatter about the polynomial by more than their noise.
+    The interval takes the scatter of the pixels about the mean of their bin as white noise. It
+    warns of noise that is not, of a curve above 1.02, of shading, and of rows whose edges scatter
+    about the polynomial by more than their noise.
 
-    Raises PixsimError if the picture is not one channel, is too small, saturated or clipped, has too little contrast or no
-    edge near a polynomial, or if the edge is so close to the rows or columns that it does not sample every phase of a pixel.
+    Raises PixsimError if the picture is not one channel, is too small, saturated or clipped, has
+    too little contrast or no edge near a polynomial, or if the edge is so close to the rows or
+    columns that it does not sample every phase of a pixel.
 
     >>> y, x = np.mgrid[:200, :200] - 99.5
     >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
@@ -224,10 +279,14 @@ def edge_response(
     """
     parts, period, name = parts_of(picture, region, layout, channel)
     if saturation is not None:
-        check_saturation(np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation)
+        check_saturation(
+            np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation
+        )
     turned = is_turned(parts)
     if turned:
-        parts = [WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
+        parts = [
+            WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts
+        ]
         period = period[::-1]
     if name is None:
         check_mosaic(parts[0].grids[0].data)
@@ -245,17 +304,31 @@ def edge_response(
             break
     else:
         pixels = np.concatenate([one.pixels for one in binned])
-        got = f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at {np.degrees(np.arctan(fit.slope)):.2f}°"
-        raise invalid("edge picture", got, "pixels in every bin", "This angle samples too few phases of the pixels: use 5°.")
+        got = (
+            f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at"
+            f" {np.degrees(np.arctan(fit.slope)):.2f}°"
+        )
+        raise invalid(
+            "edge picture",
+            got,
+            "pixels in every bin",
+            "This angle samples too few phases of the pixels: use 5°.",
+        )
     for part, one in zip(parts, binned, strict=True):
         check_kinks(part.grids, fit, one, is_unclipped)
     distance_px = binned[0].distance_px
-    spread = np.asarray(sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True)))
-    variance = np.asarray(sum(part.weight**2 * one.variance for part, one in zip(parts, binned, strict=True)))
+    spread = np.asarray(
+        sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True))
+    )
+    variance = np.asarray(
+        sum(part.weight**2 * one.variance for part, one in zip(parts, binned, strict=True))
+    )
     frequency, sfr = response(spread, bins_a_pixel)
     shown = frequency <= bins_a_pixel / BINS_A_PIXEL
     frequency, sfr = frequency[shown], sfr[shown]
-    angle = float(np.degrees(np.arctan(fit.slope)))  # anticlockwise, as y points down; clockwise if transposed
+    angle = float(
+        np.degrees(np.arctan(fit.slope))
+    )  # anticlockwise, as y points down; clockwise if transposed
     edge = EdgeResponse(
         frequency,
         sfr,
@@ -292,9 +365,11 @@ def check_saturation(data: Array, saturation: float) -> None:
 def parts_of(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
 ) -> tuple[list[WeightedChannel], tuple[int, int], str | None]:
-    """The pixels to measure, the rows and columns after which they repeat, and the name of their channel, if any.
+    """The pixels to measure, the rows and columns after which they repeat, and the name of their
+    channel, if any.
 
-    Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an unknown channel.
+    Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an
+    unknown channel.
     """
     whole = np.asarray(picture)
     known = None
@@ -306,45 +381,80 @@ def parts_of(
     if known is not None and known.planes > 1:
         if whole.ndim != 2 or whole.shape[0] % known.planes:
             raise invalid(
-                setting("layout"), f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide"
+                setting("layout"),
+                f"{layout} for a picture of shape {whole.shape}",
+                f"rows that {known.planes} planes divide",
             )
         planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
         wanted = named_channels(known, channel)
-        return [WeightedChannel(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
+        return (
+            [
+                WeightedChannel(weight, [grid_of(cropped(planes[letter], region))])
+                for letter, weight in wanted
+            ],
+            (1, 1),
+            channel,
+        )
     data = cropped(whole, region)
     if channel is None and (known is None or len(known.channels) == 1):
         return [WeightedChannel(1.0, [grid_of(data)])], (1, 1), None
     period = (2, 2) if known is None else known.period
     if min(data.shape) < MIN_SIDE_PX * max(period):
         got = f"{data.shape[1]} × {data.shape[0]} pixels"
-        raise invalid("edge picture", got, f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic")
+        raise invalid(
+            "edge picture",
+            got,
+            f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic",
+        )
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
     def grids(places: list[tuple[int, int]]) -> list[ChannelGrid]:
-        return [grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period) for row, column in places]
+        return [
+            grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period)
+            for row, column in places
+        ]
 
     if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
         row, column = int(place[1]), int(place[2])
         if row >= period[0] or column >= period[1]:
-            raise invalid(setting("channel"), channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
+            raise invalid(
+                setting("channel"),
+                channel,
+                f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}",
+            )
         return [WeightedChannel(1.0, grids([(row, column)]))], period, channel
     if known is None:
-        return [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
-    cell = [(row, column, letter) for row, line in enumerate(known.cell) for column, letter in enumerate(line)]
+        return (
+            [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))],
+            period,
+            channel,
+        )
+    cell = [
+        (row, column, letter)
+        for row, line in enumerate(known.cell)
+        for column, letter in enumerate(line)
+    ]
     return [
         WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
         for wanted, weight in named_channels(known, channel)
     ], period, channel  # fmt: skip
 
 
-def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> ChannelGrid:
+def grid_of(
+    data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)
+) -> ChannelGrid:
     """The pixels at one place (row, column) of the unit cells of a picture."""
-    row, x = (np.arange(start, side, step, dtype=float) for start, side, step in zip(place, data.shape, period, strict=True))
+    row, x = (
+        np.arange(start, side, step, dtype=float)
+        for start, side, step in zip(place, data.shape, period, strict=True)
+    )
     return ChannelGrid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
 
 
 def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
-    """Letters of a layout and their weights. Raises PixsimError unless the channel is one of them, or their luminance."""
+    """Letters of a layout and their weights. Raises PixsimError unless the channel is one of them,
+    or their luminance.
+    """
     if channel in layout.channels:
         return [(str(channel), 1.0)]
     has_luminance = set(LUMINANCE_WEIGHTS) <= set(layout.channels)
@@ -359,44 +469,66 @@ def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float
         raise invalid(setting("channel"), f"'{channel}' of the layout {layout}", ", ".join(known))
     most = layout.channels[int(np.argmax(layout.shares))]
     got = f"a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
-    hint = f"As in --channel {most} (channel='{most}'); also {', '.join(one for one in known if one != most)}."
+    hint = (
+        f"As in --channel {most} (channel='{most}'); also"
+        f" {', '.join(one for one in known if one != most)}."
+    )
     raise invalid("edge picture", got, "one channel", hint)
 
 
 def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
-    """Places of green in a mosaic that states no layout: the diagonal of 2 × 2 pixels whose steps agree, where the other's do not.
+    """Places of green in a mosaic that states no layout: the diagonal of 2 × 2 pixels whose steps
+    agree, where the other's do not.
 
     start : row and column of the frame in which the data begin
 
-    Raises PixsimError if there is no such diagonal, and for other channels, which only a layout tells apart.
+    Raises PixsimError if there is no such diagonal, and for other channels, which only a layout
+    tells apart.
     """
-    hint = "State the filters as in --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2: --channel 0,0, 0,1, 1,0 or 1,1."
+    hint = (
+        "State the filters as in --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2:"
+        " --channel 0,0, 0,1, 1,0 or 1,1."
+    )
     if channel != "G":
-        raise invalid(setting("channel"), f"'{channel}' of a picture that states no layout", "row,column, or G", hint)
+        raise invalid(
+            setting("channel"),
+            f"'{channel}' of a picture that states no layout",
+            "row,column, or G",
+            hint,
+        )
     steps = {}
     for row in (0, 1):
         for column in (0, 1):
             part = grid_of(data, ((row - start[0]) % 2, (column - start[1]) % 2), (2, 2)).data
-            steps[row, column] = max(abs(np.subtract(*outer_quarters(one))) for one in (part, part.T))
+            steps[row, column] = max(
+                abs(np.subtract(*outer_quarters(one))) for one in (part, part.T)
+            )
     apart = {
         pair: abs(steps[pair[0]] - steps[pair[1]]) / max(steps[pair[0]] + steps[pair[1]], 1e-300)
         for pair in (((0, 0), (1, 1)), ((0, 1), (1, 0)))
     }
     alike, other = sorted(apart, key=lambda pair: apart[pair])
     if not (apart[alike] < MAX_PARITY and apart[other] > 5 * max(apart[alike], MAX_PARITY / 5)):
-        got = "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels stands out as green"
+        got = (
+            "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels"
+            " stands out as green"
+        )
         raise invalid(setting("channel"), got, "row,column", hint)
     places = " and ".join(f"{row},{column}" for row, column in alike)
-    words = f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2 pixels"
+    words = (
+        f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2"
+        " pixels"
+    )
     warn(Note("file_as_read", words=f"{words}, which agree with each other"))
     return list(alike)
 
 
 def nyquist_of(grids: Sequence[ChannelGrid], period: tuple[int, int]) -> float:
-    """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to the nearest of their replicas.
+    """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to
+    the nearest of their replicas.
 
-    Of a replica at the frequency (u, v) the half-way plane cuts the rows' axis at (u² + v²)/(2 u): for green of Bayer's mosaic at
-    0.5, as for all pixels, for red and blue at 0.25.
+    Of a replica at the frequency (u, v) the half-way plane cuts the rows' axis at (u² + v²)/(2 u):
+    for green of Bayer's mosaic at 0.5, as for all pixels, for red and blue at 0.25.
     """
     cell = np.zeros(period)
     for grid in grids:
@@ -412,27 +544,49 @@ def nyquist_of(grids: Sequence[ChannelGrid], period: tuple[int, int]) -> float:
 
 
 def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
-    """The region as float64; raises PixsimError if it is not one channel, too small or not finite."""
+    """The region as float64; raises PixsimError if it is not one channel, too small or not
+    finite.
+    """
     data = np.asarray(picture)
     if data.ndim != 2 or data.dtype.kind not in "biuf":
-        raise invalid("edge picture", f"{data.dtype} of shape {data.shape}", "one channel of numbers, (rows, columns)")
+        raise invalid(
+            "edge picture",
+            f"{data.dtype} of shape {data.shape}",
+            "one channel of numbers, (rows, columns)",
+        )
     if region is not None:
         if len(region) != 4:
-            raise invalid(setting("region"), ",".join(map(str, region)) or "nothing", "four numbers, x0,y0,x1,y1")
+            raise invalid(
+                setting("region"),
+                ",".join(map(str, region)) or "nothing",
+                "four numbers, x0,y0,x1,y1",
+            )
         x0, y0, x1, y1 = region
         height, width = data.shape
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
             raise invalid(
-                setting("region"), ",".join(map(str, region)), f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1"
+                setting("region"),
+                ",".join(map(str, region)),
+                f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1",
             )
         data = data[y0:y1, x0:x1]
     if min(data.shape) < MIN_SIDE_PX:
-        raise invalid("edge picture", f"{data.shape[1]} × {data.shape[0]} pixels", f"at least {MIN_SIDE_PX} a side")
+        raise invalid(
+            "edge picture",
+            f"{data.shape[1]} × {data.shape[0]} pixels",
+            f"at least {MIN_SIDE_PX} a side",
+        )
     data = data.astype(float)
     if not np.isfinite(data).all():
-        raise invalid("edge picture", f"{np.count_nonzero(~np.isfinite(data))} values that are NaN or infinite", "finite values")
+        raise invalid(
+            "edge picture",
+            f"{np.count_nonzero(~np.isfinite(data))} values that are NaN or infinite",
+            "finite values",
+        )
     largest = np.abs(data).max()
-    if largest and not SMALLEST <= largest <= LARGEST:  # so that squares are numbers; a black picture has no contrast, said later
+    if (
+        largest and not SMALLEST <= largest <= LARGEST
+    ):  # so that squares are numbers; a black picture has no contrast, said later
         got, allowed = f"a largest value of {largest:g}", f"{SMALLEST:g} to {LARGEST:g} in size"
         raise invalid("edge picture", got, allowed, "Scale the picture.")
     return data
@@ -452,7 +606,9 @@ def step_of(grids: Sequence[ChannelGrid], axis: int) -> float:
 
 def sides_of(grids: Sequence[ChannelGrid], axis: int = 1) -> tuple[float, float]:
     """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
-    sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(axis=0)
+    sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(
+        axis=0
+    )
     return float(sides[0]), float(sides[1])
 
 
@@ -465,18 +621,30 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
     low, high = (sum(side[0] * side[at] for side in sides) for at in (1, 2))
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
     if not MIN_CONTRAST <= abs(contrast) < np.inf:
-        got = f"a contrast of {abs(contrast):.2g} ({rounded(low, 3)} and {rounded(high, 3)} on the two sides)"
+        got = (
+            f"a contrast of {abs(contrast):.2g} ({rounded(low, 3)} and {rounded(high, 3)} on the"
+            " two sides)"
+        )
         hint = "Check that the region contains the edge and that the black level is right."
-        raise invalid("edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint)
+        raise invalid(
+            "edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint
+        )
     for part, (_, low, high) in zip(parts, sides, strict=True):
-        noise = max(np.diff(side, axis=0).std() / np.sqrt(2) for grid in part.grids for side in outer(grid.data))
+        noise = max(
+            np.diff(side, axis=0).std() / np.sqrt(2)
+            for grid in part.grids
+            for side in outer(grid.data)
+        )
         if abs(high - low) < MIN_STEP_SIGMAS * noise:
             hint = "Average several frames, or use more light."
             got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
             raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
     below = -min(low, high) / abs(high - low)
     if below > MAX_BELOW_BLACK:
-        words = f"the dark side is below black by {percent(below, 1)} of the step: the black level is too high for the contrast"
+        words = (
+            f"the dark side is below black by {percent(below, 1)} of the step: the black level is"
+            " too high for the contrast"
+        )
         warn(Note("edge_picture", words=words))
     return float(contrast)
 
@@ -494,13 +662,24 @@ def outer_quarters(data: Array) -> tuple[float, float]:
 
 
 def balanced(parts: list[WeightedChannel]) -> list[WeightedChannel]:
-    """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel is left as it is."""
+    """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel
+    is left as it is.
+    """
     if len(parts) == 1:
         return parts
     sides = [sides_of(part.grids) for part in parts]
-    low, high = (sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True)) for at in (0, 1))
+    low, high = (
+        sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True))
+        for at in (0, 1)
+    )
     return [
-        WeightedChannel(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
+        WeightedChannel(
+            weight,
+            [
+                grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark)))
+                for grid in grids
+            ],
+        )
         for (weight, grids), (dark, light) in zip(parts, sides, strict=True)
     ]
 
@@ -512,40 +691,65 @@ def sampled(side: Array) -> Array:
 
 
 def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
-    """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side that is.
+    """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side
+    that is.
 
-    Light adds noise. So on the bright side no code can hold more pixels than the noise of the dark side would leave in it.
+    Light adds noise. So on the bright side no code can hold more pixels than the noise of the dark
+    side would leave in it.
     """
     for grid in grids:
         dark, light = sorted((sampled(side) for side in outer(grid.data)), key=np.mean)
         for name, side, other, sign in (("bright", light, dark, 1.0), ("dark", dark, light, -1.0)):
-            code = min((step for one in (side, other) if (step := smallest_step(one)) > 0.0), default=0.0)
+            code = min(
+                (step for one in (side, other) if (step := smallest_step(one)) > 0.0), default=0.0
+            )
             noise = 0.0 if code == 0.0 else noise_of(other, code) / code
-            if noise < MIN_NOISE_CODES or noise * code < MIN_NOISE * abs(float(light.mean() - dark.mean())):  # of rounding
+            if noise < MIN_NOISE_CODES or noise * code < MIN_NOISE * abs(
+                float(light.mean() - dark.mean())
+            ):  # of rounding
                 continue
             top, at_top = highest_code(sign * side)
             if name == "bright":
-                natural = MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
+                natural = (
+                    MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
+                )
             else:  # without clipping it may have less noise than the bright side, yet not none
                 natural = MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - MAX_SATURATED
             if at_top <= natural:
                 continue
-            got = f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g} above black, "
+            got = (
+                f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g}"
+                " above black, "
+            )
             got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
-                warn(Note("edge_picture", words=f"{got}, as if it were clipped at black: {SHARPENS}"))
+                warn(
+                    Note("edge_picture", words=f"{got}, as if it were clipped at black: {SHARPENS}")
+                )
             elif is_unclipped:
                 warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
             else:
-                hint = "Use less light. If these values are right, state a --saturation above them (is_unclipped=True)."
+                hint = (
+                    "Use less light. If these values are right, state a --saturation above them"
+                    " (is_unclipped=True)."
+                )
                 raise invalid(
-                    "edge picture", got, "noise on both sides, or on neither: this is clipped, which sharpens the edge", hint
+                    "edge picture",
+                    got,
+                    "noise on both sides, or on neither: this is clipped, which sharpens the edge",
+                    hint,
                 )
 
 
-def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_unclipped: bool) -> None:
-    """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if it has kinks at both sides."""
-    sides = [np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)]
+def check_kinks(
+    grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_unclipped: bool
+) -> None:
+    """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if
+    it has kinks at both sides.
+    """
+    sides = [
+        np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)
+    ]
     levels = [float(np.median(side)) for side in sides]
     code = max(smallest_step(sampled(grid.data)) for grid in grids)
     tolerance = max(1.5 * code, KINK_LEVEL * abs(levels[1] - levels[0]))
@@ -556,7 +760,8 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     value = np.concatenate([grid.data.ravel() for grid in grids])
     steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
     kinks = [
-        kink_of(outwards * distance, value - level, tolerance) / steepest for outwards, level in zip((-1, 1), levels, strict=True)
+        kink_of(outwards * distance, value - level, tolerance) / steepest
+        for outwards, level in zip((-1, 1), levels, strict=True)
     ]
     clipped = [
         kink > MAX_KINK and float(np.mean(side == level)) >= 1 - MAX_SATURATED
@@ -564,26 +769,46 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     ]
     if not any(clipped) or max(kinks) < MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            warn(Note("edge_picture", words=f"a kink at both sides, which no lens leaves and clipping does: {SHARPENS}"))
+            warn(
+                Note(
+                    "edge_picture",
+                    words=(
+                        f"a kink at both sides, which no lens leaves and clipping does: {SHARPENS}"
+                    ),
+                )
+            )
         return
     at = int(np.argmax(kinks))
     if not clipped[at]:
         return
     name = "bright" if levels[at] == max(levels) else "dark"
-    got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {percent(kinks[at])} of its steepest "
+    got = (
+        f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at"
+        f" {percent(kinks[at])} of its steepest "
+    )
     got += f"slope, beside {percent(kinks[1 - at])} on the other side"
     if is_unclipped:
         warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
         return
-    hint = f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are right, state a --saturation "
+    hint = (
+        f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are"
+        " right, state a --saturation "
+    )
     hint += "above them (is_unclipped=True)."
-    raise invalid("edge picture", got, "a slope that fades out on both sides: this is clipped, which sharpens the edge", hint)
+    raise invalid(
+        "edge picture",
+        got,
+        "a slope that fades out on both sides: this is clipped, which sharpens the edge",
+        hint,
+    )
 
 
 def kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
-    """Slope, per pixel along the normal, at which an edge runs into a side at positive distances; 0 without pixels between.
+    """Slope, per pixel along the normal, at which an edge runs into a side at positive distances; 0
+    without pixels between.
 
-    departure : of each pixel from the level of the side, which begins where no departure exceeds the tolerance
+    departure : of each pixel from the level of the side, which begins where no departure exceeds
+        the tolerance
     """
     away = np.abs(departure) > tolerance
     if not away.any():
@@ -596,15 +821,22 @@ def kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
 
 
 def smallest_step(side: Array) -> float:
-    """Smallest difference between two values of a side, which is a code where the noise has several; 0 if all are equal."""
+    """Smallest difference between two values of a side, which is a code where the noise has
+    several; 0 if all are equal.
+    """
     values = np.unique(side)
     return float(np.diff(values).min()) if values.size > 1 else 0.0
 
 
 def noise_of(side: Array, code: float) -> float:
-    """Standard deviation of a side's noise, from differences between rows; a few outliers, as of the edge, do not count."""
+    """Standard deviation of a side's noise, from differences between rows; a few outliers, as of
+    the edge, do not count.
+    """
     difference = np.diff(side, axis=0)
-    return float(difference[np.abs(difference) <= 6 * max(float(np.median(np.abs(difference))), code)].std() / np.sqrt(2))
+    return float(
+        difference[np.abs(difference) <= 6 * max(float(np.median(np.abs(difference))), code)].std()
+        / np.sqrt(2)
+    )
 
 
 def highest_code(side: Array) -> tuple[float, float]:
@@ -615,7 +847,9 @@ def highest_code(side: Array) -> tuple[float, float]:
 
 
 def check_mosaic(data: Array) -> None:
-    """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit cell differ on a side."""
+    """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit
+    cell differ on a side.
+    """
     sides = [side[: max(SAMPLED // side.shape[1], MIN_SIDE_PX)] for side in outer(data)]
     step = abs(sides[1].mean() - sides[0].mean())
     for cell in UNIT_CELLS:
@@ -626,10 +860,15 @@ def check_mosaic(data: Array) -> None:
             means = np.array([part.mean() for part in parts])
             error = max(float(part.std()) / math.sqrt(part.size) for part in parts)
             if np.ptp(means) > max(MAX_PARITY * step, PARITY_SIGMAS * math.sqrt(2) * error):
-                rows = " / ".join(" ".join(f"{value:.5g}" for value in line) for line in means.reshape(cell, cell))
+                rows = " / ".join(
+                    " ".join(f"{value:.5g}" for value in line) for line in means.reshape(cell, cell)
+                )
                 places = "four parities" if cell == 2 else f"places of {cell} × {cell} pixels"
                 got = f"what looks like a colour mosaic: the means of the {places} differ ({rows})"
-                hint = "Measure one channel: state the filters and the channel, as in --layout RG/GB --channel G"
+                hint = (
+                    "Measure one channel: state the filters and the channel, as in --layout RG/GB"
+                    " --channel G"
+                )
                 hint += ", or one parity, as in --channel 0,1 (row,column)." if cell == 2 else "."
                 raise invalid("edge picture", got, "one channel", hint)
 
@@ -648,9 +887,10 @@ class EdgeFit(NamedTuple):
 def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit:
     """Fit a polynomial to the edge, as ISO 12233:2023 does for lenses with distortion.
 
-    The edge of a row is the centroid of its derivative under a Hann window around the current curve. The first one is a line
-    through the steepest points of the smoothed rows. Warns if the rows' edges scatter about the curve by more than their noise,
-    and raises PixsimError if they are not near it.
+    The edge of a row is the centroid of its derivative under a Hann window around the current
+    curve. The first one is a line through the steepest points of the smoothed rows. Warns if the
+    rows' edges scatter about the curve by more than their noise, and raises PixsimError if they are
+    not near it.
 
     spacing : of the columns of each grid, in pixels
     """
@@ -664,29 +904,47 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
         ]
     )[order]
     row = row[order]
-    half = len(row) // 2  # medians over pairs of rows half the picture apart are robust against outliers
-    slope = float(np.median((steepest[half:] - steepest[: len(row) - half]) / (row[half:] - row[: len(row) - half])))
+    half = (
+        len(row) // 2
+    )  # medians over pairs of rows half the picture apart are robust against outliers
+    slope = float(
+        np.median(
+            (steepest[half:] - steepest[: len(row) - half]) / (row[half:] - row[: len(row) - half])
+        )
+    )
     curve = Polynomial([float(np.median(steepest - slope * row)), slope])
     reach_px = CENTROID_HALF_PX * spacing
 
     variances = [noise_variance(grid.data) for grid in grids]
     for _ in range(FIT_ROUNDS):
-        measured = [row_edges(*parts, curve, reach_px) for parts in zip(grids, derivatives, variances, strict=True)]
+        measured = [
+            row_edges(*parts, curve, reach_px)
+            for parts in zip(grids, derivatives, variances, strict=True)
+        ]
         rows, centres, noises = (np.concatenate(parts) for parts in zip(*measured, strict=True))
         if rows.size < row.size / 2:
             raise no_edge(f"an edge in {rows.size} of {row.size} lines")
         slope, intercept = np.polyfit(rows, centres, 1)
         degree = degree_of_edge(rows, centres)
-        curve = Polynomial([intercept, slope]) if degree == 1 else Polynomial.fit(rows, centres, degree)
+        curve = (
+            Polynomial([intercept, slope]) if degree == 1 else Polynomial.fit(rows, centres, degree)
+        )
 
-    margins_px = [np.minimum(curve(grid.row) - grid.x[0], grid.x[-1] - curve(grid.row)) for grid in grids]
+    margins_px = [
+        np.minimum(curve(grid.row) - grid.x[0], grid.x[-1] - curve(grid.row)) for grid in grids
+    ]
     lines = sum(np.count_nonzero(margin_px >= reach_px) for margin_px in margins_px)
     if rows.size < MIN_LINES * lines:
         raise no_edge(f"an edge in {rows.size} of {lines} lines")
     residual = float(np.sqrt(np.mean((centres - curve(rows)) ** 2)))
     if residual > MAX_RESIDUAL_PX * spacing:
         raise no_edge(f"an edge {residual:.2g} px (RMS) from a polynomial of degree {degree}")
-    scatter = np.concatenate([without_sampling(centre - curve(rows), curve(rows) / spacing) for rows, centre, _ in measured])
+    scatter = np.concatenate(
+        [
+            without_sampling(centre - curve(rows), curve(rows) / spacing)
+            for rows, centre, _ in measured
+        ]
+    )
     warn_of_misfit(scatter, noises, degree, spacing)
     return EdgeFit(curve, float(slope))
 
@@ -694,7 +952,8 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
 def row_edges(
     grid: ChannelGrid, derivative: Array, variance: Array, curve: Polynomial, reach_px: float
 ) -> tuple[Array, Array, Array]:
-    """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard deviations by the noise (px).
+    """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard
+    deviations by the noise (px).
 
     derivative, variance : (M, K) along the rows, and of the noise of each pixel
     """
@@ -705,7 +964,8 @@ def row_edges(
     valid = total > 0
     centre = (weight[valid] * grid.x).sum(axis=1) / total[valid]
 
-    # The centroid is linear in the noise: a pixel is in the central differences on either side of it.
+    # The centroid is linear in the noise: a pixel is in the central differences on either side of
+    # it.
     lever = window[valid] * (grid.x - centre[:, None]) / total[valid, None]
     gain = np.zeros_like(lever)
     gain[:, 1:-1] = (lever[:, :-2] - lever[:, 2:]) / 2
@@ -714,7 +974,9 @@ def row_edges(
 
 
 def noise_variance(data: Array) -> Array:
-    """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of the two sides."""
+    """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of
+    the two sides.
+    """
     sides = [sampled(side) for side in outer(data)]
     variances = [noise_of(side, smallest_step(side)) ** 2 for side in sides]
     levels = [float(side.mean()) for side in sides]
@@ -725,10 +987,14 @@ def noise_variance(data: Array) -> Array:
 
 
 def degree_of_edge(row: Array, centre: Array) -> int:
-    """Degree of the polynomial for the edges of rows (px): that of the highest term that is no chance and matters, or 1."""
+    """Degree of the polynomial for the edges of rows (px): that of the highest term that is no
+    chance and matters, or 1.
+    """
     scaled = 2 * (row - row.min()) / np.ptp(row) - 1
     basis = np.linalg.qr(legvander(scaled, MAX_DEGREE))[0]
-    coefficient = basis.T @ centre  # independent of each other, and as uncertain as the edge of a row
+    coefficient = (
+        basis.T @ centre
+    )  # independent of each other, and as uncertain as the edge of a row
     freedom = row.size - basis.shape[1]
     sigma = math.sqrt(float(np.sum((centre - basis @ coefficient) ** 2)) / freedom)
     chance = DEGREE_FALSE_ALARM / (MAX_DEGREE - 1)
@@ -738,7 +1004,8 @@ def degree_of_edge(row: Array, centre: Array) -> int:
 
 
 def without_sampling(residual_px: Array, place: Array) -> Array:
-    """The rows' distances from the edge (px), less their mean at each place of the edge within a pixel, an error of sampling.
+    """The rows' distances from the edge (px), less their mean at each place of the edge within a
+    pixel, an error of sampling.
 
     place : of the edge in each row, in pixels of the channel
     """
@@ -749,26 +1016,32 @@ def without_sampling(residual_px: Array, place: Array) -> Array:
 
 
 def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: int) -> None:
-    """Warn if the rows' edges scatter about the polynomial by more than their noise, as by waves or rows that are shifted.
+    """Warn if the rows' edges scatter about the polynomial by more than their noise, as by waves or
+    rows that are shifted.
 
-    residual_px : (N,) distances of the rows' edges from the polynomial, without the error of sampling
+    residual_px : (N,) distances of the rows' edges from the polynomial, without the error of
+        sampling
     noise_px : (N,) standard deviations of the rows' edges by the noise of the pixels
     spacing : of the columns of the channel, in pixels
     """
-    scatter = float(np.quantile(np.abs(residual_px), COVERAGE)) / float(ndtri((1 + COVERAGE) / 2))  # few outliers do not count
+    scatter = float(np.quantile(np.abs(residual_px), COVERAGE)) / float(
+        ndtri((1 + COVERAGE) / 2)
+    )  # few outliers do not count
     noise = float(np.sqrt(np.mean(noise_px**2)))
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
     if misfit > MAX_MISFIT_PX * spacing and scatter**2 > MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
         words = (
-            f"the edge is no polynomial of degree {degree}: its rows scatter about it by {misfit:.2g} px (RMS), which lowers the "
-            f"SFR at Nyquist by about {percent(loss)}; take a region in which it is even"
+            f"the edge is no polynomial of degree {degree}: its rows scatter about it by"
+            f" {misfit:.2g} px (RMS), which lowers the SFR at Nyquist by about {percent(loss)};"
+            " take a region in which it is even"
         )
         warn(Note("edge_region", words=words))
 
 
 def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
-    """(M, K) distances of the pixels from the edge along its normal, in pixels, positive on the right.
+    """(M, K) distances of the pixels from the edge along its normal, in pixels, positive on the
+    right.
 
     To first order in the curvature: the normal through a pixel meets the edge in another row.
     """
@@ -792,16 +1065,19 @@ def no_edge(got: str) -> PixsimError:
     return invalid(
         "edge picture",
         got,
-        f"one edge within {MAX_RESIDUAL_PX:g} px (RMS) of a polynomial of degree {MAX_DEGREE} at most",
+        f"one edge within {MAX_RESIDUAL_PX:g} px (RMS) of a polynomial of degree {MAX_DEGREE} at"
+        " most",
         "Give a --region that contains only the edge.",
     )
 
 
-def rows_and_window(grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: float, spacing: int) -> tuple[Array, float]:
+def rows_and_window(
+    grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: float, spacing: int
+) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
-    The rows cover a whole number of the edge's steps of one pixel of the channel, which weights all phases equally. The window is
-    reduced until half of the rows contain it.
+    The rows cover a whole number of the edge's steps of one pixel of the channel, which weights all
+    phases equally. The window is reduced until half of the rows contain it.
 
     spacing : of the columns of each grid, in pixels
     """
@@ -814,18 +1090,33 @@ def rows_and_window(grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: 
     slant_deg = abs(np.degrees(np.arctan(slope)))
     if abs(slope) * height < spacing or slant_deg < MIN_SLANT_DEG:
         got = f"an edge {slant_deg:.2g}° from the rows or columns, over {height} lines"
-        sideways = "one pixel" if spacing == 1 else f"{spacing} pixels, which are one of the channel,"
+        sideways = (
+            "one pixel" if spacing == 1 else f"{spacing} pixels, which are one of the channel,"
+        )
         expected = f"at least {MIN_SLANT_DEG:g}° and {sideways} sideways; 5° is usual"
-        raise invalid("edge picture", got, expected, "Without a slant the edge samples only one phase of the pixels.")
+        raise invalid(
+            "edge picture",
+            got,
+            expected,
+            "Without a slant the edge samples only one phase of the pixels.",
+        )
     grain = min(bins_of(spacing))
     half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
     if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
-        raise invalid("edge picture", got, f"at least {MIN_HALF_WINDOW_PX} px", "Give a --region with the edge in its middle.")
+        raise invalid(
+            "edge picture",
+            got,
+            f"at least {MIN_HALF_WINDOW_PX} px",
+            "Give a --region with the edge in its middle.",
+        )
     inside = row[margin_px >= half_px]
     steps = int(inside.size * abs(slope) / spacing)
     if steps < 1:
-        expected = f"at least {np.ceil(spacing / abs(slope)):.0f}, in which the edge moves by one pixel of the channel"
+        expected = (
+            f"at least {np.ceil(spacing / abs(slope)):.0f}, in which the edge moves by one pixel of"
+            " the channel"
+        )
         raise invalid("edge picture", f"{inside.size} lines across the edge", expected)
     count = round(steps * spacing / abs(slope))
     start = (inside.size - count) // 2
@@ -833,7 +1124,9 @@ def rows_and_window(grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: 
 
 
 def bins_of(spacing: int) -> list[int]:
-    """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are `spacing` apart."""
+    """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are
+    `spacing` apart.
+    """
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
 
@@ -844,7 +1137,9 @@ def within(grid: ChannelGrid, rows: Array) -> ChannelGrid:
 
 
 class Binned(NamedTuple):
-    """An edge spread function: (N,) distances of the bins, numbers of pixels, their means, and the variances of the means."""
+    """An edge spread function: (N,) distances of the bins, numbers of pixels, their means, and the
+    variances of the means.
+    """
 
     distance_px: Array
     pixels: NDArray[np.intp]
@@ -852,10 +1147,13 @@ class Binned(NamedTuple):
     variance: Array
 
 
-def edge_spread(grids: Sequence[ChannelGrid], fit: EdgeFit, half_px: float, bins_a_pixel: int) -> Binned:
+def edge_spread(
+    grids: Sequence[ChannelGrid], fit: EdgeFit, half_px: float, bins_a_pixel: int
+) -> Binned:
     """Pixels in bins of their distance from the edge, which rises from left to right.
 
-    The variance is that of the pixels about the mean course through the bins, pooled over neighbouring bins.
+    The variance is that of the pixels about the mean course through the bins, pooled over
+    neighbouring bins.
     """
     count = round(2 * half_px * bins_a_pixel)
     centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
@@ -871,29 +1169,41 @@ def edge_spread(grids: Sequence[ChannelGrid], fit: EdgeFit, half_px: float, bins
     pixels = np.bincount(index, minlength=count)
     if pixels.min() == 0:
         return Binned(centre_px, pixels, centre_px, centre_px)
-    # Pixels fill a bin unevenly, so its mean belongs to their mean distance. Without this correction the SFR is 0.003 off.
+    # Pixels fill a bin unevenly, so its mean belongs to their mean distance. Without this
+    # correction the SFR is 0.003 off.
     off_px = np.bincount(index, weights=away, minlength=count) / pixels - centre_px
     spread = np.bincount(index, weights=value, minlength=count) / pixels
     mean = spread - off_px * np.gradient(spread, centre_px)
-    squares = np.bincount(index, weights=(value - course(centre_px, mean)(away)) ** 2, minlength=count)
+    squares = np.bincount(
+        index, weights=(value - course(centre_px, mean)(away)) ** 2, minlength=count
+    )
     freedom = uniform_filter1d(np.maximum(pixels - 1.0, 0.0), POOLED_BINS)
-    scatter = np.maximum(uniform_filter1d(squares, POOLED_BINS), 0.0) / np.maximum(freedom, 1.0 / POOLED_BINS)
+    scatter = np.maximum(uniform_filter1d(squares, POOLED_BINS), 0.0) / np.maximum(
+        freedom, 1.0 / POOLED_BINS
+    )
     return Binned(centre_px, pixels, mean, scatter / pixels)
 
 
 def course(centre_px: Array, mean: Array) -> CubicSpline:
     """The smooth course of which the bins hold the means."""
     curvature = np.gradient(np.gradient(mean))
-    return CubicSpline(centre_px, mean - curvature / 24)  # a mean over a bin is 1/24 of the curvature above its middle
+    return CubicSpline(
+        centre_px, mean - curvature / 24
+    )  # a mean over a bin is 1/24 of the curvature above its middle
 
 
 def filter_response(frequency: Array, bins_a_pixel: int) -> Array:
     """Response of the bins and of the central difference, limited as in ISO 12233."""
-    return np.maximum(np.sinc(frequency / bins_a_pixel) * np.sinc(2 * frequency / bins_a_pixel), 1 / MAX_CORRECTION)
+    return np.maximum(
+        np.sinc(frequency / bins_a_pixel) * np.sinc(2 * frequency / bins_a_pixel),
+        1 / MAX_CORRECTION,
+    )
 
 
 def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Array]:
-    """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bins and derivative."""
+    """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bins
+    and derivative.
+    """
     line = np.gradient(spread)  # central differences, ISO 12233
     line = line * tukey(line.size, TAPER)
     frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / bins_a_pixel), float)
@@ -901,17 +1211,23 @@ def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Ar
     return frequency, modulation / modulation[0] / filter_response(frequency, bins_a_pixel)
 
 
-def interval(spread: Array, variance: Array, bins_a_pixel: int, frequency: Array) -> tuple[Array, Array]:
-    """Bounds of the SFR at frequencies (cy/px), an interval of 95 % for independent noise of a variance in each bin.
+def interval(
+    spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
+) -> tuple[Array, Array]:
+    """Bounds of the SFR at frequencies (cy/px), an interval of 95 % for independent noise of a
+    variance in each bin.
 
-    The noise of the DFT, less its part that the normalisation takes away, is a complex Gaussian number around the true SFR. So the
-    square of the measured one is noncentral χ² with 2 degrees of freedom, of which the interval is the exact one: noise can only
-    raise a modulus that is near 0.
+    The noise of the DFT, less its part that the normalisation takes away, is a complex Gaussian
+    number around the true SFR. So the square of the measured one is noncentral χ² with 2 degrees of
+    freedom, of which the interval is the exact one: noise can only raise a modulus that is near 0.
     """
     window = tukey(spread.size, TAPER)
     line = np.gradient(spread) * window
     total = float(line.sum())
-    before, after = np.append(0.0, window[:-1]), np.append(window[1:], 0.0)  # a bin is in the differences on either side of it
+    before, after = (
+        np.append(0.0, window[:-1]),
+        np.append(window[1:], 0.0),
+    )  # a bin is in the differences on either side of it
     place = np.arange(spread.size)
     sfr, sigma = np.ones(frequency.size), np.zeros(frequency.size)
     for number, one in enumerate(frequency):
@@ -920,17 +1236,23 @@ def interval(spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
         value = complex(line @ turn) / total
         change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
         sfr[number] = abs(value)
-        sigma[number] = math.sqrt(float((change * np.conj(value / (abs(value) or 1.0))).real ** 2 @ variance)) / abs(total)
+        sigma[number] = math.sqrt(
+            float((change * np.conj(value / (abs(value) or 1.0))).real ** 2 @ variance)
+        ) / abs(total)
     low, high = bounds(sfr, sigma)
     correction = filter_response(frequency, bins_a_pixel)
     return low / correction, high / correction
 
 
-def mtf50_interval(spread: Array, variance: Array, bins_a_pixel: int, frequency: Array) -> tuple[float | None, float | None]:
-    """Interval of 95 % of the MTF50: the frequencies at which the interval of the SFR holds one half; None for no such bound.
+def mtf50_interval(
+    spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
+) -> tuple[float | None, float | None]:
+    """Interval of 95 % of the MTF50: the frequencies at which the interval of the SFR holds one
+    half; None for no such bound.
 
-    Frequencies between those of the DFT share their noise, so the bounds are of a finer scale. Both ends are where their bound
-    stays below one half up to the next frequency of the DFT: shorter dips are noise.
+    Frequencies between those of the DFT share their noise, so the bounds are of a finer scale. Both
+    ends are where their bound stays below one half up to the next frequency of the DFT: shorter
+    dips are noise.
 
     frequency : those of the DFT, from 0
     """
@@ -945,13 +1267,17 @@ FAR_SIGMAS = 30.0  # from 0, where the modulus is as good as Gaussian
 
 
 def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
-    """Interval of 95 % for the modulus of a complex number measured with Gaussian noise of `sigma` in each of its two parts."""
+    """Interval of 95 % for the modulus of a complex number measured with Gaussian noise of `sigma`
+    in each of its two parts.
+    """
     z = float(ndtri((1 + COVERAGE) / 2))
     low, high = np.maximum(modulus - z * sigma, 0.0), modulus + z * sigma
     near = (sigma > 0) & (modulus < FAR_SIGMAS * sigma)
     square = (modulus[near] / sigma[near]) ** 2
     for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):
-        found = np.where(-np.expm1(-square / 2) < chance, 0.0, chndtrinc(square, 2.0, chance))  # none reaches it: 0 is nearest
+        found = np.where(
+            -np.expm1(-square / 2) < chance, 0.0, chndtrinc(square, 2.0, chance)
+        )  # none reaches it: 0 is nearest
         bound[near] = np.sqrt(np.nan_to_num(found)) * sigma[near]
     return low, high
 
@@ -970,10 +1296,11 @@ def warn_of_curve(edge: EdgeResponse) -> None:
 
 
 def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
-    """Warn if the light changes along the normal: the tails on the two sides have slopes that no lens gives them.
+    """Warn if the light changes along the normal: the tails on the two sides have slopes that no
+    lens gives them.
 
-    The tails of a lens are alike on both sides, and leave no difference. A slope of the illumination does, as it acts on each
-    side in proportion to its light.
+    The tails of a lens are alike on both sides, and leave no difference. A slope of the
+    illumination does, as it acts on each side in proportion to its light.
     """
     half_px = -float(distance_px[0])
     slopes, errors = [], []
@@ -986,15 +1313,19 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
         words = (
-            f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the step within {half_px:.3g} px, "
-            "which the SFR takes for blur or sharpening at low frequency; correct the picture with a flat field, or take a "
-            "smaller region"
+            f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the"
+            f" step within {half_px:.3g} px, which the SFR takes for blur or sharpening at low"
+            " frequency; correct the picture with a flat field, or take a smaller region"
         )
         warn(Note("edge_region", words=words))
 
 
-def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array) -> None:
-    """Warn if the noise of neighbours in a row is correlated, of which the intervals know nothing."""
+def warn_of_correlation(
+    grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array
+) -> None:
+    """Warn if the noise of neighbours in a row is correlated, of which the intervals know
+    nothing.
+    """
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))
     smooth = course(distance_px, spread)
@@ -1002,15 +1333,19 @@ def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px:
     for grid in grids:
         distance = distance_from_edge(grid, fit)
         beside = (np.abs(distance) > half_px / 4) & (np.abs(distance) < half_px)
-        noise = np.diff(grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0)  # without shading along the edge
+        noise = np.diff(
+            grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0
+        )  # without shading along the edge
         beside = beside[1:] & beside[:-1]
         pairs = beside[:, 1:] & beside[:, :-1]
         if pairs.any() and noise[beside].std() > MIN_NOISE * step:
-            found.append(float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean()))
+            found.append(
+                float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean())
+            )
     if found and max(found) > MAX_CORRELATION:
         words = (
-            f"the noise of neighbouring pixels is correlated ({max(found):.2f}), as after demosaicking, denoising or scaling: the "
-            "intervals are too narrow"
+            f"the noise of neighbouring pixels is correlated ({max(found):.2f}), as after"
+            " demosaicking, denoising or scaling: the intervals are too narrow"
         )
         warn(Note("edge_picture", words=words))
 
@@ -1041,24 +1376,40 @@ class EdgePicture:
 
 
 def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
-    """A linear picture: raw.exr of `pixsim run`, .exr, .npy, .npz of one array, .png of 16 bits, .tiff of 16 bits or more or float.
+    """A linear picture: raw.exr of `pixsim run`, .exr, .npy, .npz of one array, .png of 16 bits,
+    .tiff of 16 bits or more or float.
 
-    channel : of a picture of red, green and blue: R, G, B or `luminance`, which is the default; others have none, or a layout
+    channel : of a picture of red, green and blue: R, G, B or `luminance`, which is the default;
+        others have none, or a layout
 
-    Raises PixsimError if the file is missing, damaged, or encoded for a display, such as an 8-bit PNG.
+    Raises PixsimError if the file is missing, damaged, or encoded for a display, such as an 8-bit
+    PNG.
     """
     data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"), in_colour=True)
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
         encoding = f"'{path}' states an encoding for displays ({metadata[ENCODING]})"
-        warn(Note("file_as_read", words=f"{encoding}: the SFR is that of light only if the values are linear in it"))
+        warn(
+            Note(
+                "file_as_read",
+                words=f"{encoding}: the SFR is that of light only if the values are linear in it",
+            )
+        )
     rgb = None
     if data.ndim == 3:
         rgb = channel or LUMINANCE
         if rgb not in (*LUMINANCE_WEIGHTS, LUMINANCE):
-            raise invalid(setting("channel"), f"'{channel}' of '{path}', a picture of red, green and blue", f"R, G, B, {LUMINANCE}")
-        data = data @ np.array(list(LUMINANCE_WEIGHTS.values())) if rgb == LUMINANCE else data[..., "RGB".index(rgb)]
+            raise invalid(
+                setting("channel"),
+                f"'{channel}' of '{path}', a picture of red, green and blue",
+                f"R, G, B, {LUMINANCE}",
+            )
+        data = (
+            data @ np.array(list(LUMINANCE_WEIGHTS.values()))
+            if rgb == LUMINANCE
+            else data[..., "RGB".index(rgb)]
+        )
     layout = layout_of(metadata, data.shape) if rgb is None else None
     levels = black_levels_of(metadata, data.shape)
     if levels is not None:
@@ -1067,7 +1418,9 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
         value = stated_number(metadata, name)
-        if name not in metadata or (is_image and not math.isfinite(value)):  # a text of another program under the same name
+        if name not in metadata or (
+            is_image and not math.isfinite(value)
+        ):  # a text of another program under the same name
             continue
         if not low <= value <= high:
             got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
@@ -1075,7 +1428,10 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
         numbers[name] = value
     if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
-        words = f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top code and may lie beside it"
+        words = (
+            f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top"
+            " code and may lie beside it"
+        )
         warn(Note("edge_picture", words=f"{words}: {SHARPENS}"))
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
@@ -1094,17 +1450,23 @@ def sfr(
     saturation: float | None = None,
     region: Sequence[int] | None = None,
 ) -> EdgeResponse:
-    """Measure the spatial frequency response of a slanted edge in the file of a linear picture by ISO 12233.
+    """Measure the spatial frequency response of a slanted edge in the file of a linear picture by
+    ISO 12233.
 
-    image : raw.exr of `pixsim run`, another .exr, .npy, .npz of one array, .png of 16 bits, or .tiff of 16 bits or floating point
+    image : raw.exr of `pixsim run`, another .exr, .npy, .npz of one array, .png of 16 bits, or
+        .tiff of 16 bits or floating point
     pitch_um : of the pixels, for frequencies on the sensor; None means that of the file
-    channel : of a picture in colour: R, G, B, or another letter of its filters, `luminance`, or a place of the mosaic as
-        row,column; None means luminance of red, green and blue, and none of a mosaic
-    layout : colour filters of a mosaic, upper row first, as RG/GB, or R+G+B for planes one below the other; None means those of
+    channel : of a picture in colour: R, G, B, or another letter of its filters, `luminance`, or a
+        place of the mosaic as row,column; None means luminance of red, green and blue, and none of
+        a mosaic
+    layout : colour filters of a mosaic, upper row first, as RG/GB, or R+G+B for planes one below
+        the other; None means those of the file
+    black : level of no light as stored, in DN, which affects the contrast only; None means that of
+        the file, or 0
+    saturation : value as stored, in DN, from which a pixel counts as saturated; None means that of
         the file
-    black : level of no light as stored, in DN, which affects the contrast only; None means that of the file, or 0
-    saturation : value as stored, in DN, from which a pixel counts as saturated; None means that of the file
-    region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; None means the whole picture
+    region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; None
+        means the whole picture
 
     Raises PixsimError if the file is no linear picture, and as `edge_response` does.
 
@@ -1120,7 +1482,9 @@ def sfr(
     """
     lowest, highest = METADATA_RANGES["pitch_um"]
     if pitch_um is not None and not lowest <= pitch_um <= highest:
-        raise invalid(setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}")
+        raise invalid(
+            setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}"
+        )
     for name, level_dn in (("black", black), ("saturation", saturation)):
         if level_dn is not None and not math.isfinite(level_dn):
             raise invalid(setting(name), f"{level_dn:g}", "a finite number")
@@ -1135,7 +1499,9 @@ def sfr(
         top = picture.top if saturation is None else saturation
         if top is not None and top <= highest_level:
             name = "black" if saturation is None else "saturation"
-            raise invalid(setting(name), f"{top:g} with a black level of {highest_level:g}", "more than it")
+            raise invalid(
+                setting(name), f"{top:g} with a black level of {highest_level:g}", "more than it"
+            )
         edge = edge_response(
             picture.data.astype(float) - level,
             region=region,
@@ -1145,4 +1511,6 @@ def sfr(
             channel=channel if picture.channel is None else None,
         )
     pitch = picture.pitch_um if pitch_um is None else pitch_um
-    return replace(edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes))
+    return replace(
+        edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes)
+    )

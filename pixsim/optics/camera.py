@@ -5,7 +5,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from pixsim.base.bounds import Positive, brief
 from pixsim.base.digits import f_stop
@@ -17,10 +23,20 @@ from pixsim.light.curves import Share
 from pixsim.light.quantities import Fraction
 from pixsim.optics.chief_rays import ChiefRayAngles, ChiefRays, RelativeIllumination
 from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions, PrescriptionOptions, TracedLens
-from pixsim.optics.quantities import DieWidth, Distance, FieldOfView, FNumber, FocalLength, OutsideLight, UpToInfinity
+from pixsim.optics.quantities import (
+    DieWidth,
+    Distance,
+    FieldOfView,
+    FNumber,
+    FocalLength,
+    OutsideLight,
+    UpToInfinity,
+)
 
 FASTEST_WORKING_F_NUMBER = 0.5
-LARGEST_MAGNIFICATION = 1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
+LARGEST_MAGNIFICATION = (
+    1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
+)
 CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
@@ -29,7 +45,8 @@ IN_PIXELS = Words(also=("pixels",))
 # Usual words for the columns and rows of a sensor, or of a display.
 SIZES = "resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"
 PIXELS_OR_FILM = (
-    "The sensor's columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film."
+    "The sensor's columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is"
+    " the width of the film."
 )
 
 
@@ -37,9 +54,11 @@ PIXELS_OR_FILM = (
 class Camera(Record):
     """A thin lens in air and the die behind it, focused on a plane.
 
-    With a real `lens`, the thin lens has its paraxial image distance, its numerical aperture on the axis, and its chief rays.
+    With a real `lens`, the thin lens has its paraxial image distance, its numerical aperture on the
+    axis, and its chief rays.
 
-    With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture radius f/2N.
+    With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture
+    radius f/2N.
 
     >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)  # at twice the focal length: magnification 1
     >>> camera.magnification, camera.image_distance_mm, camera.working_f_number
@@ -49,48 +68,68 @@ class Camera(Record):
     """
 
     focal_length_mm: FocalLength = Field(3.86, description="focal length")
-    f_number: FNumber = Field(4.0, description="nominal f-number: focal length over the diameter of the entrance pupil")
+    f_number: FNumber = Field(
+        4.0, description="nominal f-number: focal length over the diameter of the entrance pupil"
+    )
     die_mm: Annotated[DieWidth, IN_PIXELS] = Field(2.7136, description="width of the die")
     die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
         None, description="height of the die (absent: that of a square die, die_mm)"
     )
-    object_distance_m: Distance = Field(1.0, description="distance from the lens to the plane in focus")
+    object_distance_m: Distance = Field(
+        1.0, description="distance from the lens to the plane in focus"
+    )
     transmittance: Fraction = Field(1.0, description="transmittance of the lens")
     chief_ray_angle: ChiefRays | None = Field(
         None,
-        description="CSV file of image_height_mm, deg and perhaps relative_illumination: directions of the light on pixels with a "
-        "stack, and the fall-off in place of the thin lens's if that column is there (absent: those of the thin lens)",
+        description=(
+            "CSV file of image_height_mm, deg and perhaps relative_illumination: directions of the"
+            " light on pixels with a stack, and the fall-off in place of the thin lens's if that"
+            " column is there (absent: those of the thin lens)"
+        ),
     )
-    lens: TracedLens | None = Field(None, description="real lens, from `Scene.camera` with `LensOptions` (absent: a thin lens)")
+    lens: TracedLens | None = Field(
+        None, description="real lens, from `Scene.camera` with `LensOptions` (absent: a thin lens)"
+    )
     veiling_glare: Share = Field(0.0, description="`LensOptions.veiling_glare`")
-    veiling_glare_outside: OutsideLight = Field(0.0, description="`LensOptions.veiling_glare_outside`")
-    fall_off: RelativeIllumination | None = Field(None, description="`LensOptions.relative_illumination`")
+    veiling_glare_outside: OutsideLight = Field(
+        0.0, description="`LensOptions.veiling_glare_outside`"
+    )
+    fall_off: RelativeIllumination | None = Field(
+        None, description="`LensOptions.relative_illumination`"
+    )
 
     @model_serializer(mode="wrap")
     def _without_absent_lens(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A camera without a real lens, veil or fall-off of its own is written, and hashed, as if it had no such fields."""
+        """A camera without a real lens, veil or fall-off of its own is written, and hashed, as if
+        it had no such fields.
+        """
         table: dict[str, Any] = handler(self)
-        absent = {name for name in ("lens", *OF_ANY_LENS.values()) if getattr(self, name) == type(self).model_fields[name].default}
+        absent = {
+            name
+            for name in ("lens", *OF_ANY_LENS.values())
+            if getattr(self, name) == type(self).model_fields[name].default
+        }
         return {name: value for name, value in table.items() if name not in absent}
 
     @model_validator(mode="after")
     def _forms_an_image(self) -> Self:
         if self.focal_length_mm >= 1e3 * self.object_distance_m:
             raise ValueError(
-                f"focal_length_mm = {self.focal_length_mm:g} is not shorter than object_distance_m = "
-                f"{self.object_distance_m:g} ({1e3 * self.object_distance_m:g} mm): no real image forms. "
-                "Increase the object distance or use a shorter focal length"
+                f"focal_length_mm = {self.focal_length_mm:g} is not shorter than object_distance_m"
+                f" = {self.object_distance_m:g} ({1e3 * self.object_distance_m:g} mm): no real"
+                " image forms. Increase the object distance or use a shorter focal length"
             )
         if self.magnification > LARGEST_MAGNIFICATION:
             raise ValueError(
-                f"got focal_length_mm = {self.focal_length_mm:g} with object_distance_m = {self.object_distance_m:g}, which "
-                f"magnifies {self.magnification:g} times; allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object "
-                "distance"
+                f"got focal_length_mm = {self.focal_length_mm:g} with object_distance_m ="
+                f" {self.object_distance_m:g}, which magnifies {self.magnification:g} times;"
+                f" allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object distance"
             )
         if self.working_f_number < FASTEST_WORKING_F_NUMBER:
             raise ValueError(
-                f"f_number = {self.f_number:g} is too small for a thin lens in air: the working f-number, "
-                f"N (1 + |m|) = {self.working_f_number:g}, must be at least {FASTEST_WORKING_F_NUMBER:g}"
+                f"f_number = {self.f_number:g} is too small for a thin lens in air: the working"
+                f" f-number, N (1 + |m|) = {self.working_f_number:g}, must be at least"
+                f" {FASTEST_WORKING_F_NUMBER:g}"
             )
         return self
 
@@ -103,9 +142,9 @@ class Camera(Record):
         sine = math.sin(math.radians(abs(angle_deg))) + self.numerical_aperture
         if not sine < 1:
             raise ValueError(
-                f"chief_ray_angle is {angle_deg:.4g} degrees at {height_mm:.4g} mm; allowed: the sine of the angle and of the cone "
-                f"of light at f/{self.f_number:g} together below 1, the horizon, not {sine:.3g}. Give smaller angles or a larger "
-                "f_number"
+                f"chief_ray_angle is {angle_deg:.4g} degrees at {height_mm:.4g} mm; allowed: the"
+                f" sine of the angle and of the cone of light at f/{self.f_number:g} together below"
+                f" 1, the horizon, not {sine:.3g}. Give smaller angles or a larger f_number"
             )
         return self
 
@@ -113,20 +152,28 @@ class Camera(Record):
     def _has_one_fall_off(self) -> Self:
         if self.fall_off is None:
             return self
-        if self.lens is not None or (self.chief_ray_angle is not None and len(self.chief_ray_angle[0]) > 2):
+        if self.lens is not None or (
+            self.chief_ray_angle is not None and len(self.chief_ray_angle[0]) > 2
+        ):
             other = "lens.file" if self.lens else "camera.chief_ray_angle"
-            raise ValueError(f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one of them")
+            raise ValueError(
+                f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one"
+                " of them"
+            )
         self._corner_within("lens.relative_illumination", self.fall_off)
         return self
 
     def _corner_within(self, name: str, rows: ChiefRayAngles) -> float:
-        """Return the image height of the die's corner in mm. ValueError if rows against image height end before it."""
+        """Return the image height of the die's corner in mm. ValueError if rows against image
+        height end before it.
+        """
         corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, rows[-1][0]
         if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
             raise ValueError(
-                f"{name} ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die of "
-                f"{self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or give the "
-                "die_mm and die_height_mm of the sensor"
+                f"{name} ends at an image height of {farthest_mm:g} mm; allowed: up to the corner"
+                f" of the die of {self.die_mm:g} × {self.height_mm:g} mm,"
+                f" {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or give the die_mm"
+                " and die_height_mm of the sensor"
             )
         return corner_mm
 
@@ -136,7 +183,9 @@ class Camera(Record):
         within = [row for row in rows if row[0] <= height_mm]
         if len(within) < len(rows):
             (low, low_deg), (high, high_deg) = within[-1], rows[len(within)]
-            within.append((height_mm, low_deg + (high_deg - low_deg) * (height_mm - low) / (high - low)))
+            within.append(
+                (height_mm, low_deg + (high_deg - low_deg) * (height_mm - low) / (high - low))
+            )
         return within
 
     @property
@@ -161,14 +210,18 @@ class Camera(Record):
 
     @property
     def working_f_number(self) -> float:
-        """N_w = N(1 + |m|), the ratio of image distance to aperture: 1/(2 tan α), with α the half angle of the cone of light."""
+        """N_w = N(1 + |m|), the ratio of image distance to aperture: 1/(2 tan α), with α the half
+        angle of the cone of light.
+        """
         return self.f_number * (1 + self.magnification)
 
     @property
     def effective_f_number(self) -> float:
-        """N_e = 1/(2 sin α), the f-number of diffraction, a ratio: 1/(2 NA) with NA = sin α on the sensor's side.
+        """N_e = 1/(2 sin α), the f-number of diffraction, a ratio: 1/(2 NA) with NA = sin α on the
+        sensor's side.
 
-        Light and blur share one pupil (Abbe's sine condition): irradiance goes with sin²α, the cut-off frequency with 2 sin α/λ.
+        Light and blur share one pupil (Abbe's sine condition): irradiance goes with sin²α, the
+        cut-off frequency with 2 sin α/λ.
         """
         return math.hypot(self.working_f_number, 0.5)
 
@@ -179,14 +232,18 @@ class Camera(Record):
 
     @property
     def relative_illumination(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """Image heights in mm, and the illumination there relative to the axis; None if no table states it."""
+        """Image heights in mm, and the illumination there relative to the axis; None if no table
+        states it.
+        """
         rows = self.fall_off or self.chief_ray_angle
         if rows is None or (self.fall_off is None and len(rows[0]) < 3):
             return None
         return tuple(row[0] for row in rows), tuple(row[-1] for row in rows)
 
     def lights_like(self, other: Camera) -> bool:
-        """Whether both give the same irradiance; its directions, which only pixels with a stack see, may differ."""
+        """Whether both give the same irradiance; its directions, which only pixels with a stack
+        see, may differ.
+        """
         tables = {self.relative_illumination, other.relative_illumination}
         later = {name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *OF_VEIL)}
         return len(tables) == 1 and self.model_copy(update=later) == other
@@ -197,27 +254,42 @@ class Camera(Record):
         return self.model_copy(update=dict.fromkeys(OF_VEIL, 0.0)) if self.veiling_glare else self
 
     def with_light_of(self, chosen: LensOptions) -> Camera:
-        """The same with the veil and the fall-off that options of a lens state; what they leave open stays.
+        """The same with the veil and the fall-off that options of a lens state; what they leave
+        open stays.
 
         chosen : options of a lens, whose file is not looked at
 
-        Raises PixsimError for a fall-off beside another one, or that ends before the corner of the die.
+        Raises PixsimError for a fall-off beside another one, or that ends before the corner of the
+        die.
         """
-        given = {field: getattr(chosen, name) for name, field in OF_ANY_LENS.items() if getattr(chosen, name) is not None}
+        given = {
+            field: getattr(chosen, name)
+            for name, field in OF_ANY_LENS.items()
+            if getattr(chosen, name) is not None
+        }
         return Camera(**dict(self) | given) if given else self
 
     @property
     def options(self) -> CameraOptions:
         """The options that make this camera again; with a real lens, beside its `LensOptions`."""
-        of_lens = {"lens", *OF_ANY_LENS.values()} | ({"focal_length_mm", "chief_ray_angle"} if self.lens else set())
-        return CameraOptions(**self.model_dump(exclude=of_lens) | ({"f_number": self.lens.f_number} if self.lens else {}))
+        of_lens = {"lens", *OF_ANY_LENS.values()} | (
+            {"focal_length_mm", "chief_ray_angle"} if self.lens else set()
+        )
+        return CameraOptions(
+            **self.model_dump(exclude=of_lens)
+            | ({"f_number": self.lens.f_number} if self.lens else {})
+        )
 
     @property
     def lens_options(self) -> LensOptions:
         """The options of its real lens, if it has one, and of its veil and its fall-off."""
-        of_file = self.lens.model_dump(include=set(PrescriptionOptions.model_fields)) if self.lens else {}
+        of_file = (
+            self.lens.model_dump(include=set(PrescriptionOptions.model_fields)) if self.lens else {}
+        )
         of_any = {name: getattr(self, field) or None for name, field in OF_ANY_LENS.items()}
-        return LensOptions(**of_file | {name: value for name, value in of_any.items() if value is not None})
+        return LensOptions(
+            **of_file | {name: value for name, value in of_any.items() if value is not None}
+        )
 
     @property
     def fov_deg(self) -> float:
@@ -236,7 +308,10 @@ class Camera(Record):
         >>> Camera(focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6).field_words
         '39.6° × 27°'
         """
-        across, down = (math.degrees(2 * math.atan(side / (2 * self.image_distance_mm))) for side in (self.die_mm, self.height_mm))
+        across, down = (
+            math.degrees(2 * math.atan(side / (2 * self.image_distance_mm)))
+            for side in (self.die_mm, self.height_mm)
+        )
         return f"{across:.3g}° × {down:.3g}°"
 
     @property
@@ -262,64 +337,110 @@ class Camera(Record):
         if width_mm is None:
             return self
         if width_mm > self.die_mm:
-            raise invalid("window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}")
-        height_mm = None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
+            raise invalid(
+                "window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}"
+            )
+        height_mm = (
+            None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
+        )
         return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
 
     @classmethod
     def from_lens_geometry(
-        cls, fov_deg: FieldOfView, aperture_radius_m: UpToInfinity, focus_distance_m: UpToInfinity, die_mm: DieWidth
+        cls,
+        fov_deg: FieldOfView,
+        aperture_radius_m: UpToInfinity,
+        focus_distance_m: UpToInfinity,
+        die_mm: DieWidth,
     ) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
         return cls(**values_of_lens_geometry(fov_deg, aperture_radius_m, focus_distance_m, die_mm))
 
 
-def values_of_lens_geometry(fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> dict[str, float]:
+def values_of_lens_geometry(
+    fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float
+) -> dict[str, float]:
     """Return the fields of `Camera.from_lens_geometry`, unchecked."""
     v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
     u_mm = 1e3 * focus_distance_m
     f_mm = u_mm * v_mm / (u_mm + v_mm)
     f_number = f_mm / (2e3 * aperture_radius_m)
-    return {"focal_length_mm": f_mm, "f_number": f_number, "die_mm": die_mm, "object_distance_m": focus_distance_m}
+    return {
+        "focal_length_mm": f_mm,
+        "f_number": f_number,
+        "die_mm": die_mm,
+        "object_distance_m": focus_distance_m,
+    }
 
 
 DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
 
 
 def as_pixel_count(value: object) -> object:
-    """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a pair."""
+    """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a
+    pair.
+    """
     given = value
     if isinstance(value, str):
-        value = [part.strip() for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")]
+        value = [
+            part.strip()
+            for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")
+        ]
     if not isinstance(value, list | tuple) or len(value) != 2:
-        hint = "The number of samples across the film is resolution." if isinstance(given, int) else ""
+        hint = (
+            "The number of samples across the film is resolution." if isinstance(given, int) else ""
+        )
         example = "1936x1216" if isinstance(given, str) else "[1936, 1216]"
-        raise ValueError(f"got {brief(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}")
+        raise ValueError(
+            f"got {brief(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}"
+        )
     return value
 
 
 PixelCount = Annotated[
-    tuple[Annotated[int, Field(ge=1, le=10**6)], Annotated[int, Field(ge=1, le=10**6)]], BeforeValidator(as_pixel_count)
+    tuple[Annotated[int, Field(ge=1, le=10**6)], Annotated[int, Field(ge=1, le=10**6)]],
+    BeforeValidator(as_pixel_count),
 ]
 
 
-OF_DIE = ("die_mm", "die_height_mm", "pixels")  # of `CameraOptions`: what a sensor has of its own, not a lens
+OF_DIE = (
+    "die_mm",
+    "die_height_mm",
+    "pixels",
+)  # of `CameraOptions`: what a sensor has of its own, not a lens
 
 
 @checked_methods
 class CameraOptions(Record):
     """Camera fields that replace those of the scene; None keeps the value of the scene."""
 
-    focal_length_mm: FocalLength | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
-    f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
-    die_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(None, description=Camera.model_fields["die_mm"].description)
-    die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(None, description=Camera.model_fields["die_height_mm"].description)
-    pixels: Annotated[PixelCount | None, Words(also=SIZES, instead={"resolution": PIXELS_OR_FILM})] = Field(
-        None, description="columns and rows of pixels, which with pixel.pitch_um give die_mm and die_height_mm"
+    focal_length_mm: FocalLength | None = Field(
+        None, description=Camera.model_fields["focal_length_mm"].description
     )
-    object_distance_m: Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
-    transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
-    chief_ray_angle: ChiefRays | None = Field(None, description=Camera.model_fields["chief_ray_angle"].description)
+    f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
+    die_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
+        None, description=Camera.model_fields["die_mm"].description
+    )
+    die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
+        None, description=Camera.model_fields["die_height_mm"].description
+    )
+    pixels: Annotated[
+        PixelCount | None, Words(also=SIZES, instead={"resolution": PIXELS_OR_FILM})
+    ] = Field(
+        None,
+        description=(
+            "columns and rows of pixels, which with pixel.pitch_um give die_mm and die_height_mm"
+        ),
+    )
+    object_distance_m: Distance | None = Field(
+        None, description=Camera.model_fields["object_distance_m"].description
+    )
+    transmittance: Fraction | None = Field(
+        None, description=Camera.model_fields["transmittance"].description
+    )
+    chief_ray_angle: ChiefRays | None = Field(
+        None, description=Camera.model_fields["chief_ray_angle"].description
+    )
 
     def over(self, camera: Camera) -> Camera:
         """The camera with the fields that are set here replaced.
@@ -327,35 +448,60 @@ class CameraOptions(Record):
         Raises PixsimError for `pixels` without a die (`with_die`).
         """
         if self.pixels is not None and self.die_mm is None:
-            raise invalid("camera.pixels", list(self.pixels), "pixels together with pixel.pitch_um, or die_mm and die_height_mm")
-        fixed = ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle") if camera.lens else ()
+            raise invalid(
+                "camera.pixels",
+                list(self.pixels),
+                "pixels together with pixel.pitch_um, or die_mm and die_height_mm",
+            )
+        fixed = (
+            ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle")
+            if camera.lens
+            else ()
+        )
         if changed := [name for name in fixed if getattr(self, name) is not None]:
-            got = f"camera.{changed[0]} for light that came through the lens '{camera.lens.file if camera.lens else ''}'"
-            raise invalid("camera", got, "the lens of that light", "Render the scene with the other lens.")
-        return Camera(**camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
+            got = (
+                f"camera.{changed[0]} for light that came through the lens"
+                f" '{camera.lens.file if camera.lens else ''}'"
+            )
+            raise invalid(
+                "camera", got, "the lens of that light", "Render the scene with the other lens."
+            )
+        return Camera(
+            **camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"})
+        )
 
     def with_die(self, pitch_um: Positive | None) -> CameraOptions:
-        """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs by more than half a pixel."""
+        """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs
+        by more than half a pixel.
+        """
         if self.pixels is None:
             return self
         if pitch_um is None:
-            raise ValueError(f"camera.pixels = {list(self.pixels)} needs the pitch of the sensor (pixel.pitch_um)")
+            raise ValueError(
+                f"camera.pixels = {list(self.pixels)} needs the pitch of the sensor"
+                " (pixel.pitch_um)"
+            )
         die_mm = {}
         for name, count in zip(("die_mm", "die_height_mm"), self.pixels, strict=True):
             of_pixels_mm, given_mm = 1e-3 * count * pitch_um, getattr(self, name)
             if given_mm is not None and abs(given_mm - of_pixels_mm) > 0.5e-3 * pitch_um:
                 raise ValueError(
-                    f"camera.{name} = {given_mm:g} differs from camera.pixels = {list(self.pixels)} of {pitch_um:g} µm, which are "
-                    f"{of_pixels_mm:.6g} mm, by more than half a pixel; give one of them"
+                    f"camera.{name} = {given_mm:g} differs from camera.pixels = {list(self.pixels)}"
+                    f" of {pitch_um:g} µm, which are {of_pixels_mm:.6g} mm, by more than half a"
+                    " pixel; give one of them"
                 )
             die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
         return CameraOptions(**self.model_dump() | die_mm)
 
     def assumption(self, camera: Camera) -> str:
-        """Return that nobody gave the focal length behind a given die, with the field that follows; empty if not so.
+        """Return that nobody gave the focal length behind a given die, with the field that follows;
+        empty if not so.
 
         camera : that these options make, of a scene
         """
         if camera.lens or self.focal_length_mm is not None or self.die_mm is None:
             return ""
-        return f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of {camera.field_words}"
+        return (
+            f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of"
+            f" {camera.field_words}"
+        )

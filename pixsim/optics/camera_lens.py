@@ -1,10 +1,12 @@
-"""A real lens in a camera: the thin lens that stands for it on the axis, and its chief rays, distortion and blur over the die.
+"""A real lens in a camera: the thin lens that stands for it on the axis, and its chief rays,
+distortion and blur over the die.
 
-The camera's thin lens has the real one's paraxial image distance for the object's plane and its numerical aperture on the axis;
-`Camera.chief_ray_angle` has the directions of its chief rays and its fall-off. So whatever knows cameras knows the light of a
-real lens. Distortion and blur follow from the trace: the scene is rendered from the middle of the entrance pupil without
-distortion, on a film as large as the die and its distortion need, and then seen where the chief rays of the primary wavelength
-arrive. Lateral colour is part of the blur.
+The camera's thin lens has the real one's paraxial image distance for the object's plane and its
+numerical aperture on the axis; `Camera.chief_ray_angle` has the directions of its chief rays and
+its fall-off. So whatever knows cameras knows the light of a real lens. Distortion and blur follow
+from the trace: the scene is rendered from the middle of the entrance pupil without distortion, on a
+film as large as the die and its distortion need, and then seen where the chief rays of the primary
+wavelength arrive. Lateral colour is part of the blur.
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ from pixsim.optics.lens_options import READING, LensOptions, TracedLens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
-ROWS = 129  # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
+# of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
+ROWS = 129
 CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
 BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
 LIT = 0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
@@ -61,32 +64,61 @@ NODES = (17, 33, 65)  # of wavefronts from the axis to the corner
 WAVELENGTHS = (4, 6, 8, 12)  # of a light's blur
 PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
 TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
-MIN_SPACING = 8  # film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer film
+# film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer
+# film
+MIN_SPACING = 8
 TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
-TRIED = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)  # of the way to the corner of the die, where errors are found
-TRIED_FIRST = [3, 4]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
-AREA_POINTS = 64  # along half a side of the die, by which the share of the area is found for which such a place stands
-GRID = 0.25  # of the period of the finest detail that a lens passes: cells on which errors of its blur are found, at most
+TRIED = (
+    0.0,
+    0.25,
+    0.5,
+    0.7,
+    0.86,
+    0.97,
+)  # of the way to the corner of the die, where errors are found
+TRIED_FIRST = [
+    3,
+    4,
+]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
+# along half a side of the die, by which the share of the area is found for which such a place
+# stands
+AREA_POINTS = 64
+# of the period of the finest detail that a lens passes: cells on which errors of its blur are
+# found, at most
+GRID = 0.25
 TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
 COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
 VIEW_STEPS = 4
-LIGHT_SHARE, CUT_SHARE = 0.2, 0.4  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
+LIGHT_SHARE, CUT_SHARE = (
+    0.2,
+    0.4,
+)  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
 USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
-GROUPS, GROUP_WAVELENGTHS = 6, 2  # of neighbouring bands that have one blur, in light of several spectra
+GROUPS, GROUP_WAVELENGTHS = (
+    6,
+    2,
+)  # of neighbouring bands that have one blur, in light of several spectra
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
 OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
-SPLINE = 5  # degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
+# degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
+SPLINE = 5
 IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
-SLOPE, CURVATURE = np.array([1, -8, 0, 8, -1]) / 12, np.array([-1, 16, -30, 16, -1]) / 12  # of samples, to the fourth order
+SLOPE, CURVATURE = (
+    np.array([1, -8, 0, 8, -1]) / 12,
+    np.array([-1, 16, -30, 16, -1]) / 12,
+)  # of samples, to the fourth order
 
 
 def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) -> Camera:
-    """Return a camera with a real lens in place of its thin one if there is a file, and with the veil and fall-off of the options.
+    """Return a camera with a real lens in place of its thin one if there is a file, and with the
+    veil and fall-off of the options.
 
     camera : with the die and the object's distance
-    given : options; a focal length and chief rays are those of the lens, and `f_number` stops it down
+    given : options; a focal length and chief rays are those of the lens, and `f_number` stops it
+        down
 
-    Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for a plane without real image.
+    Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for
+    a plane without real image.
     """
     camera = camera.with_light_of(chosen)
     if chosen.file is None:
@@ -96,16 +128,26 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         ("chief_ray_angle", ""),
     ):
         if getattr(given, name) is not None:
-            raise invalid(f"camera.{name}", f"a value beside lens.file = '{chosen.file}'", "that of the lens", instead)
+            raise invalid(
+                f"camera.{name}",
+                f"a value beside lens.file = '{chosen.file}'",
+                "that of the lens",
+                instead,
+            )
     of_user = Path(chosen.file).is_file()
     file = str(Path(chosen.file).resolve()) if of_user else chosen.file
     own = read_lens(file, chosen)
     field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
-    focal_mm, f_number = own.first_order(own.primary_nm).focal_length_mm, own.first_order(own.primary_nm).f_number
+    focal_mm, f_number = (
+        own.first_order(own.primary_nm).focal_length_mm,
+        own.first_order(own.primary_nm).f_number,
+    )
     if chosen.focal_length_mm is None:
         farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
         scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
-        if of_user and abs(scaled_mm / focal_mm - 1) > OTHER_SCALE:  # a lens that exists; packaged ones are designs
+        if (
+            of_user and abs(scaled_mm / focal_mm - 1) > OTHER_SCALE
+        ):  # a lens that exists; packaged ones are designs
             warn(Note("lens_scaled", lens=own.prescription.name, focal_mm=focal_mm))
     else:
         scaled_mm = chosen.focal_length_mm
@@ -127,23 +169,33 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
     sine2 = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm)) / math.pi
     nominal = math.sqrt((1 - sine2) / sine2) / 2 / (1 + focal_mm / (object_mm - focal_mm))
     rows = chief_rays(lens, camera.object_distance_m, field_mm)
-    values = {"focal_length_mm": focal_mm, "f_number": nominal, "chief_ray_angle": rows, "lens": lens}
+    values = {
+        "focal_length_mm": focal_mm,
+        "f_number": nominal,
+        "chief_ray_angle": rows,
+        "lens": lens,
+    }
     return Camera(**camera.model_dump(exclude=set(values)) | values)
 
 
 def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camera:
     """Return a camera on the die of another one, whose field its lens may not fill.
 
-    same_view : with its lens made larger or smaller, such that the field of view goes with the width of the die
+    same_view : with its lens made larger or smaller, such that the field of view goes with the
+        width of the die
     """
     die = {"die_mm": other.die_mm, "die_height_mm": other.die_height_mm}
     if camera.lens is None or camera.die_um == other.die_um:
         return camera.model_copy(update=die)
     wanted_mm = camera.image_distance_mm * (other.die_mm / camera.die_mm if same_view else 1.0)
     bare, made = without_lens(camera).model_copy(update=die), camera
-    for _ in range(VIEW_STEPS if same_view else 1):  # the image distance grows nearly as the focal length
+    for _ in range(
+        VIEW_STEPS if same_view else 1
+    ):  # the image distance grows nearly as the focal length
         focal_mm = camera.lens.focal_length_mm if made.lens is None else made.lens.focal_length_mm
-        options = camera.lens_options.model_copy(update={"focal_length_mm": focal_mm * wanted_mm / made.image_distance_mm})
+        options = camera.lens_options.model_copy(
+            update={"focal_length_mm": focal_mm * wanted_mm / made.image_distance_mm}
+        )
         made = camera_with_lens(bare, CameraOptions(f_number=camera.lens.f_number), options)
     return made
 
@@ -156,7 +208,11 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
     """
     own = read_lens(lens.file, lens)
     if content_hash(own.fingerprint) != lens.content:
-        raise invalid("lens.file", f"'{lens.file}', which has changed since this light was made", "the same prescription")
+        raise invalid(
+            "lens.file",
+            f"'{lens.file}', which has changed since this light was made",
+            "the same prescription",
+        )
     scaled = own.scaled(lens.focal_length_mm / own.first_order(own.primary_nm).focal_length_mm)
     try:
         scaled = scaled.stopped_down(lens.f_number)
@@ -170,8 +226,11 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
 
 
 @lru_cache(maxsize=16)
-def chief_rays(of_camera: TracedLens, object_distance_m: float, corner_mm: float) -> tuple[tuple[float, float, float], ...]:
-    """Return image heights in mm, chief ray angles in degrees, and relative illuminations, up to the corner of a die.
+def chief_rays(
+    of_camera: TracedLens, object_distance_m: float, corner_mm: float
+) -> tuple[tuple[float, float, float], ...]:
+    """Return image heights in mm, chief ray angles in degrees, and relative illuminations, up to
+    the corner of a die.
 
     Beyond the image circle the illumination is 0.
     """
@@ -183,13 +242,20 @@ def chief_rays(of_camera: TracedLens, object_distance_m: float, corner_mm: float
     rows[0] = (0.0, 0.0, 1.0)
     if heights[-1] < corner_mm:
         step = BEYOND * corner_mm
-        rows += [(rows[-1][0] + step, rows[-1][1], 0.0), (max(corner_mm, rows[-1][0] + 2 * step) * (1 + BEYOND), rows[-1][1], 0.0)]
+        rows += [
+            (rows[-1][0] + step, rows[-1][1], 0.0),
+            (max(corner_mm, rows[-1][0] + 2 * step) * (1 + BEYOND), rows[-1][1], 0.0),
+        ]
     return tuple(rows)
 
 
 @lru_cache(maxsize=16)
-def field_angles(of_camera: TracedLens, object_distance_m: float, corner_mm: float) -> tuple[Array, Array]:
-    """Return image heights in mm (n,) and their fields in degrees, from 0 to the corner of a die or the end of the image circle."""
+def field_angles(
+    of_camera: TracedLens, object_distance_m: float, corner_mm: float
+) -> tuple[Array, Array]:
+    """Return image heights in mm (n,) and their fields in degrees, from 0 to the corner of a die or
+    the end of the image circle.
+    """
     lens = traced_lens(of_camera, object_distance_m)
     nm = lens.primary_nm
     try:
@@ -203,22 +269,31 @@ def field_angles(of_camera: TracedLens, object_distance_m: float, corner_mm: flo
         except PixsimError:
             largest *= CIRCLE_STEP
             continue
-        rising = 1 + int(np.argmax(np.append(np.diff(heights), -1.0) <= 0))  # beyond it, light folds back
+        rising = 1 + int(
+            np.argmax(np.append(np.diff(heights), -1.0) <= 0)
+        )  # beyond it, light folds back
         if rising == ROWS:
             return heights, fields
         largest = float(fields[rising - 1])
-    raise invalid("lens.file", f"'{of_camera.file}', without an image of {corner_mm:g} mm around its axis", "a lens for the die")
+    raise invalid(
+        "lens.file",
+        f"'{of_camera.file}', without an image of {corner_mm:g} mm around its axis",
+        "a lens for the die",
+    )
 
 
 def _odd_spline(at: Array, values: Array) -> Callable[..., Array]:
     """Return the cubic spline through values of an odd function at positions from 0 on."""
     from scipy.interpolate import CubicSpline  # takes 0.3 s
 
-    spline: Callable[..., Array] = CubicSpline(np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values]))
+    spline: Callable[..., Array] = CubicSpline(
+        np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values])
+    )
     return spline
 
 
-# --- the scene where the chief rays arrive -------------------------------------------------------------------------------------
+# --- the scene where the chief rays arrive
+# -------------------------------------------------------------------------------------
 
 
 Picture = NDArray[np.float32] | Array
@@ -229,7 +304,8 @@ class Distortion:
     """Where the points of an image would lie without distortion.
 
     height_mm, undistorted_mm : (n,), from the axis on; the latter in the thin lens's image
-    image_scale : of a very small image on the sensor, relative to the thin lens's; not 1 out of the paraxial focus
+    image_scale : of a very small image on the sensor, relative to the thin lens's; not 1 out of the
+        paraxial focus
     """
 
     height_mm: Array
@@ -238,7 +314,9 @@ class Distortion:
 
     @property
     def widening(self) -> float:
-        """By how much the sides of a picture without distortion are longer, so that it fills the die."""
+        """By how much the sides of a picture without distortion are longer, so that it fills the
+        die.
+        """
         return max(1.0, float((self.undistorted_mm[1:] / self.height_mm[1:]).max()))
 
     @property
@@ -247,11 +325,20 @@ class Distortion:
         return float(np.abs(self.undistorted_mm - self.height_mm).max())
 
     def applied(self, picture: Picture, pitch_um: float, widening: float) -> Array:
-        """Return a picture (H, W) of pitch · widening, without distortion, as the lens shows it with the pitch, (H, W)."""
-        return _moved(picture, pitch_um, _odd_spline(self.height_mm, self.undistorted_mm), float(self.height_mm[-1]), widening)
+        """Return a picture (H, W) of pitch · widening, without distortion, as the lens shows it
+        with the pitch, (H, W).
+        """
+        return _moved(
+            picture,
+            pitch_um,
+            _odd_spline(self.height_mm, self.undistorted_mm),
+            float(self.height_mm[-1]),
+            widening,
+        )
 
     def removed(self, picture: Picture, pitch_um: float) -> Array:
-        """Return a picture that the lens shows, (H, W), without distortion; what it does not show goes on as its sides.
+        """Return a picture that the lens shows, (H, W), without distortion; what it does not show
+        goes on as its sides.
 
         It keeps the scale of the lens's image on the axis.
         """
@@ -260,13 +347,21 @@ class Distortion:
         return _moved(picture, pitch_um, inverse, float(straight_mm[-1]), 1.0)
 
 
-def _moved(picture: Picture, pitch_um: float, source_mm: Callable[..., Array], most_mm: float, widening: float) -> Array:
-    """Return a picture, means over cells of pitch · widening, whose points come from other distances from the axis, as such means.
+def _moved(
+    picture: Picture,
+    pitch_um: float,
+    source_mm: Callable[..., Array],
+    most_mm: float,
+    widening: float,
+) -> Array:
+    """Return a picture, means over cells of pitch · widening, whose points come from other
+    distances from the axis, as such means.
 
-    The spline rings at edges, also below zero. That is part of what a lens and pixels see with the right contrast: only pixels may
-    end at zero.
+    The spline rings at edges, also below zero. That is part of what a lens and pixels see with the
+    right contrast: only pixels may end at zero.
 
-    source_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is given
+    source_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is
+        given
     """
     from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
 
@@ -276,23 +371,37 @@ def _moved(picture: Picture, pitch_um: float, source_mm: Callable[..., Array], m
 
     def move(rows: slice) -> None:
         radius = np.maximum(np.hypot(x, y[rows, None]), 1e-12)
-        grown = source_mm(np.minimum(radius, most_mm)) / np.minimum(radius, most_mm) / (widening * pitch_um * 1e-3)
-        at = [y[rows, None] * grown + (picture.shape[0] - 1) / 2, x * grown + (picture.shape[1] - 1) / 2]
+        grown = (
+            source_mm(np.minimum(radius, most_mm))
+            / np.minimum(radius, most_mm)
+            / (widening * pitch_um * 1e-3)
+        )
+        at = [
+            y[rows, None] * grown + (picture.shape[0] - 1) / 2,
+            x * grown + (picture.shape[1] - 1) / 2,
+        ]
         map_coordinates(filtered, at, moved[rows], SPLINE, "reflect", prefilter=False)
 
     in_threads(move, strips(*picture.shape), picture.size)
-    # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of their curvature, in each direction.
+    # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of
+    # their curvature, in each direction.
     around = np.pad(moved, len(SLOPE) // 2, "symmetric")
 
     def widen(rows: slice) -> None:
         height, radius = y[rows, None], np.maximum(np.hypot(x, y[rows, None]), 1e-12)
         within = np.minimum(radius, most_mm)
         tangential = 1 - np.square(widening * within / source_mm(within))
-        radial = np.where(radius > most_mm, tangential, 1 - np.square(widening / source_mm(within, 1)))
+        radial = np.where(
+            radius > most_mm, tangential, 1 - np.square(widening / source_mm(within, 1))
+        )
         lines = around[rows.start : rows.stop + len(SLOPE) - 1]
         down = correlated(lines[:, 2:-2], CURVATURE)
-        across, sloped = (correlated(part.T, of).T for part, of in ((lines[2:-2], CURVATURE), (lines, SLOPE)))
-        outwards = (np.square(x) * across + 2 * x * height * correlated(sloped, SLOPE) + height**2 * down) / np.square(radius)
+        across, sloped = (
+            correlated(part.T, of).T for part, of in ((lines[2:-2], CURVATURE), (lines, SLOPE))
+        )
+        outwards = (
+            np.square(x) * across + 2 * x * height * correlated(sloped, SLOPE) + height**2 * down
+        ) / np.square(radius)
         moved[rows] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
 
     in_threads(widen, strips(*picture.shape), picture.size)
@@ -309,12 +418,14 @@ def correlated(lines: Array, weights: Array) -> Array:
 
 
 def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.floating]) -> Array:
-    """Return the error of details that `Distortion.applied` moves, relative to them, (n, n) for all pairs of frequencies.
+    """Return the error of details that `Distortion.applied` moves, relative to them, (n, n) for all
+    pairs of frequencies.
 
-    It is 0 beyond half of the film's Nyquist frequency, where the film itself is too coarse, and that of the points which lie
-    farthest between cells of the source. The spline of degree p has the transform
-    H_m = (f + m)^-(p + 1) / Σ_k (f + k)^-(p + 1) at a frequency f and its images f + m (M. Unser, A. Aldroubi and M. Eden, IEEE
-    Trans. Signal Process. 41 (1993) 821); means over other cells are off where their size changes most.
+    It is 0 beyond half of the film's Nyquist frequency, where the film itself is too coarse, and
+    that of the points which lie farthest between cells of the source. The spline of degree p has
+    the transform H_m = (f + m)^-(p + 1) / Σ_k (f + k)^-(p + 1) at a frequency f and its images f +
+    m (M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821); means over
+    other cells are off where their size changes most.
 
     frequency : (n,) in cycles per film cell, -0.5 to 0.5
     """
@@ -339,18 +450,30 @@ def distortion_of(camera: Camera) -> Distortion | None:
     """Return the distortion of a camera's real lens over its die; None for a thin lens."""
     if camera.lens is None:
         return None
-    heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
-    image_scale = traced_lens(camera.lens, camera.object_distance_m).image_scale_mm / camera.image_distance_mm
+    heights, fields = field_angles(
+        camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
+    )
+    image_scale = (
+        traced_lens(camera.lens, camera.object_distance_m).image_scale_mm / camera.image_distance_mm
+    )
     return Distortion(heights, camera.image_distance_mm * np.tan(np.radians(fields)), image_scale)
 
 
 def without_lens(camera: Camera) -> Camera:
-    """Return the thin lens that stands for a camera's real one: of its image distance and f-number; a thin lens as it is."""
-    return camera if camera.lens is None else camera.model_copy(update={"lens": None, "chief_ray_angle": None})
+    """Return the thin lens that stands for a camera's real one: of its image distance and f-number;
+    a thin lens as it is.
+    """
+    return (
+        camera
+        if camera.lens is None
+        else camera.model_copy(update={"lens": None, "chief_ray_angle": None})
+    )
 
 
 def rendered_camera(camera: Camera) -> Camera:
-    """Return the thin lens through which the scene is rendered, with a film that is as large as die and distortion need."""
+    """Return the thin lens through which the scene is rendered, with a film that is as large as die
+    and distortion need.
+    """
     distortion = distortion_of(camera)
     if distortion is None:
         return camera
@@ -360,7 +483,8 @@ def rendered_camera(camera: Camera) -> Camera:
     return without_lens(camera).model_copy(update=die)
 
 
-# --- blur -----------------------------------------------------------------------------------------------------------------------
+# --- blur
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -369,13 +493,15 @@ class Tiling:
 
     spacing_um : from the middle of a tile to that of the next
     psf_um : side of the PSFs; 0 on a film that is too coarse to show the blur
-    error : bound for the rms error of a blurred picture, relative to its rms about the mean, for pictures of `picture_error`, and
-        for the distortion of details up to half of the film's Nyquist frequency
+    error : bound for the rms error of a blurred picture, relative to its rms about the mean, for
+        pictures of `picture_error`, and for the distortion of details up to half of the film's
+        Nyquist frequency
     worst : the same where it is largest, for pictures with detail there only
     wavelengths : of a light's blur
     nodes : wavefronts from the axis to the corner, between which others are interpolated
     cut_error : what of the error comes from the size of the PSFs, with any number of tiles
-    lacking : largest share of the light that falls beyond a PSF; it is spread as a veil that falls as 1/r³
+    lacking : largest share of the light that falls beyond a PSF; it is spread as a veil that falls
+        as 1/r³
     """
 
     spacing_um: float
@@ -389,12 +515,19 @@ class Tiling:
 
     def cells(self, pitch_um: float) -> tuple[int, int]:
         """Return the spacing and the side of the PSFs, an odd number, in film cells."""
-        return max(1, round(self.spacing_um / pitch_um)), 2 * max(1, round(self.psf_um / pitch_um / 2)) + 1
+        return (
+            max(1, round(self.spacing_um / pitch_um)),
+            2 * max(1, round(self.psf_um / pitch_um / 2)) + 1,
+        )
 
 
 @lru_cache(maxsize=16)
-def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int) -> tuple[FittedWavefronts, ...]:
-    """Return the wavefronts of a camera's real lens from the axis to the corner of its die, at each wavelength."""
+def fitted_wavefronts(
+    camera: Camera, wavelengths_nm: tuple[float, ...], nodes: int
+) -> tuple[FittedWavefronts, ...]:
+    """Return the wavefronts of a camera's real lens from the axis to the corner of its die, at each
+    wavelength.
+    """
     farthest_mm = end_mm = _farthest_mm(camera)
     while True:
         try:
@@ -406,39 +539,59 @@ def fitted_wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], nodes: 
 
 
 def _farthest_mm(camera: Camera) -> float:
-    """Return the height of the corner of a camera's die, or of the last light of its lens's image circle."""
+    """Return the height of the corner of a camera's die, or of the last light of its lens's image
+    circle.
+    """
     assert camera.lens is not None
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
-    return min(float(field_angles(camera.lens, camera.object_distance_m, corner_mm)[0][-1]), _lit_mm(camera))
+    return min(
+        float(field_angles(camera.lens, camera.object_distance_m, corner_mm)[0][-1]),
+        _lit_mm(camera),
+    )
 
 
-def _wavefronts(camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array) -> tuple[FittedWavefronts, ...]:
+def _wavefronts(
+    camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array
+) -> tuple[FittedWavefronts, ...]:
     assert camera.lens is not None
     lens = traced_lens(camera.lens, camera.object_distance_m)
-    heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
+    heights, fields = field_angles(
+        camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
+    )
     rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
-    return tuple(fit_wavefronts(nm, 1e3 * at_mm, of_nm) for nm, of_nm in zip(wavelengths_nm, rays, strict=True))
+    return tuple(
+        fit_wavefronts(nm, 1e3 * at_mm, of_nm)
+        for nm, of_nm in zip(wavelengths_nm, rays, strict=True)
+    )
 
 
 def _lit_mm(camera: Camera) -> float:
-    """Return the height up to which a real lens's light is more than `LIT` of that on the axis: its blur is known to there."""
+    """Return the height up to which a real lens's light is more than `LIT` of that on the axis: its
+    blur is known to there.
+    """
     assert camera.relative_illumination is not None
-    return max(height for height, light in zip(*camera.relative_illumination, strict=True) if light > LIT)
+    return max(
+        height for height, light in zip(*camera.relative_illumination, strict=True) if light > LIT
+    )
 
 
 def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
     """Return a few groups of neighbouring bands of about equal weight, (B,) each."""
     seen = weight > 0
     total = np.cumsum(weight) - weight / 2
-    group = np.minimum((total / max(weight.sum(), np.finfo(float).tiny) * groups).astype(int), groups - 1)
+    group = np.minimum(
+        (total / max(weight.sum(), np.finfo(float).tiny) * groups).astype(int), groups - 1
+    )
     return [seen & (group == number) for number in np.unique(group[seen])]
 
 
 def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Array, Array]:
-    """Return a few wavelengths, (G,), and their shares, for the mean of a smooth function over bands of these weights.
+    """Return a few wavelengths, (G,), and their shares, for the mean of a smooth function over
+    bands of these weights.
 
-    They are those of Gauss's quadrature, exact for polynomials of degree 2G - 1: eigenvalues of the matrix of the polynomials that
-    are orthogonal under the weights (Golub and Welsch, Math. Comp. 23, 221, 1969), by Lanczos's steps.
+    They are those of Gauss's quadrature, exact for polynomials of degree 2G - 1: eigenvalues of the
+    matrix of the polynomials that are orthogonal under the weights (Golub and Welsch, Math. Comp.
+    23, 221, 1969), by Lanczos's steps.
     """
     nm, which = np.unique(wavelength_nm[weight > 0], return_inverse=True)
     share = np.bincount(which, weight[weight > 0]) / weight[weight > 0].sum()
@@ -461,10 +614,19 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     return np.clip(np.round(middle + half * values, 3), nm[0], nm[-1]), vectors[0] ** 2
 
 
-def traced_wavelengths(camera: Camera, wavelength_nm: Array, weight: Array, count: int) -> tuple[Array, Array]:
-    """Return `few_wavelengths`; light beyond the wavelengths for which the lens's glasses are known counts as at their ends."""
+def traced_wavelengths(
+    camera: Camera, wavelength_nm: Array, weight: Array, count: int
+) -> tuple[Array, Array]:
+    """Return `few_wavelengths`; light beyond the wavelengths for which the lens's glasses are known
+    counts as at their ends.
+    """
     assert camera.lens is not None
-    ranges = np.array([glass.range_um for glass in traced_lens(camera.lens, camera.object_distance_m).prescription.glasses])
+    ranges = np.array(
+        [
+            glass.range_um
+            for glass in traced_lens(camera.lens, camera.object_distance_m).prescription.glasses
+        ]
+    )
     low, high = 1e3 * ranges[:, 0].max(), 1e3 * ranges[:, 1].min()
     return few_wavelengths(np.clip(wavelength_nm, low, high), weight, count)
 
@@ -472,35 +634,55 @@ def traced_wavelengths(camera: Camera, wavelength_nm: Array, weight: Array, coun
 Transfer = Callable[[Array, float], Array] | None
 
 
-def light_of(camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None) -> ChannelWavefronts:
+def light_of(
+    camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None
+) -> ChannelWavefronts:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    return ChannelWavefronts(fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer)
+    return ChannelWavefronts(
+        fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer
+    )
 
 
-def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weight: Array, aperture_um: float) -> float:
-    """Return a bound for the relative error of electrons if the thin lens stands for the real one: three effects together.
+def thin_lens_error(
+    camera: Camera, pitch_um: float, wavelength_nm: Array, weight: Array, aperture_um: float
+) -> float:
+    """Return a bound for the relative error of electrons if the thin lens stands for the real one:
+    three effects together.
 
-    Distortion moves light across an edge by its shift over the side of the aperture; the fall-off differs from Foote's; and
-    blur differs from the thin lens's diffraction, as `picture_error` has it.
+    Distortion moves light across an edge by its shift over the side of the aperture; the fall-off
+    differs from Foote's; and blur differs from the thin lens's diffraction, as `picture_error` has
+    it.
     """
     distortion, rows = distortion_of(camera), camera.chief_ray_angle
     assert distortion is not None
     assert rows is not None
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     height_mm, _, relative = np.array([row for row in rows if row[0] <= corner_mm]).T
-    foote = irradiance_factor(camera.f_number, height_mm / camera.image_distance_mm, camera.magnification)
-    error = 1e3 * distortion.largest_mm / aperture_um + float(np.abs(relative / (foote / foote[0]) - 1).max())
+    foote = irradiance_factor(
+        camera.f_number, height_mm / camera.image_distance_mm, camera.magnification
+    )
+    error = 1e3 * distortion.largest_mm / aperture_um + float(
+        np.abs(relative / (foote / foote[0]) - 1).max()
+    )
     if error > 1:
         return error
     light, blur = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0)), 0.0
     pitch_um *= _cells_together(light, pitch_um)
     for part in (0.0, 0.7, 1.0):
         x_um = part * float(light.fronts[0].height_um[-1])
-        window = even_window(light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um)))
-        frequency = np.hypot(np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None], np.fft.rfftfreq(window, 1e-3 * pitch_um))
+        window = even_window(
+            light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um))
+        )
+        frequency = np.hypot(
+            np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None],
+            np.fft.rfftfreq(window, 1e-3 * pitch_um),
+        )
         thin = white_otf(
-            frequency, np.array([front.wavelength_nm for front in light.fronts]), light.share, camera.effective_f_number
+            frequency,
+            np.array([front.wavelength_nm for front in light.fronts]),
+            light.share,
+            camera.effective_f_number,
         )
         exact = np.fft.rfft2(periodic_psf(light, x_um, 0.0, pitch_um, window))
         blur = max(blur, picture_error(thin.astype(complex), exact, pitch_um, aperture_um))
@@ -510,7 +692,8 @@ def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weigh
 def _cells_together(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return how many film cells may be one along a side where errors of a blur are found.
 
-    On a film much finer than the lens they all lie at low frequencies, which coarser cells hold too.
+    On a film much finer than the lens they all lie at low frequencies, which coarser cells hold
+    too.
     """
     return max(1, math.floor(GRID / (pitch_um * cutoff_per_um(light))))
 
@@ -520,23 +703,34 @@ def dark_share(camera: Camera) -> float:
     if camera.relative_illumination is None:
         return 0.0
     heights_mm, relative = camera.relative_illumination
-    y, x = ((np.arange(DARK_CELLS) + 0.5) / DARK_CELLS * side / 2 for side in (camera.height_mm, camera.die_mm))
+    y, x = (
+        (np.arange(DARK_CELLS) + 0.5) / DARK_CELLS * side / 2
+        for side in (camera.height_mm, camera.die_mm)
+    )
     return float(np.mean(np.interp(np.hypot(x, y[:, None]), heights_mm, relative) <= 0))
 
 
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
 KEPT_BLURS, KEPT_PSF_BYTES = 8, 1 << 28
-COARSE = 3.0  # times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs for each film
+# times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
+# for each film
+COARSE = 3.0
 SPARE_TILES = 4  # beyond the die, for which there are PSFs
 BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 DARK_CELLS = 512
 
 
-def _light_key(camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: Transfer) -> list[object]:
+def _light_key(
+    camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: Transfer
+) -> list[object]:
     """Return all that the PSFs of a light depend on but the film."""
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    behind = [] if transfer is None else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
+    behind = (
+        []
+        if transfer is None
+        else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
+    )
     return [
         camera.without_veil.model_dump(mode="json"),
         asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)),
@@ -555,7 +749,9 @@ def psfs_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> RadialPsfs:
-    """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than the lens have the same."""
+    """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than
+    the lens have the same.
+    """
     cell_um = resolving_um(light_of(camera, wavelength_nm, weight, tiling))
     if pitch_um > COARSE * cell_um:
         cell_um = pitch_um
@@ -565,9 +761,16 @@ def psfs_of(
     if known is None or known.reach_um < farthest_um:
         light = light_of(camera, wavelength_nm, weight, tiling, transfer)
         # Those of the next film, whose cells end elsewhere, are to be the same.
-        beyond_um = math.hypot(*(side_um / 2 + tiling.psf_um + SPARE_TILES * tiling.spacing_um for side_um in camera.die_um))
+        beyond_um = math.hypot(
+            *(
+                side_um / 2 + tiling.psf_um + SPARE_TILES * tiling.spacing_um
+                for side_um in camera.die_um
+            )
+        )
         step_um = tiling.spacing_um / RADIAL_STEPS
-        known = radial_psfs(light, cell_um, tiling.cells(cell_um)[1], step_um, max(farthest_um, beyond_um))
+        known = radial_psfs(
+            light, cell_um, tiling.cells(cell_um)[1], step_um, max(farthest_um, beyond_um)
+        )
     while _PSFS and sum(psfs.held_bytes for psfs in list(_PSFS.values())) > KEPT_PSF_BYTES:
         _PSFS.pop(next(iter(_PSFS)), None)
     _PSFS[key] = known
@@ -583,7 +786,9 @@ def blur_of(
     weight: Array,
     transfer: Transfer = None,
 ) -> FieldBlur:
-    """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are remembered."""
+    """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are
+    remembered.
+    """
     of_light = _light_key(camera, tiling, wavelength_nm, weight, transfer)
     key = content_hash([*of_light, shape, pitch_um, cache.version_fingerprint()])
     if key in _BLURS:
@@ -613,23 +818,46 @@ def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
     if "camera" in image.header and "lens" not in image.header["camera"] and "plan" in image.header:
         return None  # the plan left the real lens out
     nm = tuple(image.wavelength_nm.tolist())
-    return choose_tiling(camera, image.shape, image.pitch_um, nm, (1.0,) * len(nm), 2 * image.pitch_um, USUAL_TOLERANCE)
+    return choose_tiling(
+        camera,
+        image.shape,
+        image.pitch_um,
+        nm,
+        (1.0,) * len(nm),
+        2 * image.pitch_um,
+        USUAL_TOLERANCE,
+    )
 
 
 def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
-    """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take forever."""
+    """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take
+    forever.
+    """
     try:
         tiling = TypeAdapter(Tiling).validate_python(stated)
-        tiles, cells = max(image.shape) * image.pitch_um / tiling.spacing_um, tiling.psf_um / image.pitch_um
+        tiles, cells = (
+            max(image.shape) * image.pitch_um / tiling.spacing_um,
+            tiling.psf_um / image.pitch_um,
+        )
         known = 1 <= tiling.wavelengths <= WAVELENGTHS[-1] and 4 <= tiling.nodes <= NODES[-1]
-        usable = 0 < tiles <= 2 * TILES[-1] and 0 <= cells <= max(2 * PSF_CELLS[-1], *image.shape) and known
+        usable = (
+            0 < tiles <= 2 * TILES[-1]
+            and 0 <= cells <= max(2 * PSF_CELLS[-1], *image.shape)
+            and known
+        )
     except (ValidationError, ZeroDivisionError):
         usable = False
     if not usable:
         expected = (
-            f"at most {2 * TILES[-1]} tiles across, PSFs of {2 * PSF_CELLS[-1]} cells, and the rest as pixsim.render writes it"
+            f"at most {2 * TILES[-1]} tiles across, PSFs of {2 * PSF_CELLS[-1]} cells, and the rest"
+            " as pixsim.render writes it"
         )
-        raise invalid(f"'{LENS_HEADER}' of the light's header", f"{stated!r:.200}", expected, "Render the scene again.")
+        raise invalid(
+            f"'{LENS_HEADER}' of the light's header",
+            f"{stated!r:.200}",
+            expected,
+            "Render the scene again.",
+        )
     return tiling
 
 
@@ -637,8 +865,11 @@ MTF_PLACES = 9  # along the radius of the die, at which a lens's MTF is found
 MTF_CELLS = 65  # of PSFs for an MTF, at least
 
 
-def lens_mtf(image: SpectralImage, camera: Camera, weight: Array, frequency_cy_per_mm: Array) -> Array | None:
-    """Return the MTF of a camera's real lens, its rms over the die and over tangential and sagittal lines, (...) as frequencies.
+def lens_mtf(
+    image: SpectralImage, camera: Camera, weight: Array, frequency_cy_per_mm: Array
+) -> Array | None:
+    """Return the MTF of a camera's real lens, its rms over the die and over tangential and sagittal
+    lines, (...) as frequencies.
 
     None where a picture has a thin lens, or a film that is too coarse to show the blur.
 
@@ -653,14 +884,18 @@ def lens_mtf(image: SpectralImage, camera: Camera, weight: Array, frequency_cy_p
 
 
 @lru_cache(maxsize=64)
-def _mean_mtf(camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], tiling: Tiling) -> tuple[Array, Array]:
+def _mean_mtf(
+    camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], tiling: Tiling
+) -> tuple[Array, Array]:
     """Return frequencies in cycles/mm up to the lens's cut-off, and the MTF of `lens_mtf` there."""
     light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
     pitch_um = 0.5 / cutoff_per_um(light)
     farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
     along = np.linspace(0.0, farthest_um, MTF_PLACES)
     height_um, width_um = camera.die_um
-    y_um, x_um = ((np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um))
+    y_um, x_um = (
+        (np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um)
+    )
     nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - along).argmin(axis=-1)
     share = np.bincount(nearest.ravel(), minlength=MTF_PLACES) / nearest.size
     cells = max(MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
@@ -669,15 +904,26 @@ def _mean_mtf(camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[fl
     for place, part in zip(along.tolist(), share.tolist(), strict=True):
         otf = np.abs(np.fft.rfft2(periodic_psf(light, place, 0.0, pitch_um, window))) ** 2
         power += part * (otf[0, : window // 2] + otf[: window // 2, 0]) / 2
-    return np.asarray(1e3 * np.arange(window // 2) / (window * pitch_um), float), np.asarray(np.sqrt(power), float)
+    return np.asarray(1e3 * np.arange(window // 2) / (window * pitch_um), float), np.asarray(
+        np.sqrt(power), float
+    )
 
 
 def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
-    """Return the light of the ideal image: that on the sensor, or without distortion where `LensOptions.ideal` asks for it."""
+    """Return the light of the ideal image: that on the sensor, or without distortion where
+    `LensOptions.ideal` asks for it.
+    """
     distortion = distortion_of(camera)
-    if camera.lens is None or distortion is None or camera.lens.ideal == "distorted" or tiling_of(image, camera) is None:
+    if (
+        camera.lens is None
+        or distortion is None
+        or camera.lens.ideal == "distorted"
+        or tiling_of(image, camera) is None
+    ):
         return image
-    return image.with_planes(np.stack([np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes]))
+    return image.with_planes(
+        np.stack([np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes])
+    )
 
 
 @lru_cache(maxsize=64)
@@ -690,51 +936,101 @@ def choose_tiling(
     aperture_um: float,
     tolerance: float,
 ) -> Tiling:
-    """Return the fewest wavelengths, nodes and tiles and the smallest PSFs within the tolerance; the finest ones if none is.
+    """Return the fewest wavelengths, nodes and tiles and the smallest PSFs within the tolerance;
+    the finest ones if none is.
 
     tolerance : of the rms of a blurred picture about its mean
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
     """
-    given = [camera.without_veil.model_dump(mode="json"), shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance]
+    given = [
+        camera.without_veil.model_dump(mode="json"),
+        shape,
+        pitch_um,
+        wavelength_nm,
+        weight,
+        aperture_um,
+        tolerance,
+    ]
     key = content_hash([*given, cache.version_fingerprint()])
-    settings = camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um, tolerance
-    return cache.load_or_compute("tiling", key, TypeAdapter(Tiling).validate_python, lambda: _chosen_tiling(*settings), asdict)
+    settings = (
+        camera,
+        shape,
+        pitch_um,
+        np.array(wavelength_nm),
+        np.array(weight),
+        aperture_um,
+        tolerance,
+    )
+    return cache.load_or_compute(
+        "tiling",
+        key,
+        TypeAdapter(Tiling).validate_python,
+        lambda: _chosen_tiling(*settings),
+        asdict,
+    )
 
 
 def _without_blur(
-    camera: Camera, light: ChannelWavefronts, heights_um: Array, share: list[float], pitch_um: float, aperture_um: float
+    camera: Camera,
+    light: ChannelWavefronts,
+    heights_um: Array,
+    share: list[float],
+    pitch_um: float,
+    aperture_um: float,
 ) -> Tiling:
-    """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving the blur of rays out."""
-    along, across = np.fft.fftfreq(COARSE_WINDOW, pitch_um), np.fft.rfftfreq(COARSE_WINDOW, pitch_um)
+    """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving
+    the blur of rays out.
+    """
+    along, across = (
+        np.fft.fftfreq(COARSE_WINDOW, pitch_um),
+        np.fft.rfftfreq(COARSE_WINDOW, pitch_um),
+    )
     exact = np.zeros((heights_um.size, along.size, across.size), complex)
     outside = np.zeros(heights_um.size)
     for front, part in zip(light.fronts, light.share, strict=True):
         for place, height_um in enumerate(heights_um.tolist()):
             misses_um = front.misses_um(height_um)
             sagittal, radial = (
-                np.exp(-2j * np.pi * f[:, None] * miss) for f, miss in zip((along, across), misses_um.T, strict=True)
+                np.exp(-2j * np.pi * f[:, None] * miss)
+                for f, miss in zip((along, across), misses_um.T, strict=True)
             )
             exact[place] += part / len(misses_um) * (sagittal @ radial.T)
             outside[place] += part * np.mean(np.abs(misses_um).max(axis=-1) > pitch_um / 2)
     distortion = distortion_of(camera)
     assert distortion is not None
-    found = np.broadcast_to(1 + moved_error(distortion, pitch_um, along * pitch_um)[:, : across.size] + 0j, exact.shape)
+    found = np.broadcast_to(
+        1 + moved_error(distortion, pitch_um, along * pitch_um)[:, : across.size] + 0j, exact.shape
+    )
     error = picture_error(found, exact, pitch_um, aperture_um, share=share)
-    worst = max(picture_error(one, other, pitch_um, aperture_um) for one, other in zip(found, exact, strict=True))
+    worst = max(
+        picture_error(one, other, pitch_um, aperture_um)
+        for one, other in zip(found, exact, strict=True)
+    )
     side_um = 1e3 * max(camera.die_mm, camera.height_mm)
     return Tiling(side_um, 0.0, error, worst, cut_error=error, lacking=float(outside.max()))
 
 
 def _chosen_tiling(
-    camera: Camera, shape: tuple[int, int], pitch_um: float, bands: Array, weights: Array, aperture_um: float, tolerance: float
+    camera: Camera,
+    shape: tuple[int, int],
+    pitch_um: float,
+    bands: Array,
+    weights: Array,
+    aperture_um: float,
+    tolerance: float,
 ) -> Tiling:
     height_um, width_um = camera.die_um
     corner_um = math.hypot(width_um, height_um) / 2
     heights_um = np.array(TRIED) * min(corner_um, 1e3 * _farthest_mm(camera))
-    y_um, x_um = ((np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um))
+    y_um, x_um = (
+        (np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um)
+    )
     nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - heights_um).argmin(axis=-1)
     share = (np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size).tolist()
-    places = [(h * width_um / (2 * corner_um), h * height_um / (2 * corner_um)) for h in heights_um.tolist()]
+    places = [
+        (h * width_um / (2 * corner_um), h * height_um / (2 * corner_um))
+        for h in heights_um.tolist()
+    ]
 
     def traced(count: int) -> ChannelWavefronts:
         """Return the light with wavefronts at the places, none of them interpolated."""
@@ -742,7 +1038,8 @@ def _chosen_tiling(
         return ChannelWavefronts(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
 
     def at_places(
-        transform: Callable[[float, float], NDArray[np.complex128]], which: Sequence[int] = range(len(TRIED))
+        transform: Callable[[float, float], NDArray[np.complex128]],
+        which: Sequence[int] = range(len(TRIED)),
     ) -> NDArray[np.complex128]:
         found = np.empty((len(which), window, window // 2 + 1), complex)
 
@@ -775,7 +1072,9 @@ def _chosen_tiling(
         if of_wavelengths <= LIGHT_SHARE * tolerance:
             break
     for nodes in NODES:
-        between = light_of(camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes))
+        between = light_of(
+            camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes)
+        )
         if error_of(transforms(between), right) <= LIGHT_SHARE * tolerance:
             break
     for cells in [*(cells for cells in sizes if cells < most), min(most, sizes[-1])]:
@@ -791,8 +1090,15 @@ def _chosen_tiling(
             break
     distortion = distortion_of(camera)
     assert distortion is not None
-    moved = right * (1 + moved_error(distortion, pitch_um, np.fft.fftfreq(window) / coarser)[:, : window // 2 + 1])
-    fixed = 2 * math.pi * max(front.residual_waves for front in light.fronts) + of_wavelengths + error_of(moved, right)
+    moved = right * (
+        1
+        + moved_error(distortion, pitch_um, np.fft.fftfreq(window) / coarser)[:, : window // 2 + 1]
+    )
+    fixed = (
+        2 * math.pi * max(front.residual_waves for front in light.fronts)
+        + of_wavelengths
+        + error_of(moved, right)
+    )
     count = TILES[0]
     others = [place for place in range(len(TRIED)) if place not in TRIED_FIRST]
     while True:
@@ -800,8 +1106,12 @@ def _chosen_tiling(
         tiling = Tiling(spacing * pitch_um, cells * grid_um, 0.0, 0.0, wavelengths, nodes)
         psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
 
-        def between_tiles(x_um: float, y_um: float, psfs: RadialPsfs = psfs, spacing: int = spacing) -> NDArray[np.complex128]:
-            return transform_of(amid_tiles(psfs, x_um, y_um, grid_um, spacing / coarser, cells), grid_um, window)
+        def between_tiles(
+            x_um: float, y_um: float, psfs: RadialPsfs = psfs, spacing: int = spacing
+        ) -> NDArray[np.complex128]:
+            return transform_of(
+                amid_tiles(psfs, x_um, y_um, grid_um, spacing / coarser, cells), grid_um, window
+            )
 
         found, finest = right.copy(), count == TILES[-1] or spacing == MIN_SPACING
         found[TRIED_FIRST] = at_places(between_tiles, TRIED_FIRST)
@@ -809,7 +1119,12 @@ def _chosen_tiling(
             found[others] = at_places(between_tiles, others)
         error = fixed + error_of(found, right)  # at least, without the others
         if error <= tolerance or finest:
-            worst = max(picture_error(one, other, grid_um, aperture_um) for one, other in zip(found, right, strict=True))
-            return replace(tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking)
+            worst = max(
+                picture_error(one, other, grid_um, aperture_um)
+                for one, other in zip(found, right, strict=True)
+            )
+            return replace(
+                tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking
+            )
         needed = count * (error / tolerance) ** (1 / TILE_ORDER)
         count = next((more for more in TILES if more >= needed and more > count), TILES[-1])

@@ -1,9 +1,12 @@
-"""The light of a camera over its sensor: from which directions it comes, and how it falls off towards the corners.
+"""The light of a camera over its sensor: from which directions it comes, and how it falls off
+towards the corners.
 
-Both are those of a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief ray angles. Then the exit pupil
-is the same disc, as wide on the axis, but seen at the table's angle: its semi-axes in direction cosines are about NA cos CRA, and
-NA cos³CRA along the field. The fall-off remains Foote's, of the field angle seen from the lens, unless the table has one.
-A real lens has the pupil of its trace: the directions at each image point whose rays, traced backwards, get through.
+Both are those of a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief
+ray angles. Then the exit pupil is the same disc, as wide on the axis, but seen at the table's
+angle: its semi-axes in direction cosines are about NA cos CRA, and NA cos³CRA along the field. The
+fall-off remains Foote's, of the field angle seen from the lens, unless the table has one. A real
+lens has the pupil of its trace: the directions at each image point whose rays, traced backwards,
+get through.
 """
 
 from __future__ import annotations
@@ -47,7 +50,8 @@ class CameraPupil:
     """The pupil of a camera as points of its sensor see it; hashable.
 
     f_number : nominal, for focus at infinity
-    image_distance_um : from the lens to the sensor; infinite for a pupil that is the same everywhere
+    image_distance_um : from the lens to the sensor; infinite for a pupil that is the same
+        everywhere
     magnification : image over object size
     chief_ray_angle : `Camera.chief_ray_angle`
     real : whose pupil is traced, with `chief_ray_angle` of its trace; None: that of a thin lens
@@ -64,10 +68,14 @@ class CameraPupil:
         """NA = sin α on the axis, with tan α = 1/(2 N (1 + |m|))."""
         return numerical_aperture(self.f_number * (1 + abs(self.magnification)))
 
-    def at(self, x_um: ArrayLike, y_um: ArrayLike, rings: int = RINGS, spokes: int = SPOKES) -> Pupil | Directions:
-        """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast, from the axis.
+    def at(
+        self, x_um: ArrayLike, y_um: ArrayLike, rings: int = RINGS, spokes: int = SPOKES
+    ) -> Pupil | Directions:
+        """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast,
+        from the axis.
 
-        Beyond the image circle of a real lens, where no light arrives, it is that of the outermost light.
+        Beyond the image circle of a real lens, where no light arrives, it is that of the outermost
+        light.
 
         rings, spokes : of rays of a traced pupil; spokes a multiple of 4
         """
@@ -83,17 +91,29 @@ class CameraPupil:
         return thin_lens_pupil(self.f_number, tangent, azimuth_deg, self.magnification)
 
     def _traced(self, radius_um: Array, azimuth: Array, rings: int, spokes: int) -> Directions:
-        """Return the pupils at distances from the axis and azimuths in radians, (...); each distance is traced once."""
+        """Return the pupils at distances from the axis and azimuths in radians, (...); each
+        distance is traced once.
+        """
         assert self.real is not None
         assert self.chief_ray_angle is not None
         lens = traced_lens(self.real.lens, self.real.object_distance_m)
-        heights_mm, fields_deg = field_angles(self.real.lens, self.real.object_distance_m, self.real.corner_mm)
+        heights_mm, fields_deg = field_angles(
+            self.real.lens, self.real.object_distance_m, self.real.corner_mm
+        )
         lit_mm = max(row[0] for row in self.chief_ray_angle if len(row) < 3 or row[2] > DARK)
-        wanted_um, which = np.unique(np.minimum(radius_um, min(1e3 * lit_mm, 1e3 * float(heights_mm[-1]))), return_inverse=True)
+        wanted_um, which = np.unique(
+            np.minimum(radius_um, min(1e3 * lit_mm, 1e3 * float(heights_mm[-1]))),
+            return_inverse=True,
+        )
         fields = np.interp(1e-3 * wanted_um, heights_mm, fields_deg)
-        found, which = lens.directions(fields, lens.primary_nm, 0.0, rings, spokes), which.reshape(radius_um.shape)
+        found, which = (
+            lens.directions(fields, lens.primary_nm, 0.0, rings, spokes),
+            which.reshape(radius_um.shape),
+        )
         cosine, sine = np.cos(azimuth), np.sin(azimuth)
-        turn = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)  # rows: where +x and +y go
+        turn = np.stack(
+            [np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2
+        )  # rows: where +x and +y go
         chief = (found.chief_cosines[which][..., None, :] @ turn)[..., 0, :]
         return Directions(found.cosines[which] @ turn, found.weight[which], chief)
 
@@ -102,23 +122,43 @@ def camera_pupil(camera: Camera) -> CameraPupil:
     """Return the pupil of a camera."""
     real = None
     if camera.lens is not None:
-        real = RealLens(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
-    return CameraPupil(camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification, camera.chief_ray_angle, real)
+        real = RealLens(
+            camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
+        )
+    return CameraPupil(
+        camera.f_number,
+        1e3 * camera.image_distance_mm,
+        camera.magnification,
+        camera.chief_ray_angle,
+        real,
+    )
 
 
 def camera_factor(
-    camera: Camera, shape: tuple[Count, Count], pitch_um: Positive, part: tuple[slice, slice] = (WHOLE, WHOLE)
+    camera: Camera,
+    shape: tuple[Count, Count],
+    pitch_um: Positive,
+    part: tuple[slice, slice] = (WHOLE, WHOLE),
 ) -> Array:
-    """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample of a grid on the axis.
+    """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample
+    of a grid on the axis.
 
-    It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis times it, linear between its
-    image heights, and with `Camera.fall_off` by `dense_fall_off`. The transmittance is not part of it.
+    It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis
+    times it, linear between its image heights, and with `Camera.fall_off` by `dense_fall_off`. The
+    transmittance is not part of it.
 
     shape, pitch_um, part : as for `field_factor`
     """
     if camera.relative_illumination is None:
-        return field_factor(shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification, part)
-    y_mm, x_mm = (1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span] for n, span in zip(shape, part, strict=True))
-    curve = camera.relative_illumination if camera.fall_off is None else dense_fall_off(camera.fall_off)
+        return field_factor(
+            shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification, part
+        )
+    y_mm, x_mm = (
+        1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span]
+        for n, span in zip(shape, part, strict=True)
+    )
+    curve = (
+        camera.relative_illumination if camera.fall_off is None else dense_fall_off(camera.fall_off)
+    )
     relative = np.interp(np.hypot(x_mm, y_mm[:, None]), *curve)
     return np.asarray(relative * irradiance_factor(camera.f_number, 0.0, camera.magnification))

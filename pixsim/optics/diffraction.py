@@ -30,17 +30,21 @@ from pixsim.optics.quantities import FNumberOrPinhole
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
-KEPT_TABLES = 320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
+KEPT_TABLES = (
+    320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
+)
 KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
 
 
 def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
-    """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
+    """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the
+    shape (...) of the wavelengths.
 
     It is 0 for a pinhole, N_e = infinity. Goodman, Introduction to Fourier Optics, 3rd ed.
 
-    f_number : effective, N_e = 1/(2 sin α) (`Camera.effective_f_number`), above 0; sin α is the numerical aperture on the
-        sensor side, with tan α = 1/(2 N (1 + |m|)), as in `irradiance_factor`
+    f_number : effective, N_e = 1/(2 sin α) (`Camera.effective_f_number`), above 0; sin α is the
+        numerical aperture on the sensor side, with tan α = 1/(2 N (1 + |m|)), as in
+        `irradiance_factor`
 
     Raises PixsimError if a wavelength or the f-number is not positive.
     """
@@ -49,11 +53,14 @@ def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Ar
         return NM_PER_MM / (wavelength_nm * f_number)
 
 
-def diffraction_otf(frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
-    """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
+def diffraction_otf(
+    frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_number: FNumberOrPinhole
+) -> Array:
+    """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero
+    beyond x = 1.
 
-    Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). The OTF at frequency 0 is always 1. It is the same over the
-    field; in a real lens the tangential cut-off falls as cos³θ off axis.
+    Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). The OTF at frequency 0 is always
+    1. It is the same over the field; in a real lens the tangential cut-off falls as cos³θ off axis.
 
     frequency_cy_per_mm, wavelength_nm : broadcast together; the result, 0 to 1, has their shape
     f_number : effective, N_e = 1/(2 sin α) (`Camera.effective_f_number`)
@@ -66,7 +73,9 @@ def diffraction_otf(frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_nu
     """
     frequency = np.abs(np.asarray(frequency_cy_per_mm, float))
     check_broadcast(frequency_cy_per_mm=frequency.shape, wavelength_nm=np.shape(wavelength_nm))
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0 at frequency 0 of a pinhole
+    with np.errstate(
+        over="ignore", divide="ignore", invalid="ignore"
+    ):  # 0/0 at frequency 0 of a pinhole
         x = np.where(frequency == 0, 0.0, frequency / cutoff_cy_per_mm(wavelength_nm, f_number))
     x = np.minimum(x, 1.0)
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt((1 - x) * (1 + x)))
@@ -75,10 +84,17 @@ def diffraction_otf(frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_nu
 def check_bands(wavelength_nm: Array, weight: Array) -> None:
     """Raise PixsimError if there is not one weight for each wavelength."""
     if weight.shape != wavelength_nm.shape:
-        raise invalid("wavelength_nm and weight", f"{wavelength_nm.size} and {weight.size}", "as many of each")
+        raise invalid(
+            "wavelength_nm and weight", f"{wavelength_nm.size} and {weight.size}", "as many of each"
+        )
 
 
-def white_otf(frequency_cy_per_mm: FiniteArray, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
+def white_otf(
+    frequency_cy_per_mm: FiniteArray,
+    wavelength_nm: PositiveArray,
+    weight: Row,
+    f_number: FNumberOrPinhole,
+) -> Array:
     """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
 
     It is the white-light OTF if the weights add up to 1.
@@ -104,18 +120,21 @@ def diffract_sum(
     f_number: FNumberOrPinhole | None,
     transfer: Callable[[Array, float], Array] | None = None,
 ) -> Array:
-    """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ of `diffraction_otf`.
+    """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ
+    of `diffraction_otf`.
 
-    In the DCT-II basis a symmetric kernel is diagonal and reflection at the borders is exact, without padding. The mean is
-    preserved. If the OTF is not small at the Nyquist frequency of the grid, isolated points ring, also below zero.
-    There is one forward transform per picture and one inverse transform. At most two float64 planes are in memory.
+    In the DCT-II basis a symmetric kernel is diagonal and reflection at the borders is exact,
+    without padding. The mean is preserved. If the OTF is not small at the Nyquist frequency of the
+    grid, isolated points ring, also below zero. There is one forward transform per picture and one
+    inverse transform. At most two float64 planes are in memory.
 
     pictures : (picture (H, W), weight (B,)) pairs, in any unit
     shape : (H, W)
     pitch_um : of the samples
     wavelength_nm : (B,)
     f_number : effective, N_e = 1/(2 sin α); None: a lens without diffraction
-    transfer : (frequencies in cycles/mm, wavelength in nm) -> further MTF, 1 at frequency 0, that multiplies the lens's
+    transfer : (frequencies in cycles/mm, wavelength in nm) -> further MTF, 1 at frequency 0, that
+        multiplies the lens's
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
@@ -132,7 +151,8 @@ def diffract_sums(
     f_number: FNumberOrPinhole | None,
     transfer: Callable[[Array, float], Array] | None = None,
 ) -> list[Array]:
-    """Return `diffract_sum` for several channels, [(H, W)] each, of one forward transform per picture and an inverse one each.
+    """Return `diffract_sum` for several channels, [(H, W)] each, of one forward transform per
+    picture and an inverse one each.
 
     pictures : (picture (H, W), weights [(B,)] of each channel) pairs, in any unit
     channels : their number
@@ -140,23 +160,40 @@ def diffract_sums(
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
     if wavelength_nm.ndim != 1 or not wavelength_nm.size:
-        raise invalid("wavelength_nm", f"an array of shape {wavelength_nm.shape}", "(B,), at least one")
+        raise invalid(
+            "wavelength_nm", f"an array of shape {wavelength_nm.shape}", "(B,), at least one"
+        )
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = float(np.hypot(fx[-1], fy[-1]))
     if f_number is not None:
         highest = min(highest, float(cutoff_cy_per_mm(wavelength_nm.min(), f_number)))
-    lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
+    lowest = 1 / (
+        2 * max(shape) * pitch_um * 1e-3
+    )  # a shorter table would have steps too small to divide by
     table, step = _frequencies(max(highest, lowest))
 
     def otf_of(weight: Array) -> Array:
         lit = np.flatnonzero(weight)
         if transfer is None and f_number is not None:
-            return _white_table(float(table[-1]), tuple(wavelength_nm[lit].tolist()), tuple(weight[lit].tolist()), f_number)
+            return _white_table(
+                float(table[-1]),
+                tuple(wavelength_nm[lit].tolist()),
+                tuple(weight[lit].tolist()),
+                f_number,
+            )
         otf = np.zeros_like(table)
         for at in lit:
             nm = float(wavelength_nm[at])
-            lens = np.ones_like(table) if f_number is None else _otf_table(float(table[-1]), nm, f_number)
-            otf += weight[at] * (lens if transfer is None else lens * values_of("transfer", transfer, table.shape, table, nm))
+            lens = (
+                np.ones_like(table)
+                if f_number is None
+                else _otf_table(float(table[-1]), nm, f_number)
+            )
+            otf += weight[at] * (
+                lens
+                if transfer is None
+                else lens * values_of("transfer", transfer, table.shape, table, nm)
+            )
         return otf
 
     totals: dict[int, Array] = {}
@@ -173,10 +210,22 @@ def diffract_sums(
             spare = spectrum
             new = [channel for channel in lit if channel not in totals]
             if new:  # the last new channel takes the spectrum's own memory, after all others
-                totals |= {channel: empty_planes(*shape) for channel in new[:-1]} | {new[-1]: spectrum}
+                totals |= {channel: empty_planes(*shape) for channel in new[:-1]} | {
+                    new[-1]: spectrum
+                }
                 spare = None
-            _filter(spectrum, fy / step, fx / step, {channel: otf_of(weights[channel]) for channel in lit}, totals, new)
-    return [inverse_dct(totals[channel]) if channel in totals else np.zeros(shape) for channel in range(channels)]
+            _filter(
+                spectrum,
+                fy / step,
+                fx / step,
+                {channel: otf_of(weights[channel]) for channel in lit},
+                totals,
+                new,
+            )
+    return [
+        inverse_dct(totals[channel]) if channel in totals else np.zeros(shape)
+        for channel in range(channels)
+    ]
 
 
 def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
@@ -187,12 +236,19 @@ def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=KEPT_TABLES)
 def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
-    """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of their wavelengths."""
+    """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of
+    their wavelengths.
+    """
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
 
 @lru_cache(maxsize=KEPT_WHITE)
-def _white_table(highest_cy_per_mm: float, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], f_number: float) -> Array:
+def _white_table(
+    highest_cy_per_mm: float,
+    wavelength_nm: tuple[float, ...],
+    weight: tuple[float, ...],
+    f_number: float,
+) -> Array:
     """Return Σ weight · `_otf_table`; the parts of a picture share it."""
     otf = np.zeros(OTF_TABLE_SIZE)
     for nm, share in zip(wavelength_nm, weight, strict=True):
@@ -202,11 +258,18 @@ def _white_table(highest_cy_per_mm: float, wavelength_nm: tuple[float, ...], wei
 
 
 def _filter(
-    spectrum: Array, y_steps: Array, x_steps: Array, otfs: dict[int, Array], totals: dict[int, Array], new: Sequence[int]
+    spectrum: Array,
+    y_steps: Array,
+    x_steps: Array,
+    otfs: dict[int, Array],
+    totals: dict[int, Array],
+    new: Sequence[int],
 ) -> None:
-    """Add a spectrum (H, W) times radial tables, interpolated linearly, to totals; frequencies are in steps of the table.
+    """Add a spectrum (H, W) times radial tables, interpolated linearly, to totals; frequencies are
+    in steps of the table.
 
-    new : channels whose totals begin with this spectrum; that of the last one may be the spectrum itself
+    new : channels whose totals begin with this spectrum; that of the last one may be the spectrum
+        itself
     """
     rises = {channel: np.append(np.diff(otf), 0.0) for channel, otf in otfs.items()}
     order = sorted(otfs, key=lambda channel: totals[channel] is spectrum)
@@ -229,8 +292,15 @@ def _filter(
                 totals[channel][rows] += factor
 
 
-def diffract(picture: Picture, pitch_um: Positive, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
-    """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
+def diffract(
+    picture: Picture,
+    pitch_um: Positive,
+    wavelength_nm: PositiveArray,
+    weight: Row,
+    f_number: FNumberOrPinhole,
+) -> Array:
+    """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit;
+    see `diffract_sum`.
 
     picture : (H, W)
     weight : (B,) relative weights of the wavelengths
@@ -241,13 +311,19 @@ def diffract(picture: Picture, pitch_um: Positive, wavelength_nm: PositiveArray,
     check_bands(wavelength_nm, weight)
     total = weight.sum()
     if total == 0:
-        raise invalid("weight", "a sum of 0", "weights with another sum", "Use `diffract_sum` for weights that are not normalised.")
+        raise invalid(
+            "weight",
+            "a sum of 0",
+            "weights with another sum",
+            "Use `diffract_sum` for weights that are not normalised.",
+        )
     share = weight / total
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number)
 
 
 def square_aperture_mtf(frequency_cy_per_mm: Finites, side_um: NotNegative) -> Array:
-    """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
+    """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis,
+    (...) as the frequencies.
 
     The geometric MTF of Chen et al. (2000), section 2.2.
 

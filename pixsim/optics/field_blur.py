@@ -1,10 +1,13 @@
-"""Blur of a real lens, which varies over the field: wavefronts, point spread functions, and pictures blurred by them.
+"""Blur of a real lens, which varies over the field: wavefronts, point spread functions, and
+pictures blurred by them.
 
-A wavefront is known at a few distances from the axis; a point in between has the interpolated one, turned to its azimuth. Its
-point spread function (PSF) is the Fourier transform of the pupil in direction cosines at the image point, so its optical
-transfer function ends at the width of the pupil over λ. PSFs are computed along a radius; all others are in between, and turned.
-Pictures are blurred tile by tile: windows divide the light, each share is convolved with the PSF of the middle of its tile, and
-the sum preserves all light. The windows are cubic, so that the PSF of a point is interpolated between those of 4 × 4 tiles.
+A wavefront is known at a few distances from the axis; a point in between has the interpolated one,
+turned to its azimuth. Its point spread function (PSF) is the Fourier transform of the pupil in
+direction cosines at the image point, so its optical transfer function ends at the width of the
+pupil over λ. PSFs are computed along a radius; all others are in between, and turned. Pictures are
+blurred tile by tile: windows divide the light, each share is convolved with the PSF of the middle
+of its tile, and the sum preserves all light. The windows are cubic, so that the PSF of a point is
+interpolated between those of 4 × 4 tiles.
 """
 
 from __future__ import annotations
@@ -24,7 +27,15 @@ from numpy.typing import NDArray
 from scipy.fft import fft, ifft, irfft, irfft2, next_fast_len, rfft, rfft2
 from scipy.special import j0, j1
 
-from pixsim.base.arrays import WORTH_THREADS, Array, dct, empty_planes, in_threads, inverse_dct, strips
+from pixsim.base.arrays import (
+    WORTH_THREADS,
+    Array,
+    dct,
+    empty_planes,
+    in_threads,
+    inverse_dct,
+    strips,
+)
 from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
 from pixsim.base.progress import report
@@ -37,10 +48,16 @@ SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
 MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
 MAX_WINDOW = 4096  # film cells
-BAND_END = 0.1  # of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
-FINER = 1.6  # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2 times its end
-TURNED_MARGIN = 48  # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
-PADDING = 1.5  # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its cells
+# of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
+BAND_END = 0.1
+# samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2
+# times its end
+FINER = 1.6
+# film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
+TURNED_MARGIN = 48
+# of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its
+# cells
+PADDING = 1.5
 SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
 GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
 VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
@@ -52,12 +69,14 @@ RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 @dataclass(frozen=True)
 class PupilRays:
-    """Rays of one wavelength to an image point, in the frame of its field: axis 0 sagittal, axis 1 away from the optical axis.
+    """Rays of one wavelength to an image point, in the frame of its field: axis 0 sagittal, axis 1
+    away from the optical axis.
 
-    cosines : (rays, 2) direction cosines over the stop, up to its rim, also of rays that an aperture clips; half of it will do,
-        since the other half is mirrored
-    opd_waves : (rays,) against the reference sphere around the chief ray's image point, in waves: the PSF is that of the pupil
-        function exp(-2πi W), and light is deflected by λ ∂W/∂(direction cosine)
+    cosines : (rays, 2) direction cosines over the stop, up to its rim, also of rays that an
+        aperture clips; half of it will do, since the other half is mirrored
+    opd_waves : (rays,) against the reference sphere around the chief ray's image point, in waves:
+        the PSF is that of the pupil function exp(-2πi W), and light is deflected by λ
+        ∂W/∂(direction cosine)
     outline : (points, 2) direction cosines around the rays that pass, in the order of their angle
     height_um : of the chief ray's image point, from the axis
     """
@@ -70,13 +89,16 @@ class PupilRays:
 
 @dataclass(frozen=True)
 class FittedWavefronts:
-    """Wavefronts of one wavelength at distances from the axis, as numbers that are interpolated between them.
+    """Wavefronts of one wavelength at distances from the axis, as numbers that are interpolated
+    between them.
 
-    Directions are relative to the middle of the pupil, in half widths of the pupil (u sagittal, v radial).
+    Directions are relative to the middle of the pupil, in half widths of the pupil (u sagittal, v
+    radial).
 
     height_um : (nodes,) from 0 on, of the wavelength that defines the field
-    numbers : (nodes, n) of each wavefront: sagittal and radial half width in direction cosines, lateral colour in µm,
-        coefficients of `powers`, radius of the outline at `OUTLINE_ANGLES` angles from the radial direction
+    numbers : (nodes, n) of each wavefront: sagittal and radial half width in direction cosines,
+        lateral colour in µm, coefficients of `powers`, radius of the outline at `OUTLINE_ANGLES`
+        angles from the radial direction
     residual_waves : largest rms of the OPD that the polynomials leave
     """
 
@@ -96,13 +118,17 @@ class FittedWavefronts:
         mirrored[:, 3 : 3 + len(powers())] *= (-1.0) ** powers()[:, 1]
         mirrored[:, 3 + len(powers()) :] = mirrored[:, : 2 + len(powers()) : -1]
         heights = np.concatenate([-self.height_um[:0:-1], self.height_um])
-        spline: Callable[[float], Array] = CubicSpline(heights, np.concatenate([mirrored[::-1], self.numbers]))
+        spline: Callable[[float], Array] = CubicSpline(
+            heights, np.concatenate([mirrored[::-1], self.numbers])
+        )
         return spline
 
     def at(self, height_um: float) -> Array:
-        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step between two of them.
+        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step
+        between two of them.
 
-        Where an image circle ends the pupil shrinks: beyond the last wavefront it is that of the last, then.
+        Where an image circle ends the pupil shrinks: beyond the last wavefront it is that of the
+        last, then.
         """
         end = float(self.height_um[-1])
         step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
@@ -112,15 +138,21 @@ class FittedWavefronts:
         return numbers
 
     def misses_um(self, height_um: float) -> Array:
-        """Return how far rays that fill the pupil evenly land from the point of the field, (n, 2): sagittal and radial."""
+        """Return how far rays that fill the pupil evenly land from the point of the field, (n, 2):
+        sagittal and radial.
+        """
         numbers, exponents = self.at(height_um), powers()
-        radius, turn = np.sqrt((np.arange(RAYS) + 0.5) / RAYS), np.arange(RAYS) * math.pi * (3 - math.sqrt(5))
+        radius, turn = (
+            np.sqrt((np.arange(RAYS) + 0.5) / RAYS),
+            np.arange(RAYS) * math.pi * (3 - math.sqrt(5)),
+        )
         u, v = (radius * np.sin(turn))[:, None], (radius * np.cos(turn))[:, None]
         a, b = exponents.T
         slopes = a * u ** np.maximum(a - 1, 0) * v**b, b * u**a * v ** np.maximum(b - 1, 0)
         coefficients = numbers[3 : 3 + len(exponents)]
         misses = [
-            self.wavelength_nm * UM_PER_NM * (slope @ coefficients) / half for slope, half in zip(slopes, numbers, strict=False)
+            self.wavelength_nm * UM_PER_NM * (slope @ coefficients) / half
+            for slope, half in zip(slopes, numbers, strict=False)
         ]
         return np.stack(misses, axis=-1) + np.array([0.0, numbers[2]])
 
@@ -130,7 +162,9 @@ def powers() -> NDArray[np.intp]:
     return np.array([(a, b) for a in range(0, DEGREE + 1, 2) for b in range(DEGREE + 1 - a)])
 
 
-def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[PupilRays]) -> FittedWavefronts:
+def fit_wavefronts(
+    wavelength_nm: float, height_um: Array, wavefronts: Sequence[PupilRays]
+) -> FittedWavefronts:
     """Return the polynomials of wavefronts at distances from the axis, (nodes,) from 0 on.
 
     height_um : that define the field; a wavefront's own height may differ by lateral colour
@@ -144,28 +178,37 @@ def fit_wavefronts(wavelength_nm: float, height_um: Array, wavefronts: Sequence[
             np.isfinite(front.opd_waves).all() and np.isfinite(front.cosines).all()
         ):
             got = f"{np.isfinite(front.opd_waves).sum()} rays at {height:g} µm from the axis"
-            raise invalid("wavefront", got, f"at least {2 * len(exponents)} finite rays over the stop")
+            raise invalid(
+                "wavefront", got, f"at least {2 * len(exponents)} finite rays over the stop"
+            )
         low, high = front.cosines.min(axis=0), front.cosines.max(axis=0)
         half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
         middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
-        of_u, of_v = (np.cumprod([np.ones_like(along), *[along] * DEGREE], axis=0) for along in (u, v))
-        coefficients, left = least_squares(of_u[exponents[:, 0]] * of_v[exponents[:, 1]], front.opd_waves)
+        of_u, of_v = (
+            np.cumprod([np.ones_like(along), *[along] * DEGREE], axis=0) for along in (u, v)
+        )
+        coefficients, left = least_squares(
+            of_u[exponents[:, 0]] * of_v[exponents[:, 1]], front.opd_waves
+        )
         residual = max(residual, float(np.sqrt(np.mean(left**2))))
         around = (front.outline - middle) / half
         angle, radius = np.arctan2(np.abs(around[:, 0]), around[:, 1]), np.hypot(*around.T)
         order = np.argsort(angle)
         outline = np.interp(np.linspace(0, np.pi, OUTLINE_ANGLES), angle[order], radius[order])
         numbers.append(np.concatenate([half, [front.height_um - height], coefficients, outline]))
-    return FittedWavefronts(wavelength_nm, np.asarray(height_um, float), np.array(numbers), residual)
+    return FittedWavefronts(
+        wavelength_nm, np.asarray(height_um, float), np.array(numbers), residual
+    )
 
 
 def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
-    """Return the coefficients (n,) with which terms (n, m) come closest to values (m,), and what they leave, (m,).
+    """Return the coefficients (n,) with which terms (n, m) come closest to values (m,), and what
+    they leave, (m,).
 
-    Modified Gram-Schmidt steps, with the values as a last column, are as stable as Householder's (Björck, BIT 7 (1967) 1). BLAS
-    shares such small matrices between threads, which takes a hundred times as long, and rounds as their number has it. A term that
-    others make up has no coefficient.
+    Modified Gram-Schmidt steps, with the values as a last column, are as stable as Householder's
+    (Björck, BIT 7 (1967) 1). BLAS shares such small matrices between threads, which takes a hundred
+    times as long, and rounds as their number has it. A term that others make up has no coefficient.
     """
     columns = np.concatenate([terms, values[None]])
     count, sizes = len(terms), np.sqrt(np.square(terms).sum(axis=1))
@@ -180,14 +223,17 @@ def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
         columns[row + 1 :] -= triangle[row, row + 1 :, None] * unit
     coefficients = np.zeros(count)
     for row in range(count - 1, -1, -1):
-        coefficients[row] = (triangle[row, -1] - (triangle[row, row + 1 : -1] * coefficients[row + 1 :]).sum()) / triangle[row, row]
+        coefficients[row] = (
+            triangle[row, -1] - (triangle[row, row + 1 : -1] * coefficients[row + 1 :]).sum()
+        ) / triangle[row, row]
     return coefficients, columns[-1]
 
 
 def share_inside(distance: Array, slope: Array) -> Array:
     """Return the share of a unit square's area that lies on one side of a straight edge, (...).
 
-    distance : of the square's middle from the edge, along the axis that is steeper to the edge; above 0 inside
+    distance : of the square's middle from the edge, along the axis that is steeper to the edge;
+        above 0 inside
     slope : of the edge to the other axis, 0 to 1
     """
     slope = np.maximum(slope, 1e-6)
@@ -196,8 +242,11 @@ def share_inside(distance: Array, slope: Array) -> Array:
     return np.asarray(np.clip((bent[0] - bent[1] - bent[2] + bent[3]) / (2 * slope), 0.0, 1.0))
 
 
-def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: float) -> tuple[NDArray[np.complex128], float]:
-    """Return the amplitude over direction cosines in the axes of the film, and the area of the pupil in samples.
+def pupil_function(
+    numbers: Array, wavelength_nm: float, azimuth: float, step: float
+) -> tuple[NDArray[np.complex128], float]:
+    """Return the amplitude over direction cosines in the axes of the film, and the area of the
+    pupil in samples.
 
     A sample is the mean over its square of the given step.
 
@@ -206,12 +255,19 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
     """
     half, shift_um = numbers[:2], numbers[2]
     coefficients, outline = np.split(numbers[3:].astype(np.float32), [len(powers())])
-    radial, sagittal = np.array([np.cos(azimuth), np.sin(azimuth)]), np.array([-np.sin(azimuth), np.cos(azimuth)])
+    radial, sagittal = (
+        np.array([np.cos(azimuth), np.sin(azimuth)]),
+        np.array([-np.sin(azimuth), np.cos(azimuth)]),
+    )
     reach = np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())
     x, y = (np.arange(-n, n + 1) * step for n in np.ceil(reach / step + 1).astype(int))
-    if azimuth == 0.0:  # the pupil is even in y, to the bit: a row below 0 is enough, for the slope at 0
+    if (
+        azimuth == 0.0
+    ):  # the pupil is even in y, to the bit: a row below 0 is enough, for the slope at 0
         y = y[y.size // 2 - 1 :]
-    u = ((x * sagittal[0] + y[:, None] * sagittal[1]) / half[0]).astype(np.float32)  # 1e-6 of a wave is lost of ten
+    u = ((x * sagittal[0] + y[:, None] * sagittal[1]) / half[0]).astype(
+        np.float32
+    )  # 1e-6 of a wave is lost of ten
     v = ((x * radial[0] + y[:, None] * radial[1]) / half[1]).astype(np.float32)
     radius = np.sqrt(u * u + v * v)
     at = np.arctan2(np.abs(u), v) * np.float32((OUTLINE_ANGLES - 1) / np.pi)
@@ -234,16 +290,24 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
     share = (inside > 0).astype(np.float32)
     reach = 1.5 * step / half.min()
     cut = np.nonzero((np.abs(inside) < reach) & (radius > reach))  # by the edge
-    # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a sample's area.
+    # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a
+    # sample's area.
     along_u, along_v = u[cut] / radius[cut], v[cut] / radius[cut]
     turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
-    rise_u, rise_v = (turning * along_v * np.sign(along_u) - along_u) / half[0], (-turning * np.abs(along_u) - along_v) / half[1]
+    rise_u, rise_v = (
+        (turning * along_v * np.sign(along_u) - along_u) / half[0],
+        (-turning * np.abs(along_u) - along_v) / half[1],
+    )
     inward_x, inward_y = (rise_u * sagittal[axis] + rise_v * radial[axis] for axis in (0, 1))
     steep_x, steep_y = np.abs(inward_x), np.abs(inward_y)
     steepest = np.maximum(steep_x, steep_y)
-    share[cut] = share_inside(inside[cut] / (steepest * step), np.minimum(steep_x, steep_y) / steepest)
+    share[cut] = share_inside(
+        inside[cut] / (steepest * step), np.minimum(steep_x, steep_y) / steepest
+    )
     # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
-    inwards = np.where(steep_x > steep_y, rise_x[cut] * np.sign(inward_x), rise_y[cut] * np.sign(inward_y))
+    inwards = np.where(
+        steep_x > steep_y, rise_x[cut] * np.sign(inward_x), rise_y[cut] * np.sign(inward_y)
+    )
     waves[cut] += inwards * (1 - share[cut]) / 2
     lit = share > 0
     turn = np.float32(-2 * np.pi) * waves[lit]
@@ -256,7 +320,9 @@ def pupil_function(numbers: Array, wavelength_nm: float, azimuth: float, step: f
 
 
 def mean_of_phase(waves: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return sin(πx)/(πx) to 1e-5 up to x = 0.5 waves, the mean of a phase that rises by x over a sample; about 0 from 1 on."""
+    """Return sin(πx)/(πx) to 1e-5 up to x = 0.5 waves, the mean of a phase that rises by x over a
+    sample; about 0 from 1 on.
+    """
     z = np.minimum(np.square(np.float32(np.pi) * waves), np.float32(np.pi**2))
     return 1 - z / 6 * (1 - z / 20 * (1 - z / 42 * (1 - z / 72)))
 
@@ -267,7 +333,8 @@ class ChannelWavefronts:
 
     fronts : of each wavelength
     share : (B,), adds up to 1
-    transfer : (frequencies in cycles/mm, wavelength in nm) -> MTF that acts behind the lens, 1 at frequency 0
+    transfer : (frequencies in cycles/mm, wavelength in nm) -> MTF that acts behind the lens, 1 at
+        frequency 0
     """
 
     fronts: Sequence[FittedWavefronts]
@@ -277,23 +344,35 @@ class ChannelWavefronts:
 
 @dataclass(frozen=True)
 class Psf:
-    """A PSF on film cells, (cells, cells) with an odd number of cells and the chief ray's image point in the middle one."""
+    """A PSF on film cells, (cells, cells) with an odd number of cells and the chief ray's image
+    point in the middle one.
+    """
 
     kernel: NDArray[np.float32]
 
     @cached_property
     def lacking(self) -> float:
-        """Share of the light that falls beyond these cells; the kernel adds up to 1 less this share."""
+        """Share of the light that falls beyond these cells; the kernel adds up to 1 less this
+        share.
+        """
         return float(1 - self.kernel.sum(dtype=float))
 
 
-def even_window(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int) -> int:
-    """Return an even number of cells along a side of a window in which a PSF may repeat: it resolves the pupil."""
+def even_window(
+    light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int
+) -> int:
+    """Return an even number of cells along a side of a window in which a PSF may repeat: it
+    resolves the pupil.
+    """
     return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, WINDOW * cells)
 
 
-def _even_window(light: ChannelWavefronts, heights_um: Iterable[float], pitch_um: float, cells: float) -> int:
-    """Return an even number of cells, at least `cells`, along a window that resolves the pupils of some image points."""
+def _even_window(
+    light: ChannelWavefronts, heights_um: Iterable[float], pitch_um: float, cells: float
+) -> int:
+    """Return an even number of cells, at least `cells`, along a window that resolves the pupils of
+    some image points.
+    """
     slowest = min(
         2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM)
         for height_um in heights_um
@@ -303,17 +382,26 @@ def _even_window(light: ChannelWavefronts, heights_um: Iterable[float], pitch_um
     window = next_fast_len(math.ceil(needed / 2), real=True) * 2
     if window > MAX_WINDOW:
         got = f"{window * pitch_um:.4g} µm of {window} film cells"
-        raise invalid("PSF window", got, f"at most {MAX_WINDOW} cells", "Take a coarser film or a smaller f-number.")
+        raise invalid(
+            "PSF window",
+            got,
+            f"at most {MAX_WINDOW} cells",
+            "Take a coarser film or a smaller f-number.",
+        )
     return window
 
 
 def cutoff_per_um(light: ChannelWavefronts) -> float:
     """Return the highest frequency that a lens passes, in cycles/µm."""
-    return max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
+    return max(
+        2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM)
+        for front in light.fronts
+    )
 
 
 def most_cells(light: ChannelWavefronts, pitch_um: float) -> int:
-    """Return the odd number of film cells along a side of the largest PSF whose pupil has `MOST_SAMPLES` across; 0 for none.
+    """Return the odd number of film cells along a side of the largest PSF whose pupil has
+    `MOST_SAMPLES` across; 0 for none.
 
     On a film so coarse that it is 0, diffraction keeps to one cell.
     """
@@ -322,28 +410,37 @@ def most_cells(light: ChannelWavefronts, pitch_um: float) -> int:
 
 
 def of_band(frequency: Array) -> Array:
-    """Return the weight of frequencies (n,), in cycles per film cell, in what a film shows: 1 within its band, ½ at its end.
+    """Return the weight of frequencies (n,), in cycles per film cell, in what a film shows: 1
+    within its band, ½ at its end.
 
-    The weights of frequencies that look the same on the film add up to 1. A band that broke off would make PSFs ring: all that is
-    odd in a PSF jumps there, and rings as 1/r. With this end of the band a PSF falls about as fast as its light does.
+    The weights of frequencies that look the same on the film add up to 1. A band that broke off
+    would make PSFs ring: all that is odd in a PSF jumps there, and rings as 1/r. With this end of
+    the band a PSF falls about as fast as its light does.
     """
     beyond = np.clip((np.abs(frequency) - 0.5) / BAND_END, -0.5, 0.5)
     return np.asarray((1 - np.sin(np.pi * beyond)) / 2)
 
 
-def periodic_psf(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
-    """Return the PSF of an image point on a window of film cells, (window, window), in which it repeats; it adds up to 1.
+def periodic_psf(
+    light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, window: int
+) -> Array:
+    """Return the PSF of an image point on a window of film cells, (window, window), in which it
+    repeats; it adds up to 1.
 
-    The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives such means: its transform is the
-    OTF up to the end of the film's band, where `of_band` fades it.
+    The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives
+    such means: its transform is the OTF up to the end of the film's band, where `of_band` fades it.
 
     window : even
     """
     azimuth, height_um = math.atan2(y_um, x_um), math.hypot(x_um, y_um)
     numbers = [front.at(height_um) for front in light.fronts]
-    widest = max(2 * float(n[:2].max()) / f.wavelength_nm for n, f in zip(numbers, light.fronts, strict=True))  # cut-off
+    widest = max(
+        2 * float(n[:2].max()) / f.wavelength_nm for n, f in zip(numbers, light.fronts, strict=True)
+    )  # cut-off
     size_um = window * pitch_um
-    fine = next_fast_len(max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True)  # hold the intensity
+    fine = next_fast_len(
+        max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True
+    )  # hold the intensity
     most = min(math.ceil((1 + BAND_END) / 2 * window), (fine - 1) // 2)
     rows = fine // 2 + 1 if azimuth == 0.0 else fine  # an even PSF's other rows are mirrors
     pending, total = np.zeros((rows, fine), np.float32), np.zeros((), complex)
@@ -355,7 +452,9 @@ def periodic_psf(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: f
         down, across = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)), np.arange(most + 1)
         frequency = np.hypot(down[:, None], across) / (size_um * 1e-3)
     for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
-        pupil, area = pupil_function(number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um)
+        pupil, area = pupil_function(
+            number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um
+        )
         if rows < fine:
             half = ifft(pupil[len(pupil) // 2 :], fine, axis=1)
             wide = np.zeros((fine, fine), np.complex64)
@@ -369,10 +468,14 @@ def periodic_psf(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: f
         if light.transfer is None:
             pending += intensity
         else:
-            total = total + _low_frequencies(intensity * unboxed, most) * light.transfer(frequency, front.wavelength_nm)
+            total = total + _low_frequencies(intensity * unboxed, most) * light.transfer(
+                frequency, front.wavelength_nm
+            )
     if light.transfer is None:
         total = _low_frequencies(pending * unboxed, most)
-    return np.asarray(irfft2(np.asarray(_on_film(total, (window, window)), complex), (window, window)))
+    return np.asarray(
+        irfft2(np.asarray(_on_film(total, (window, window)), complex), (window, window))
+    )
 
 
 def _low_frequencies(intensity: NDArray[np.float32], most: int) -> NDArray[np.complexfloating]:
@@ -387,29 +490,41 @@ def _low_frequencies(intensity: NDArray[np.float32], most: int) -> NDArray[np.co
     return np.concatenate([columns[: most + 1], columns[-most:]])
 
 
-def _on_film(transform: NDArray[np.complexfloating], shape: tuple[int, ...]) -> NDArray[np.complexfloating]:
-    """Return the transform (H, W // 2 + 1) of samples on a film of a PSF with this transform, (2m + 1, n + 1).
+def _on_film(
+    transform: NDArray[np.complexfloating], shape: tuple[int, ...]
+) -> NDArray[np.complexfloating]:
+    """Return the transform (H, W // 2 + 1) of samples on a film of a PSF with this transform, (2m +
+    1, n + 1).
 
     shape : (H, W) of the window in film cells
     """
     (down, across), half = (transform.shape[0] // 2, transform.shape[1] - 1), shape[1] // 2
     rows, columns = np.fft.fftfreq(2 * down + 1, 1 / (2 * down + 1)), np.arange(across + 1)
     real = transform.real.dtype
-    weighted = transform * of_band(rows / shape[0]).astype(real)[:, None] * of_band(columns / shape[1]).astype(real)
+    weighted = (
+        transform
+        * of_band(rows / shape[0]).astype(real)[:, None]
+        * of_band(columns / shape[1]).astype(real)
+    )
     wrapped = np.zeros((shape[0], across + 1), transform.dtype)
     wrapped[: down + 1] = weighted[: down + 1]
     wrapped[shape[0] - down :] += weighted[down + 1 :]
     found = np.zeros((shape[0], half + 1), transform.dtype)
     found[:, : min(across, half) + 1] = wrapped[:, : half + 1]
-    first = (shape[1] + 1) // 2  # from here on the same as a frequency below 0, where the transform is the conjugate
+    first = (
+        shape[1] + 1
+    ) // 2  # from here on the same as a frequency below 0, where the transform is the conjugate
     if across >= first:
-        found[:, shape[1] - across : shape[1] - first + 1] += wrapped[-np.arange(shape[0]), first:].conj()[:, ::-1]
+        found[:, shape[1] - across : shape[1] - first + 1] += wrapped[
+            -np.arange(shape[0]), first:
+        ].conj()[:, ::-1]
     found[0, 0] = 1.0
     return found
 
 
 def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
-    """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an edge does; 1 at frequency 0.
+    """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an
+    edge does; 1 at frequency 0.
 
     With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
@@ -418,24 +533,33 @@ def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
 
 
 def integral_of_j0(end: Array) -> Array:
-    """Return ∫_0^z J₀(s) ds at z of 0 or more, (...), to 1e-13, by Gauss's quadrature up to each integer and beyond the last.
+    """Return ∫_0^z J₀(s) ds at z of 0 or more, (...), to 1e-13, by Gauss's quadrature up to each
+    integer and beyond the last.
 
-    `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17, and Struve's functions, of which this
-    integral is made too (Abramowitz and Stegun 11.1.7), take twenty times as long.
+    `scipy.special.itj0y0` is wrong by many orders beyond z = 20 in SciPy before 1.17, and Struve's
+    functions, of which this integral is made too (Abramowitz and Stegun 11.1.7), take twenty times
+    as long.
     """
     node, weight = np.polynomial.legendre.leggauss(GAUSS_NODES)
     node, weight = (1 + node) / 2, weight / 2
     last = np.floor(end)
     whole = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
     rest = end - last
-    beyond = sum((share * j0(last + rest * at) for at, share in zip(node, weight, strict=True)), np.zeros(end.shape))
+    beyond = sum(
+        (share * j0(last + rest * at) for at, share in zip(node, weight, strict=True)),
+        np.zeros(end.shape),
+    )
     return np.asarray(np.concatenate([[0.0], np.cumsum(whole)])[last.astype(int)] + rest * beyond)
 
 
 def cubic_weights(distance: Array | float) -> Array:
-    """Return the weights of equidistant samples, by their distances in steps, whose sum is Lagrange's cubic interpolation."""
+    """Return the weights of equidistant samples, by their distances in steps, whose sum is
+    Lagrange's cubic interpolation.
+    """
     d = np.abs(distance)
-    return np.where(d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0))
+    return np.where(
+        d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0)
+    )
 
 
 Place = tuple[float, float]
@@ -443,19 +567,22 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True)
 class RadialPsfs:
-    """PSFs of image points that are evenly spaced along a line from the axis, for films with cells of `pitch_um` and larger.
+    """PSFs of image points that are evenly spaced along a line from the axis, for films with cells
+    of `pitch_um` and larger.
 
     With all frequencies that the lens passes they serve for every film: `pitch_um` is 0.
 
-    A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is found in the frequencies of
-    the film, where turning needs no samples that are finer than the film's.
+    A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is
+    found in the frequencies of the film, where turning needs no samples that are finer than the
+    film's.
 
     step_um : from point to point; the first is on the axis
     period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
     points : number of them
     most : number of steps m to the last frequency of the splines
-    compute : number of a point -> (m + 2, m + 2) coefficients of cubic splines through its OTF, over frequencies of -1 … m steps
-        along the sagittal axis, in which a PSF is even, and along the radial axis; computed when it is needed
+    compute : number of a point -> (m + 2, m + 2) coefficients of cubic splines through its OTF,
+        over frequencies of -1 … m steps along the sagittal axis, in which a PSF is even, and along
+        the radial axis; computed when it is needed
     """
 
     step_um: float
@@ -464,8 +591,12 @@ class RadialPsfs:
     points: int
     most: int
     compute: Callable[[int], NDArray[np.complex64]] = field(repr=False)
-    _splines: dict[int, NDArray[np.complex64]] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _locks: defaultdict[int, Lock] = field(default_factory=lambda: defaultdict(Lock), init=False, repr=False, compare=False)
+    _splines: dict[int, NDArray[np.complex64]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _locks: defaultdict[int, Lock] = field(
+        default_factory=lambda: defaultdict(Lock), init=False, repr=False, compare=False
+    )
 
     @property
     def reach_um(self) -> float:
@@ -486,35 +617,60 @@ class RadialPsfs:
         return self._splines[point]
 
     def at(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
-        """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side, from the four nearest distances.
+        """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side,
+        from the four nearest distances.
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
         window, reach = odd_window(cells), cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
-        return [Psf(kernel.astype(np.float32)) for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]]
+        return [
+            Psf(kernel.astype(np.float32))
+            for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]
+        ]
 
-    def transform(self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]) -> NDArray[np.complex128]:
-        """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W) of cells, in which they repeat.
+    def transform(
+        self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]
+    ) -> NDArray[np.complex128]:
+        """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W)
+        of cells, in which they repeat.
 
-        Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at` does.
+        Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at`
+        does.
         """
         spectra = self._spectra(places_um, pitch_um, shape, self._frequencies(pitch_um, shape))
         return np.array([_on_film(spectrum, shape) for spectrum in spectra])
 
     def _frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the last frequencies, down and across, of a window: a film shows no more, or the lens passes no more."""
+        """Return the last frequencies, down and across, of a window: a film shows no more, or the
+        lens passes no more.
+        """
         most_per_um = math.hypot(self.most, self.most) / self.period_um
-        return tuple(min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(most_per_um * side * pitch_um)) for side in shape)
+        return tuple(
+            min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(most_per_um * side * pitch_um))
+            for side in shape
+        )
 
     def _spectra(
-        self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...], ends: tuple[int, ...]
+        self,
+        places_um: Sequence[Place],
+        pitch_um: float,
+        shape: tuple[int, ...],
+        ends: tuple[int, ...],
     ) -> NDArray[np.complex128]:
-        """Return the OTFs of image points up to the last frequencies of a window, (n, 2 down + 1, across + 1)."""
+        """Return the OTFs of image points up to the last frequencies of a window, (n, 2 down + 1,
+        across + 1).
+        """
         if not pitch_um >= self.pitch_um * (1 - ROUNDING):
-            raise invalid("film cell of a PSF", f"{pitch_um:.6g} µm", f"at least {self.pitch_um:.6g} µm, for which these PSFs are")
+            raise invalid(
+                "film cell of a PSF",
+                f"{pitch_um:.6g} µm",
+                f"at least {self.pitch_um:.6g} µm, for which these PSFs are",
+            )
         (down, across), turns = ends, [math.atan2(y_um, x_um) for x_um, y_um in places_um]
-        cosine, sine = (np.array([of(turn) for turn in turns])[:, None, None] for of in (math.cos, math.sin))
+        cosine, sine = (
+            np.array([of(turn) for turn in turns])[:, None, None] for of in (math.cos, math.sin)
+        )
         fx = np.arange(across + 1) / (shape[1] * pitch_um)
         fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
         radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
@@ -530,7 +686,11 @@ class RadialPsfs:
     def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
         """Return the first coefficients (side, side) for a distance from the axis."""
         if not height_um <= self.reach_um * (1 + ROUNDING):
-            raise invalid("distance of a PSF from the axis", f"{height_um:.6g} µm", f"at most {self.reach_um:.6g} µm")
+            raise invalid(
+                "distance of a PSF from the axis",
+                f"{height_um:.6g} µm",
+                f"at most {self.reach_um:.6g} µm",
+            )
         place = height_um / self.step_um
         first = min(math.floor(place), self.points - 3) - 1
         table, spare = np.zeros((2, side, side), np.complex64)
@@ -541,28 +701,47 @@ class RadialPsfs:
             table += np.multiply(spline if index >= 0 else spline.conj(), weight, out=spare)
         return table
 
-    def blurred(self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float) -> list[Array]:
-        """Return light on films of one window, spread by the PSF of one image point all over it; it repeats, and none is lost.
+    def blurred(
+        self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float
+    ) -> list[Array]:
+        """Return light on films of one window, spread by the PSF of one image point all over it; it
+        repeats, and none is lost.
 
-        films : light (H, W) and the pitch in µm of its cells; all have their frequencies from one spectrum
+        films : light (H, W) and the pitch in µm of its cells; all have their frequencies from one
+            spectrum
         """
         ends = [self._frequencies(pitch_um, light.shape) for light, pitch_um in films]
-        (light, pitch_um), (down, across) = films[0], (max(along) for along in zip(*ends, strict=True))
-        (spectrum,), blurred = self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across)), []
+        (light, pitch_um), (down, across) = (
+            films[0],
+            (max(along) for along in zip(*ends, strict=True)),
+        )
+        (spectrum,), blurred = (
+            self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across)),
+            [],
+        )
         for (light, _), (rows, columns) in zip(films, ends, strict=True):
-            part = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])[:, : columns + 1]
-            blurred.append(np.asarray(irfft2(rfft2(light) * _on_film(part, light.shape), light.shape)))
+            part = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])[
+                :, : columns + 1
+            ]
+            blurred.append(
+                np.asarray(irfft2(rfft2(light) * _on_film(part, light.shape), light.shape))
+            )
         return blurred
 
 
-def splined(coefficients: NDArray[np.complex64], row: Array, column: Array) -> NDArray[np.complex64]:
-    """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which takes real numbers.
+def splined(
+    coefficients: NDArray[np.complex64], row: Array, column: Array
+) -> NDArray[np.complex64]:
+    """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which
+    takes real numbers.
 
     coefficients : (n, H, W), from place -1 on; beyond the last one they go on as that
     """
     count, height, width = coefficients.shape
     flat, total = coefficients.ravel(), np.zeros(row.shape, np.complex64)
-    (top, down), (left, across) = ((at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column))
+    (top, down), (left, across) = (
+        (at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column)
+    )
     begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
     columns = [begin + np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
     weights = b_spline(across)
@@ -586,28 +765,43 @@ def b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def odd_window(cells: int) -> int:
-    """Return an odd number of film cells along a side of a window in which a turned PSF repeats; it has no Nyquist frequency."""
+    """Return an odd number of film cells along a side of a window in which a turned PSF repeats; it
+    has no Nyquist frequency.
+    """
     window = next_fast_len(cells + TURNED_MARGIN)
     while window % 2 == 0:
         window = next_fast_len(window + 1)
     return window
 
 
-def radial_psfs(light: ChannelWavefronts, pitch_um: float, cells: int, step_um: float, farthest_um: float) -> RadialPsfs:
-    """Return the PSFs from the axis to a distance, which may be cut off to an odd number of cells along a side."""
+def radial_psfs(
+    light: ChannelWavefronts, pitch_um: float, cells: int, step_um: float, farthest_um: float
+) -> RadialPsfs:
+    """Return the PSFs from the axis to a distance, which may be cut off to an odd number of cells
+    along a side.
+    """
     count = math.floor(farthest_um / step_um) + 3
     resolving = resolving_um(light)
     cell_um = max(pitch_um, resolving)
     fine_um, heights_um = cell_um / FINER, [index * step_um for index in range(count)]
     window = _even_window(light, heights_um, fine_um, WINDOW * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
-    most = min(math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um) + SPLINE_COEFFICIENTS // 2, padded // 2 - 1)
+    most = min(
+        math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um)
+        + SPLINE_COEFFICIENTS // 2,
+        padded // 2 - 1,
+    )
 
-    # The coefficients of a spline through an OTF are that of the PSF over the transform of a B-spline.
+    # The coefficients of a spline through an OTF are that of the PSF over the transform of a
+    # B-spline.
     of_spline = (2 + np.cos(2 * np.pi / padded * np.fft.fftfreq(window, 1 / window))) / 3
 
     def compute(index: int) -> NDArray[np.complex64]:
-        psf = periodic_psf(light, heights_um[index], 0.0, fine_um, window) / of_spline / of_spline[:, None]
+        psf = (
+            periodic_psf(light, heights_um[index], 0.0, fine_um, window)
+            / of_spline
+            / of_spline[:, None]
+        )
         # It is even along the sagittal axis, so that its transform is real there.
         rows = rfft(amid_zeros(psf.astype(np.float32), padded), axis=0)[: most + 1].real
         otf = rfft(amid_zeros(rows.T, padded), axis=0)[: most + 1].T
@@ -615,23 +809,35 @@ def radial_psfs(light: ChannelWavefronts, pitch_um: float, cells: int, step_um: 
             otf = otf.real + np.zeros_like(otf)
         return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
 
-    return RadialPsfs(step_um, cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0, padded * fine_um, count, most, compute)
+    return RadialPsfs(
+        step_um,
+        cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0,
+        padded * fine_um,
+        count,
+        most,
+        compute,
+    )
 
 
 def amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count, m)."""
+    """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count,
+    m).
+    """
     wide, half = np.zeros((count, values.shape[1]), np.float32), len(values) // 2
     wide[:half], wide[-half:] = values[:half], values[half:]
     return wide
 
 
 def resolving_um(light: ChannelWavefronts) -> float:
-    """Return the largest film cells for which radial PSFs have all frequencies that a lens passes, within their own band."""
+    """Return the largest film cells for which radial PSFs have all frequencies that a lens passes,
+    within their own band.
+    """
     return FINER * (1 - BAND_END) / 2 / cutoff_per_um(light)
 
 
 def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
-    """Return the tiles on each side of the middle one that film cells along a side need, and the cells that a window covers.
+    """Return the tiles on each side of the middle one that film cells along a side need, and the
+    cells that a window covers.
 
     If the number of cells is even, the middle of a tile is at the border of cells.
     """
@@ -639,13 +845,19 @@ def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
 
 
 def tiles_alike(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]]:
-    """Return the places (x, y) ≥ 0, in tiles from the axis, whose PSFs all tiles of a picture (H, W) have but for mirrors."""
+    """Return the places (x, y) ≥ 0, in tiles from the axis, whose PSFs all tiles of a picture (H,
+    W) have but for mirrors.
+    """
     (down, _), (across, _) = (tiles_along(n, spacing) for n in shape)
-    return list(dict.fromkeys(mirrored(x, y, shape) for y in range(down + 1) for x in range(across + 1)))
+    return list(
+        dict.fromkeys(mirrored(x, y, shape) for y in range(down + 1) for x in range(across + 1))
+    )
 
 
 def mirrored(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the place (x, y) whose PSF a tile has but for mirrors: that of x ≥ y ≥ 0 if rows and columns may change places."""
+    """Return the place (x, y) whose PSF a tile has but for mirrors: that of x ≥ y ≥ 0 if rows and
+    columns may change places.
+    """
     x, y = abs(x), abs(y)
     return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
 
@@ -670,8 +882,12 @@ class FieldBlur:
     pitch_um: float
     spacing: int
     psfs: dict[tuple[int, int], Psf] = field(repr=False)
-    known_even: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)  # from a cache, in place of computing
-    _last: dict[tuple[int, bytes], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    known_even: NDArray[np.float32] | None = field(
+        default=None, repr=False, compare=False
+    )  # from a cache, in place of computing
+    _last: dict[tuple[int, bytes], Array] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def cells(self) -> int:
@@ -688,10 +904,12 @@ class FieldBlur:
         return max(psf.lacking for psf in self.psfs.values())
 
     def superposed(self, picture: Array) -> tuple[Array, Array]:
-        """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells - 1, W + cells - 1), and what
-        the PSFs lack of the light of each sample, (H, W). Nothing is lost at the sides.
+        """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells -
+        1, W + cells - 1), and what the PSFs lack of the light of each sample, (H, W). Nothing is
+        lost at the sides.
 
-        Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is given back evenly.
+        Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is
+        given back evenly.
         """
         top, left = self._before
         spread = self._added_up(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
@@ -710,13 +928,20 @@ class FieldBlur:
     @property
     def _before(self) -> tuple[int, ...]:
         """The cells of the first tile's window before the picture, down and across."""
-        return tuple((count + 2) * self.spacing - (n + 1) // 2 for count, n in zip(self._tiles[0], self.shape, strict=True))
+        return tuple(
+            (count + 2) * self.spacing - (n + 1) // 2
+            for count, n in zip(self._tiles[0], self.shape, strict=True)
+        )
 
     @property
     def _weights(self) -> tuple[Array, ...]:
-        """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W, tiles)."""
+        """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W,
+        tiles).
+        """
         return tuple(
-            cubic_weights((np.arange(n)[:, None] - (n - 1) / 2) / self.spacing - np.arange(-count, count + 1))
+            cubic_weights(
+                (np.arange(n)[:, None] - (n - 1) / 2) / self.spacing - np.arange(-count, count + 1)
+            )
             for n, count in zip(self.shape, self._tiles[0], strict=True)
         )
 
@@ -724,29 +949,46 @@ class FieldBlur:
     def _lacking(self) -> Array:
         """What the PSFs of the tiles lack, down and across."""
         (down, across), _ = self._tiles
-        places = [[mirrored(x, y, self.shape) for x in range(-across, across + 1)] for y in range(-down, down + 1)]
+        places = [
+            [mirrored(x, y, self.shape) for x in range(-across, across + 1)]
+            for y in range(-down, down + 1)
+        ]
         return np.array([[self.psfs[place].lacking for place in row] for row in places])
 
-    def _added_up(self, light: NDArray[np.float32] | None, first: tuple[int, ...] = (0, 0)) -> Array:
+    def _added_up(
+        self, light: NDArray[np.float32] | None, first: tuple[int, ...] = (0, 0)
+    ) -> Array:
         """Return the sum of the spread light of all tiles, from some row and column on.
 
-        A column of tiles shares the transforms along its rows. They take part in it before and after those along columns.
+        A column of tiles shares the transforms along its rows. They take part in it before and
+        after those along columns.
 
-        light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many beyond `superposed`. None: even
+        light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many
+            beyond `superposed`. None: even
         """
         (counts, sides), reach = self._tiles, self.cells // 2
         filled = [side + self.cells - 1 for side in sides]  # by the light of a window
         size = [next_fast_len(side, real=True) for side in filled]
-        height, width = (n + 2 * before + self.cells - 1 for n, before in zip(self.shape, self._before, strict=True))
+        height, width = (
+            n + 2 * before + self.cells - 1
+            for n, before in zip(self.shape, self._before, strict=True)
+        )
         inside = [slice(reach, reach + side) for side in sides]
-        down, across = (cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32) for side in sides)
+        down, across = (
+            cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
+            for side in sides
+        )
         turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
         centred = np.exp(2j * np.pi * reach * turns)  # moves the middle of a PSF to the first cell
         result = np.zeros((height - first[0], width - first[1]))
         strips_of_light: dict[int, NDArray[np.float32]] = {}
 
         def rows_of(column: int) -> NDArray[np.complex64]:
-            part = np.ones((height, 1), np.float32) if light is None else light[:, column : column + sides[1]]
+            part = (
+                np.ones((height, 1), np.float32)
+                if light is None
+                else light[:, column : column + sides[1]]
+            )
             wide = np.zeros((len(part), size[1]), np.float32)
             np.multiply(part, across, out=wide[:, inside[1]])
             return np.asarray(rfft(wide, axis=1))
@@ -759,40 +1001,61 @@ class FieldBlur:
         even = spectrum_of(rows_of(0)[: sides[0]]) if light is None else None
 
         def compute(x: int) -> None:
-            columns = [at for at in sorted({x, -x}) if (counts[1] + at) * self.spacing + filled[1] > first[1]]
-            rows = {at: rows_of((counts[1] + at) * self.spacing) for at in columns if light is not None}
+            columns = [
+                at
+                for at in sorted({x, -x})
+                if (counts[1] + at) * self.spacing + filled[1] > first[1]
+            ]
+            rows = {
+                at: rows_of((counts[1] + at) * self.spacing) for at in columns if light is not None
+            }
             total = {at: np.zeros((height, centred.shape[1]), np.complex64) for at in columns}
             for y in range(counts[0] + 1):
                 place = mirrored(x, y, self.shape)
                 kernel = self.psfs[place].kernel if place == (x, y) else self.psfs[place].kernel.T
-                psf = (fft(rfft(kernel, size[1], axis=1), size[0], axis=0) * centred).astype(np.complex64)
+                psf = (fft(rfft(kernel, size[1], axis=1), size[0], axis=0) * centred).astype(
+                    np.complex64
+                )
                 for side, at in product(sorted({y, -y}), columns):
                     row = (counts[0] + side) * self.spacing
                     if row + filled[0] <= first[0]:
                         continue
                     lit = spectrum_of(rows[at][row : row + sides[0]]) if even is None else even
-                    turned = psf if (side < 0) == (at < 0) else psf[-np.arange(size[0])]  # mirrored rows
-                    spread = ifft(lit * (turned.conj() if at < 0 else turned), axis=0, overwrite_x=True)
+                    turned = (
+                        psf if (side < 0) == (at < 0) else psf[-np.arange(size[0])]
+                    )  # mirrored rows
+                    spread = ifft(
+                        lit * (turned.conj() if at < 0 else turned), axis=0, overwrite_x=True
+                    )
                     total[at][row : row + filled[0]] += spread[: filled[0]]
             for at in columns:
                 strips_of_light[at] = irfft(total[at][first[0] :], size[1], axis=1)[:, : filled[1]]
 
-        most = max(threads(), SPREAD_CELLS // (2 * height * filled[1]))  # threads start anew for each strip
+        most = max(
+            threads(), SPREAD_CELLS // (2 * height * filled[1])
+        )  # threads start anew for each strip
         for some in strips(counts[1] + 1, 1, most):
             in_threads(compute, range(some.start, some.stop), result.size)
-            for at in sorted(strips_of_light, key=abs):  # always in one order, so that sums round in one way
+            for at in sorted(
+                strips_of_light, key=abs
+            ):  # always in one order, so that sums round in one way
                 column = (counts[1] + at) * self.spacing - first[1]
-                result[:, max(column, 0) : column + filled[1]] += strips_of_light.pop(at)[:, max(-column, 0) :]
+                result[:, max(column, 0) : column + filled[1]] += strips_of_light.pop(at)[
+                    :, max(-column, 0) :
+                ]
             report(some.stop / (counts[1] + 1))
         return result
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
-        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the reach of a PSF at each side.
+        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the
+        reach of a PSF at each side.
 
-        margin : samples of the picture at each side that are known beyond it; it goes on by reflection
+        margin : samples of the picture at each side that are known beyond it; it goes on by
+            reflection
 
-        An even scene keeps the fall-off that it has in the picture: what a point of the image receives from it depends on the
-        pupil alone. The last result is remembered, and not to be written to.
+        An even scene keeps the fall-off that it has in the picture: what a point of the image
+        receives from it depends on the pupil alone. The last result is remembered, and not to be
+        written to.
         """
         key = margin, blake2b(picture.tobytes()).digest()
         if key not in self._last:
@@ -802,18 +1065,30 @@ class FieldBlur:
 
     @cached_property
     def even(self) -> NDArray[np.float32]:
-        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they move apart.
+        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they
+        move apart.
 
         All windows have the same light: what is beyond the picture does not reach it.
         """
         if self.known_even is not None:
             return self.known_even
         reach = self.cells // 2
-        # The other half of an even number of rows or columns is its mirror image, as that of a veil is.
+        # The other half of an even number of rows or columns is its mirror image, as that of a veil
+        # is.
         begin = [(n // 2 - reach) * (n % 2 == 0) for n in self.shape]
-        light = self._added_up(None, tuple(before + 2 * reach + cut for before, cut in zip(self._before, begin, strict=True)))
-        light = light[: self.shape[0] - 2 * reach - begin[0], : self.shape[1] - 2 * reach - begin[1]]
-        down, across = (part[reach + cut : len(part) - reach] for part, cut in zip(self._weights, begin, strict=True))
+        light = self._added_up(
+            None,
+            tuple(
+                before + 2 * reach + cut for before, cut in zip(self._before, begin, strict=True)
+            ),
+        )
+        light = light[
+            : self.shape[0] - 2 * reach - begin[0], : self.shape[1] - 2 * reach - begin[1]
+        ]
+        down, across = (
+            part[reach + cut : len(part) - reach]
+            for part, cut in zip(self._weights, begin, strict=True)
+        )
         even = self._with_veil(light, down @ self._lacking @ across.T).astype(np.float32)
         for axis, cut in enumerate(begin):
             even = np.concatenate([np.flip(even, axis), even], axis) if cut else even
@@ -826,7 +1101,10 @@ class FieldBlur:
         cut = max(0, margin - reach)
         known = picture[_part(cut, cut, *(count - 2 * cut for count in picture.shape))]
         full, lacked = self.superposed(np.pad(known, reach - (margin - cut), "symmetric"))
-        return self._with_veil(full[_part(2 * reach, 2 * reach, height, width)], lacked[_part(reach, reach, height, width)])
+        return self._with_veil(
+            full[_part(2 * reach, 2 * reach, height, width)],
+            lacked[_part(reach, reach, height, width)],
+        )
 
     def _with_veil(self, light: Array, lacked: Array) -> Array:
         """Return spread light (H, W) with what the PSFs lack of it as a veil."""
@@ -834,7 +1112,9 @@ class FieldBlur:
         result[...], veil[...] = light, lacked
         spectrum = dct(veil)
         down, across = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
-        few = np.linspace(0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), VEIL_FREQUENCIES)  # those of a film of any size
+        few = np.linspace(
+            0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), VEIL_FREQUENCIES
+        )  # those of a film of any size
         mtf = veil_mtf(few, beyond_um(self.cells, self.pitch_um))
 
         def spread(rows: slice) -> None:
@@ -861,16 +1141,24 @@ def tile_psfs(
         places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[some]]
         found.update(zip(wanted[some], psfs.at(places_um, pitch_um, cells), strict=True))
 
-    in_threads(compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0)
+    in_threads(
+        compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0
+    )
     return {place: found[place] for place in wanted}
 
 
 def tiles_reach_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
-    """Return the distance from the axis of the farthest tile of `field_blur`, and of those that `amid_tiles` takes."""
-    return math.hypot(*((tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape))
+    """Return the distance from the axis of the farthest tile of `field_blur`, and of those that
+    `amid_tiles` takes.
+    """
+    return math.hypot(
+        *((tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape)
+    )
 
 
-def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
+def field_blur(
+    psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
+) -> FieldBlur:
     """Return the blur of pictures (H, W), whose sides are extended by the reach of a PSF.
 
     psfs : of a film with cells of this pitch or smaller
@@ -878,17 +1166,32 @@ def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacin
     cells : of a PSF along a side, an odd number
     """
     wide = shape[0] + cells - 1, shape[1] + cells - 1
-    return FieldBlur(wide, pitch_um, spacing, tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
+    return FieldBlur(
+        wide,
+        pitch_um,
+        spacing,
+        tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)),
+    )
 
 
 def blur_from_arrays(
-    stored: dict[str, NDArray[Any]], shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
+    stored: dict[str, NDArray[Any]],
+    shape: tuple[int, int],
+    pitch_um: float,
+    spacing: int,
+    cells: int,
 ) -> FieldBlur | None:
-    """Return the blur that `FieldBlur.as_arrays` stored; None if the arrays are not those of these tiles."""
+    """Return the blur that `FieldBlur.as_arrays` stored; None if the arrays are not those of these
+    tiles.
+    """
     wide = shape[0] + cells - 1, shape[1] + cells - 1
     places, kernels = list(tiles_alike(wide, spacing)), stored.get("kernels", np.empty(0))
     even = stored.get("even", np.empty(0))
-    if kernels.shape != (len(places), cells, cells) or even.shape != shape or not kernels.dtype == even.dtype == np.float32:
+    if (
+        kernels.shape != (len(places), cells, cells)
+        or even.shape != shape
+        or not kernels.dtype == even.dtype == np.float32
+    ):
         return None
     psfs = {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)}
     return FieldBlur(wide, pitch_um, spacing, psfs, even)
@@ -902,22 +1205,27 @@ def picture_error(
     slope: float = 0.0,
     share: Sequence[float] = (1.0,),
 ) -> float:
-    """Return a bound for the rms error of a blurred picture relative to its rms about the mean, from transforms of PSFs.
+    """Return a bound for the rms error of a blurred picture relative to its rms about the mean,
+    from transforms of PSFs.
 
-    It holds in the mean for every picture with detail that is spread evenly over it, and with a power spectrum that falls with
-    the frequency f at least as f^-slope: such a spectrum is a mixture of those that fall so up to some frequency and end there, and
-    the largest ratio of these is the bound. None holds for a lone frequency that a lens blots out.
+    It holds in the mean for every picture with detail that is spread evenly over it, and with a
+    power spectrum that falls with the frequency f at least as f^-slope: such a spectrum is a
+    mixture of those that fall so up to some frequency and end there, and the largest ratio of these
+    is the bound. None holds for a lone frequency that a lens blots out.
 
-    approximate, exact : (window, window // 2 + 1), as `rfft2` orders them, or (places, window, window // 2 + 1)
+    approximate, exact : (window, window // 2 + 1), as `rfft2` orders them, or (places, window,
+        window // 2 + 1)
     aperture_um : side of the square photodiodes or dots that average the picture
-    slope : 0 for white noise and random dots, and all that does not rise; 2 for edges, charts and natural scenes
+    slope : 0 for white noise and random dots, and all that does not rise; 2 for edges, charts and
+        natural scenes
     share : of the picture's area for which each place stands
     """
     window, columns = exact.shape[-2:]
     order, weight = _frequencies_in_order(window, columns, pitch_um, aperture_um, slope)
     parts = np.array(share)[:, None, None]
     squares = (
-        np.sum(parts * np.abs(values.reshape(-1, window, columns)) ** 2, axis=0) * weight for values in (approximate - exact, exact)
+        np.sum(parts * np.abs(values.reshape(-1, window, columns)) ** 2, axis=0) * weight
+        for values in (approximate - exact, exact)
     )
     error, power = (np.cumsum(square.ravel()[order]) for square in squares)
     return float(np.sqrt((error / power).max()))
@@ -927,17 +1235,25 @@ def picture_error(
 def _frequencies_in_order(
     window: int, columns: int, pitch_um: float, aperture_um: float, slope: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return where the frequencies of `picture_error` stand, from low to high without 0, and their weights (window, columns)."""
+    """Return where the frequencies of `picture_error` stand, from low to high without 0, and their
+    weights (window, columns).
+    """
     fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
     box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
-    weight = np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
+    weight = (
+        np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
+    )
     frequency = np.hypot(fy, fx)
     weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
     return np.argsort(frequency, axis=None, kind="stable")[1:], weight
 
 
-def transform_of(psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int) -> NDArray[np.complex128]:
-    """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with what it lacks as a veil."""
+def transform_of(
+    psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int
+) -> NDArray[np.complex128]:
+    """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with
+    what it lacks as a veil.
+    """
     kernel = sum((weight * psf.kernel.astype(float) for weight, psf in psfs), np.zeros(()))
     cells = len(kernel)
     wide = np.zeros((window, window))
@@ -948,13 +1264,22 @@ def transform_of(psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int
 
 @lru_cache(maxsize=2)
 def _veil(pitch_um: float, cells: int, window: int) -> Array:
-    """Return the transform (window, window // 2 + 1) of the light beyond a PSF's cells, as a share of it."""
-    fy, fx = np.fft.fftfreq(window, pitch_um * 1e-3)[:, None], np.fft.rfftfreq(window, pitch_um * 1e-3)
+    """Return the transform (window, window // 2 + 1) of the light beyond a PSF's cells, as a share
+    of it.
+    """
+    fy, fx = (
+        np.fft.fftfreq(window, pitch_um * 1e-3)[:, None],
+        np.fft.rfftfreq(window, pitch_um * 1e-3),
+    )
     return veil_mtf(np.hypot(fy, fx), beyond_um(cells, pitch_um))
 
 
-def amid_tiles(psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int) -> list[tuple[float, Psf]]:
-    """Return weights and PSFs of the sixteen tiles around an image point that is as far from them as can be."""
+def amid_tiles(
+    psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int
+) -> list[tuple[float, Psf]]:
+    """Return weights and PSFs of the sixteen tiles around an image point that is as far from them
+    as can be.
+    """
     around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
     places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
     weights = [float(cubic_weights(x) * cubic_weights(y)) for x, y in around]

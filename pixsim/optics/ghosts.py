@@ -1,8 +1,10 @@
-"""Light that two surfaces of a lens reflect, one after the other, and that reaches the image: its share, and where it focuses.
+"""Light that two surfaces of a lens reflect, one after the other, and that reaches the image: its
+share, and where it focuses.
 
-Of light on the axis, the surface j reflects R_j back, and a surface i in front of it R_i forth again. On its way it crosses the
-surfaces in between twice more than light that goes straight through, so a pair has R_i R_j Π (1 - R_k)² of that, i < k < j. The
-focus is that of paraxial rays, unfolded at each reflection (W. T. Welford, Aberrations of Optical Systems, 1986, ch. 3). Apertures
+Of light on the axis, the surface j reflects R_j back, and a surface i in front of it R_i forth
+again. On its way it crosses the surfaces in between twice more than light that goes straight
+through, so a pair has R_i R_j Π (1 - R_k)² of that, i < k < j. The focus is that of paraxial rays,
+unfolded at each reflection (W. T. Welford, Aberrations of Optical Systems, 1986, ch. 3). Apertures
 stop none of it here, and the sensor, which reflects too, is no surface of the lens.
 """
 
@@ -25,7 +27,8 @@ class Ghost:
 
     surfaces : numbers of the pair from 1, the one in front first
     share : of the light that goes straight through
-    focus_from_image_mm : of paraxial rays from the object, behind the image plane; infinite if they leave in parallel
+    focus_from_image_mm : of paraxial rays from the object, behind the image plane; infinite if they
+        leave in parallel
     blur_mm : diameter, in the image plane, of the light of a point on the axis that fills the stop
     """
 
@@ -36,7 +39,8 @@ class Ghost:
 
 
 def reflectances(indices: Sequence[float], coated: float | None = None) -> Array:
-    """Return the reflectance of each surface for light on the axis, (S,), Fresnel's ((n' - n)/(n' + n))² without a coating.
+    """Return the reflectance of each surface for light on the axis, (S,), Fresnel's ((n' - n)/(n' +
+    n))² without a coating.
 
     indices : (S + 1,) in front of the lens and behind each surface
     coated : reflectance of surfaces between air and another medium; None for bare ones
@@ -48,9 +52,14 @@ def reflectances(indices: Sequence[float], coated: float | None = None) -> Array
 
 
 def ghosts_of(
-    surfaces: Sequence[Surface], indices: Sequence[float], reflectance: Array, height_mm: float, slope: float
+    surfaces: Sequence[Surface],
+    indices: Sequence[float],
+    reflectance: Array,
+    height_mm: float,
+    slope: float,
 ) -> list[Ghost]:
-    """Return what each pair of reflecting surfaces makes of a marginal ray, the largest share first.
+    """Return what each pair of reflecting surfaces makes of a marginal ray, the largest share
+    first.
 
     indices : (S + 1,) in front of the lens and behind each surface
     reflectance : (S,) of the surfaces
@@ -67,7 +76,10 @@ def ghosts_of(
         for first in reflecting[: reflecting.index(last)]:
             between = float(np.prod((1 - reflectance[first + 1 : last]) ** 2))
             start = np.array([height_mm]), np.array([slope * indices[0]])
-            height, angle = (float(part[0]) for part in paraxial(*unfolded(surfaces, indices, first, last), *start))
+            height, angle = (
+                float(part[0])
+                for part in paraxial(*unfolded(surfaces, indices, first, last), *start)
+            )
             at_image = height + surfaces[-1].thickness_mm * angle / indices[-1]
             focus = -at_image * indices[-1] / angle if angle else math.inf
             share = float(reflectance[first] * reflectance[last]) * between
@@ -75,12 +87,22 @@ def ghosts_of(
     return sorted(found, key=lambda ghost: (-ghost.share, ghost.surfaces))
 
 
-def unfolded(surfaces: Sequence[Surface], indices: Sequence[float], first: int, last: int) -> tuple[list[Surface], list[float]]:
-    """Return the surfaces that light meets which `last` reflects back and `first` forth again, and the indices around them.
+def unfolded(
+    surfaces: Sequence[Surface], indices: Sequence[float], first: int, last: int
+) -> tuple[list[Surface], list[float]]:
+    """Return the surfaces that light meets which `last` reflects back and `first` forth again, and
+    the indices around them.
 
-    Indices and thicknesses are negative where it travels back, so that a reflection is a refraction from n to -n.
+    Indices and thicknesses are negative where it travels back, so that a reflection is a refraction
+    from n to -n.
     """
     back = range(last - 1, first - 1, -1)
-    path = [*surfaces[:last], *(replace(surfaces[at], thickness_mm=-surfaces[at - 1].thickness_mm) for at in (last, *back[:-1]))]
+    path = [
+        *surfaces[:last],
+        *(
+            replace(surfaces[at], thickness_mm=-surfaces[at - 1].thickness_mm)
+            for at in (last, *back[:-1])
+        ),
+    ]
     of_back = [-indices[at] for at in range(last, first, -1)]
     return [*path, *surfaces[first:]], [*indices[: last + 1], *of_back, *indices[first + 1 :]]

@@ -1,8 +1,10 @@
-"""Glasses: the refractive index of a medium against wavelength, relative to air, from dispersion formulas.
+"""Glasses: the refractive index of a medium against wavelength, relative to air, from dispersion
+formulas.
 
-The packaged table has 1638 glasses and plastics of refractiveindex.info (CC0). A name is a glass of one maker: `N-BK7` is not
-`BK7`, and a moulded variant is not its catalogue glass. What is not in the table is an error, never a neighbour of it. A user's
-own catalogues are read as Zemax has them (AGF).
+The packaged table has 1638 glasses and plastics of refractiveindex.info (CC0). A name is a glass of
+one maker: `N-BK7` is not `BK7`, and a moulded variant is not its catalogue glass. What is not in
+the table is an error, never a neighbour of it. A user's own catalogues are read as Zemax has them
+(AGF).
 """
 
 from __future__ import annotations
@@ -25,7 +27,11 @@ from pixsim.base.errors import PLAIN_WORD, excerpt, invalid, names_in, one_line,
 from pixsim.base.files import read_bytes
 from pixsim.base.notes import Note, warn
 
-LINES_UM = {"F": 0.4861327, "d": 0.5875618, "C": 0.6562725}  # of hydrogen and helium, which define n_d and V_d
+LINES_UM = {
+    "F": 0.4861327,
+    "d": 0.5875618,
+    "C": 0.6562725,
+}  # of hydrogen and helium, which define n_d and V_d
 CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
 ALL_UM = (0.0, math.inf)
 FORMULAS = {
@@ -35,10 +41,17 @@ FORMULAS = {
 POLES = 8  # numbers of the two poles of formula 4, which are followed by its power series
 HERZBERGER, HERZBERGER_UM2 = 6, 0.028  # coefficients, and of formula 7: L = 1/(λ² - 0.028 µm²)
 MAX_BYTES = 16 << 20  # of a catalogue; those of makers have 0.1 to 1 MB
-AGF_AGREEMENT = 1e-3  # of a catalogue's n_d with its formula; makers round to 1e-6, and other mistakes are larger
+# of a catalogue's n_d with its formula; makers round to 1e-6, and other mistakes are larger
+AGF_AGREEMENT = 1e-3
 ABBE_NUMBERS = (1.0, 1000.0)
-COEFFICIENTS = (1e-30, 1e30)  # in size, or 0: smaller ones have no effect, and denormal numbers take very long
-INDEX_RANGE = (0.5, 10.0)  # of a transparent medium; outside, a formula is used where it does not hold
+COEFFICIENTS = (
+    1e-30,
+    1e30,
+)  # in size, or 0: smaller ones have no effect, and denormal numbers take very long
+INDEX_RANGE = (
+    0.5,
+    10.0,
+)  # of a transparent medium; outside, a formula is used where it does not hold
 
 
 @dataclass(frozen=True)
@@ -46,11 +59,13 @@ class Glass:
     """A medium by its dispersion formula, numbered as by refractiveindex.info.
 
     name : with the catalogue, such as SCHOTT:N-BK7
-    formula : 1, 2 Sellmeier, 3 power series of n², 4 the same with two poles, 5 Cauchy series of n, 7 Herzberger
+    formula : 1, 2 Sellmeier, 3 power series of n², 4 the same with two poles, 5 Cauchy series of n,
+        7 Herzberger
     coefficients : of the formula, for wavelengths in µm
     range_um : shortest and longest wavelength
     source : of the coefficients
-    shift : A and B in µm² of A + B/λ², which is added to n: a glass that its maker's melt differs from
+    shift : A and B in µm² of A + B/λ², which is added to n: a glass that its maker's melt differs
+        from
     """
 
     name: str
@@ -66,9 +81,17 @@ class Glass:
             allowed = ", ".join(f"{number} ({name})" for number, name in FORMULAS.items())
             raise invalid(f"formula of glass {named(self.name)}", self.formula, allowed)
         count, finite = len(self.coefficients), all(map(math.isfinite, self.coefficients))
-        fits = count == HERZBERGER if self.formula == 7 else count % 2 == 1 and (self.formula != 4 or count > POLES)
+        fits = (
+            count == HERZBERGER
+            if self.formula == 7
+            else count % 2 == 1 and (self.formula != 4 or count > POLES)
+        )
         if not (fits and finite):
-            expected = f"{HERZBERGER} finite numbers" if self.formula == 7 else "an odd number of finite numbers: c1, then pairs"
+            expected = (
+                f"{HERZBERGER} finite numbers"
+                if self.formula == 7
+                else "an odd number of finite numbers: c1, then pairs"
+            )
             expected += f", at least {POLES + 1} for formula 4" if self.formula == 4 else ""
             got = f"{count} numbers" if finite else "infinity or NaN"
             raise invalid(f"coefficients of glass {named(self.name)}", got, expected)
@@ -81,37 +104,67 @@ class Glass:
         wavelength_um = np.asarray(wavelength_nm, float) / 1e3
         low, high = self.range_um
         # A line given in nm may differ from the end of a range in µm by a rounding.
-        inside = (wavelength_um >= low * (1 - 1e-12)) & (wavelength_um <= high * (1 + 1e-12)) & (wavelength_um > 0)
+        inside = (
+            (wavelength_um >= low * (1 - 1e-12))
+            & (wavelength_um <= high * (1 + 1e-12))
+            & (wavelength_um > 0)
+        )
         if not np.all(inside):
             got = f"{1e3 * float(wavelength_um[~inside].flat[0]):.6g}"
-            expected = f"{1e3 * low:g} to {1e3 * high:g}, where the glass {named(self.name)} of the lens is known"
-            raise invalid("wavelength_nm", got, expected, "Leave these wavelengths out, or take another glass.")
+            expected = (
+                f"{1e3 * low:g} to {1e3 * high:g}, where the glass {named(self.name)} of the lens"
+                " is known"
+            )
+            raise invalid(
+                "wavelength_nm",
+                got,
+                expected,
+                "Leave these wavelengths out, or take another glass.",
+            )
         first, *rest = self.coefficients
         pairs = list(zip(rest[::2], rest[1::2], strict=False))
         square = wavelength_um**2
         with np.errstate(all="ignore"):
             if self.formula in (1, 2):
                 poles = (pole**2 if self.formula == 1 else pole for _, pole in pairs)
-                n = np.sqrt(1 + first + sum(b * square / (square - pole) for (b, _), pole in zip(pairs, poles, strict=True)))
+                n = np.sqrt(
+                    1
+                    + first
+                    + sum(
+                        b * square / (square - pole)
+                        for (b, _), pole in zip(pairs, poles, strict=True)
+                    )
+                )
             elif self.formula == 4:
                 poles4 = [rest[start : start + 4] for start in range(0, POLES, 4)]
-                total = first + sum(b * wavelength_um**up / (square - base**power) for b, up, base, power in poles4)
+                total = first + sum(
+                    b * wavelength_um**up / (square - base**power) for b, up, base, power in poles4
+                )
                 powers = zip(rest[POLES::2], rest[POLES + 1 :: 2], strict=True)
                 n = np.sqrt(total + sum(factor * wavelength_um**power for factor, power in powers))
             elif self.formula == 7:
                 pole = 1 / (square - HERZBERGER_UM2)
                 linear, double, *even = rest
                 n = first + linear * pole + double * pole**2
-                n = n + sum(factor * wavelength_um ** (2 * order) for order, factor in enumerate(even, 1))
+                n = n + sum(
+                    factor * wavelength_um ** (2 * order) for order, factor in enumerate(even, 1)
+                )
             else:
-                series = first + sum(factor * wavelength_um**power for factor, power in pairs) + 0 * square
+                series = (
+                    first
+                    + sum(factor * wavelength_um**power for factor, power in pairs)
+                    + 0 * square
+                )
                 n = np.sqrt(series) if self.formula == 3 else series
             if any(self.shift):
                 n = n + self.shift[0] + self.shift[1] / square
         if not np.all((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1])):
             got = f"{n.flat[np.argmin((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1]))]:g}"
             raise invalid(
-                f"index of glass {named(self.name)}", got, f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}", "Check its coefficients."
+                f"index of glass {named(self.name)}",
+                got,
+                f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}",
+                "Check its coefficients.",
             )
         return np.asarray(n)
 
@@ -127,8 +180,8 @@ def constant_glass(name: str, n: float) -> Glass:
 def abbe_glass(name: str, n_d: float, v_d: float) -> Glass:
     """Return the Cauchy glass n = A + B/λ² of index n_d at 587.56 nm and Abbe number V_d.
 
-    An approximation, from 400 to 750 nm: models of the same two numbers differ by up to 2e-3 in n at 486 nm. B follows from
-    n_F - n_C = (n_d - 1)/V_d.
+    An approximation, from 400 to 750 nm: models of the same two numbers differ by up to 2e-3 in n
+    at 486 nm. B follows from n_F - n_C = (n_d - 1)/V_d.
     """
     b = (n_d - 1) / v_d / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     source = "n_d and V_d: an approximation, n = A + B/λ²"
@@ -136,7 +189,9 @@ def abbe_glass(name: str, n_d: float, v_d: float) -> Glass:
 
 
 def check_coefficients(numbers: Sequence[float], where: str) -> None:
-    """Raise PixsimError if a coefficient of a file is neither 0 nor of a size that has an effect."""
+    """Raise PixsimError if a coefficient of a file is neither 0 nor of a size that has an
+    effect.
+    """
     least, most = COEFFICIENTS
     if wrong := [number for number in numbers if not (number == 0 or least <= abs(number) <= most)]:
         raise invalid(where, f"{wrong[0]:g}", f"0, or {least:g} to {most:g} in size")
@@ -146,7 +201,9 @@ def factors_of(formula: int, numbers: Sequence[float]) -> Sequence[float]:
     """Return the coefficients without which a formula gives one index for all wavelengths."""
     if formula == 7:
         return numbers[1:]
-    return [*numbers[1 : POLES + 1 : 4], *numbers[POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
+    return (
+        [*numbers[1 : POLES + 1 : 4], *numbers[POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
+    )
 
 
 @lru_cache
@@ -158,21 +215,38 @@ def catalogue() -> Mapping[str, Glass]:
         name = f"{row['catalogue']}:{row['name']}"
         coefficients = tuple(map(float, row["coefficients"].split()))
         limits = float(row["low_um"]), float(row["high_um"])
-        glasses[name] = Glass(name, int(row["formula"]), coefficients, limits, f"refractiveindex.info (CC0) {row['entry']}")
+        glasses[name] = Glass(
+            name,
+            int(row["formula"]),
+            coefficients,
+            limits,
+            f"refractiveindex.info (CC0) {row['entry']}",
+        )
     return MappingProxyType(glasses)
 
 
 PACKAGED_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")
-# Makers of the packaged table under names that catalogues of Zemax have; others begin with the maker's, as SCHOTT_2017.
-OTHER_NAMES = {"OLD_SCHO": "SCHOTT", "OLD_OHAR": "OHARA", "OLD_HOYA": "HOYA", "NIKON": "HIKARI", "NIKON-HIKARI": "HIKARI"}
-# Names of Schott's glasses of before 1998, which other makers gave to glasses of their own: `SK16` of Hikari is not that of Schott.
+# Makers of the packaged table under names that catalogues of Zemax have; others begin with the
+# maker's, as SCHOTT_2017.
+OTHER_NAMES = {
+    "OLD_SCHO": "SCHOTT",
+    "OLD_OHAR": "OHARA",
+    "OLD_HOYA": "HOYA",
+    "NIKON": "HIKARI",
+    "NIKON-HIKARI": "HIKARI",
+}
+# Names of Schott's glasses of before 1998, which other makers gave to glasses of their own: `SK16`
+# of Hikari is not that of Schott.
 SHARED_NAMES = re.compile(
     r"(BK|K|PK|FK|PSK|SK|SSK|ZK|UBK|BAK|BALK|BALF|BAF|BASF|KF|LLF|LF|F|SF|SFL|TIK|TIF|TIFN|TISF|LAK|LAKN|LAF|LAFN|LASF|LASFN|KZF|"
     r"KZFS|KZFSN|BAFN|SFN|SKN|SSKN)\d+[A-Z]?"
 )
 SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
 HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
-LIKE_N_D, LIKE_V_D = 5e-4, 0.01  # of two statements of one glass, V_d relative: melts and rounding differ by less
+LIKE_N_D, LIKE_V_D = (
+    5e-4,
+    0.01,
+)  # of two statements of one glass, V_d relative: melts and rounding differ by less
 
 
 def of_code(name: str) -> tuple[float, float] | None:
@@ -184,7 +258,9 @@ def of_code(name: str) -> tuple[float, float] | None:
     if not (found := SIX_DIGITS.fullmatch(name.strip())):
         return None
     index, abbe = (found[1] or found[3]), (found[2] or found[4])
-    return float(f"{2 if int(index[:3]) < HIGH_INDEX else 1}.{index}"), float(f"{abbe[:2]}.{abbe[2:]}")
+    return float(f"{2 if int(index[:3]) < HIGH_INDEX else 1}.{index}"), float(
+        f"{abbe[:2]}.{abbe[2:]}"
+    )
 
 
 def code_glass(name: str) -> Glass | None:
@@ -192,11 +268,15 @@ def code_glass(name: str) -> Glass | None:
     numbers = of_code(name)
     if numbers is None or numbers[1] < ABBE_NUMBERS[0]:
         return None
-    return abbe_glass(f"{name.strip()}, six digits of n_d {numbers[0]:g}, V_d {numbers[1]:g}", *numbers)
+    return abbe_glass(
+        f"{name.strip()}, six digits of n_d {numbers[0]:g}, V_d {numbers[1]:g}", *numbers
+    )
 
 
 def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
-    """Return a glass whose n_d and V_d are larger by these numbers: n + A + B/λ², as the melt of a data sheet differs."""
+    """Return a glass whose n_d and V_d are larger by these numbers: n + A + B/λ², as the melt of a
+    data sheet differs.
+    """
     if not (n_d or v_d):
         return glass
     n_f, n, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
@@ -204,18 +284,33 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
     low, high = ABBE_NUMBERS
     if not (1 < n + n_d <= INDEX_RANGE[1] and low <= abbe + v_d <= high):
         got = f"n_d {n + n_d:g} and V_d {abbe + v_d:g}, with n_d {n_d:+g} and V_d {v_d:+g}"
-        raise invalid(f"shift of glass {named(glass.name)}", got, f"n_d above 1, and V_d from {low:g} to {high:g}")
+        raise invalid(
+            f"shift of glass {named(glass.name)}",
+            got,
+            f"n_d above 1, and V_d from {low:g} to {high:g}",
+        )
     wider = (n + n_d - 1) / (abbe + v_d) - (n_f - n_c)
     b = wider / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     name = f"{glass.name}, n_d {n_d:+g}, V_d {v_d:+g}"
-    return Glass(name, glass.formula, glass.coefficients, glass.range_um, glass.source, (n_d - b * LINES_UM["d"] ** -2, b))
+    return Glass(
+        name,
+        glass.formula,
+        glass.coefficients,
+        glass.range_um,
+        glass.source,
+        (n_d - b * LINES_UM["d"] ** -2, b),
+    )
 
 
 def maker_of(listed: str, makers: Sequence[str]) -> str | None:
-    """Return the maker among `makers` of a catalogue by its name in a file, as SCHOTT_2017; None if it is of no one of them."""
+    """Return the maker among `makers` of a catalogue by its name in a file, as SCHOTT_2017; None if
+    it is of no one of them.
+    """
     name = listed.upper()
     name = OTHER_NAMES.get(name, name)
-    return next((maker for maker in makers if re.fullmatch(rf"{re.escape(maker)}([^A-Z].*)?", name)), None)
+    return next(
+        (maker for maker in makers if re.fullmatch(rf"{re.escape(maker)}([^A-Z].*)?", name)), None
+    )
 
 
 # What pixsim adds to the name of a glass, or names it by.
@@ -225,14 +320,19 @@ OWN_NAME = re.compile(rf"{OF_NUMBERS}|n = [-+.e\d]{{1,24}}|dispersion formula")
 
 
 def named(name: str) -> str:
-    """Return the name of a glass for a message: plain words of a file, that of the maker before them, and what pixsim adds.
+    """Return the name of a glass for a message: plain words of a file, that of the maker before
+    them, and what pixsim adds.
 
     >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
     ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")
     """
     given = GIVEN_NAME.fullmatch(name)
     words = (given[1] if given else name).split(":", 1)
-    return f"'{name}'" if all(map(PLAIN_WORD.fullmatch, words)) or OWN_NAME.fullmatch(name) else excerpt(name)
+    return (
+        f"'{name}'"
+        if all(map(PLAIN_WORD.fullmatch, words)) or OWN_NAME.fullmatch(name)
+        else excerpt(name)
+    )
 
 
 def find_glass(
@@ -243,11 +343,13 @@ def find_glass(
     own: Mapping[str, Glass] | None = None,
     numbers: tuple[float, float] | None = None,
 ) -> Glass:
-    """Return a glass of a user's catalogues or the packaged table by its full name, or by the maker's name of it.
+    """Return a glass of a user's catalogues or the packaged table by its full name, or by the
+    maker's name of it.
 
     where : for messages, such as "surface 3 (line 31): glass"
-    makers : catalogues, in the order in which they are searched; all if there are none, and then the name must be in only one.
-        If none that is known has the glass and one of them is unknown, a glass of one maker is taken, with a note
+    makers : catalogues, in the order in which they are searched; all if there are none, and then
+        the name must be in only one. If none that is known has the glass and one of them is
+        unknown, a glass of one maker is taken, with a note
     hint : how to give another glass, for messages
     own : full name -> glass of the user's catalogues, which go before the packaged table
     numbers : n_d and V_d that the file states beside the name
@@ -261,21 +363,39 @@ def find_glass(
     found = _named(wanted, known)
     if ":" not in wanted and makers:
         listed = [(maker, maker_of(maker, PACKAGED_MAKERS)) for maker in makers]
-        of_listed = [full for _, maker in listed for full in found if full.partition(":")[0] == maker]
+        of_listed = [
+            full for _, maker in listed for full in found if full.partition(":")[0] == maker
+        ]
         unknown = [maker for maker, packaged in listed if packaged is None]
         if found and not of_listed:
             glass = known[found[0]]
             like = numbers is None or _alike(glass, numbers)
             if len(found) > 1 or not unknown or not like or _is_shared(wanted, found[0]):
-                got = f"{named(name)}, which is not in the catalogues that the file names ({', '.join(names_in(makers))})"
-                return _refuse(where, got, ", ".join(found), f"Glasses of one name differ between makers. {hint}".strip())
+                got = (
+                    f"{named(name)}, which is not in the catalogues that the file names"
+                    f" ({', '.join(names_in(makers))})"
+                )
+                return _refuse(
+                    where,
+                    got,
+                    ", ".join(found),
+                    f"Glasses of one name differ between makers. {hint}".strip(),
+                )
             lacking = ", ".join(names_in(unknown))
-            words = f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim lacks ({lacking})"
+            words = (
+                f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim"
+                f" lacks ({lacking})"
+            )
             warn(Note("lens_as_read", lens=where, words=words))
             of_listed = found
         found = of_listed[:1]
     elif ":" not in wanted and len(found) == 1 and _is_shared(wanted, found[0]):
-        return _refuse(where, f"{named(name)}, a name that several makers gave", found[0], f"Name the maker. {hint}".strip())
+        return _refuse(
+            where,
+            f"{named(name)}, a name that several makers gave",
+            found[0],
+            f"Name the maker. {hint}".strip(),
+        )
     if len(found) > 1:
         raise invalid(where, f"{named(name)}, which several makers have", ", ".join(found))
     if not found:
@@ -298,7 +418,10 @@ def _named(wanted: str, known: Mapping[str, Glass]) -> list[str]:
 def _among(wanted: str, own: Mapping[str, Glass], makers: Sequence[str]) -> list[str]:
     """Return the full names of a user's glasses, those of catalogues that the file names first."""
     order = [maker.upper() for maker in makers]
-    rank = {full: order.index(stem) if (stem := full.partition(":")[0].upper()) in order else len(order) for full in own}
+    rank = {
+        full: order.index(stem) if (stem := full.partition(":")[0].upper()) in order else len(order)
+        for full in own
+    }
     return sorted(_named(wanted, own), key=lambda full: rank[full])
 
 
@@ -309,14 +432,19 @@ def _is_shared(wanted: str, full: str) -> bool:
 def _alike(glass: Glass, numbers: tuple[float, float]) -> bool:
     """Whether a glass has these n_d and V_d."""
     n_f, n_d, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
-    return abs(n_d - numbers[0]) < LIKE_N_D and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < LIKE_V_D
+    return (
+        abs(n_d - numbers[0]) < LIKE_N_D
+        and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < LIKE_V_D
+    )
 
 
-# A user's catalogues ------------------------------------------------------------------------------------------------------------
+# A user's catalogues
+# ------------------------------------------------------------------------------------------------------------
 
 
 def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
-    """Return the text of a file of Zemax, in UTF-16 or UTF-8, or in the code page of old versions (for comments only).
+    """Return the text of a file of Zemax, in UTF-16 or UTF-8, or in the code page of old versions
+    (for comments only).
 
     what, expected : for messages, such as "lens" and "a Zemax prescription, which is text"
 
@@ -335,7 +463,9 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
         content = content[:-1]  # a file that was cut, or that an editor ended with one byte
     for encoding in encodings:
         try:
-            text = content.decode(encoding).rstrip("\0\x1a\r\n\t ")  # old files end with Ctrl-Z, or are filled up
+            text = content.decode(encoding).rstrip(
+                "\0\x1a\r\n\t "
+            )  # old files end with Ctrl-Z, or are filled up
         except UnicodeDecodeError:
             continue
         if not re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
@@ -344,7 +474,9 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text; a character of an old code page that Unicode takes for the end of a line is none."""
+    """Return the lines of a text; a character of an old code page that Unicode takes for the end of
+    a line is none.
+    """
     return re.split(r"\r\n|\r|\n", text)
 
 
@@ -357,8 +489,14 @@ AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, Coefficients]]] =
     4: lambda c: (4, (1 + c[0], c[1], 2.0, c[2], 2.0, c[3], 0.0, c[4], 2.0)),  # Sellmeier 2
     5: lambda c: (5, (c[0], c[1], -1.0, c[2], -3.5)),  # Conrady
     6: lambda c: (2, (0.0, *c[:8])),  # Sellmeier 3
-    7: lambda c: (4, (c[0], c[1], 0.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0)),  # Handbook of Optics 1
-    8: lambda c: (4, (c[0], c[1], 2.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0)),  # Handbook of Optics 2
+    7: lambda c: (
+        4,
+        (c[0], c[1], 0.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0),
+    ),  # Handbook of Optics 1
+    8: lambda c: (
+        4,
+        (c[0], c[1], 2.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0),
+    ),  # Handbook of Optics 2
     9: lambda c: (2, (c[0] - 1, *c[1:5])),  # Sellmeier 4
     10: lambda c: _powers(c, (2, -2, -4, -6, -8, -10, -12)),  # extended
     11: lambda c: (2, (0.0, *c[:10])),  # Sellmeier 5
@@ -374,9 +512,11 @@ def _powers(c: Sequence[float], powers: Sequence[int]) -> tuple[int, Coefficient
 
 
 def read_catalogue(path: Path) -> dict[str, Glass]:
-    """Return the glasses of a Zemax catalogue (`.agf`) by their full names, with the file's name in place of the maker's.
+    """Return the glasses of a Zemax catalogue (`.agf`) by their full names, with the file's name in
+    place of the maker's.
 
-    Raises PixsimError if it cannot be read, has no glass, or if a glass's formula does not give the n_d that its line states.
+    Raises PixsimError if it cannot be read, has no glass, or if a glass's formula does not give the
+    n_d that its line states.
     """
     expected = "a glass catalogue as Zemax has it (AGF), which is text"
     glasses: dict[str, Glass] = {}
@@ -388,11 +528,15 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
             return
         where = f"'{path}', glass {quoted(name)} (line {line_number})"
         if formula not in AGF_FORMULAS:
-            raise invalid(f"{where}: formula", formula, f"{min(AGF_FORMULAS)} to {max(AGF_FORMULAS)}")
+            raise invalid(
+                f"{where}: formula", formula, f"{min(AGF_FORMULAS)} to {max(AGF_FORMULAS)}"
+            )
         c = [*parts.get("CD", ()), *([0.0] * AGF_NUMBERS)][:AGF_NUMBERS]
         limits = tuple(parts.get("LD", ())[:2])
         if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
-            raise invalid(f"{where}: LD", limits or "none", "two wavelengths in µm, the shorter first")
+            raise invalid(
+                f"{where}: LD", limits or "none", "two wavelengths in µm, the shorter first"
+            )
         check_coefficients(c, f"{where}: CD")
         full = f"{path.stem.upper()}:{one_line(name)}"
         kind, coefficients = AGF_FORMULAS[formula](c)
@@ -400,10 +544,17 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
         if n_d and limits[0] <= LINES_UM["d"] <= limits[1]:
             found = float(glass.index(1e3 * LINES_UM["d"]))
             if not abs(found - n_d) < AGF_AGREEMENT:
-                raise invalid(f"{where}: n_d of its formula", f"{found:.6g}", f"{n_d:g}, as its line NM states", "Check the file.")
+                raise invalid(
+                    f"{where}: n_d of its formula",
+                    f"{found:.6g}",
+                    f"{n_d:g}, as its line NM states",
+                    "Check the file.",
+                )
         glasses[full] = glass
 
-    for number, line in enumerate(lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES)), 1):
+    for number, line in enumerate(
+        lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES)), 1
+    ):
         keyword, *words = line.split() or [""]
         try:
             if keyword == "NM":

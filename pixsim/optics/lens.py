@@ -1,13 +1,16 @@
 """A real lens: what its prescription does to light, by paraxial and by real rays.
 
-Conventions: lengths in mm; the field angle is that of the chief ray in object space to the axis, in the y-z plane, light going
-to +y, where the image lies too. Points of the stop are (x, y) over the height that the real axial ray from the edge of the
-paraxial entrance pupil has there, at the primary wavelength: the stop is a real disc, and it is filled at every field. An
-object at a finite distance is a plane; its distance counts from the paraxial entrance pupil, in which the camera stands.
+Conventions: lengths in mm; the field angle is that of the chief ray in object space to the axis, in
+the y-z plane, light going to +y, where the image lies too. Points of the stop are (x, y) over the
+height that the real axial ray from the edge of the paraxial entrance pupil has there, at the
+primary wavelength: the stop is a real disc, and it is filled at every field. An object at a finite
+distance is a plane; its distance counts from the paraxial entrance pupil, in which the camera
+stands.
 
-The optical path difference is W = (path of the chief ray - path of the ray)/λ, from the incident wave to the reference sphere
-around the chief ray's image point, whose radius reaches to the paraxial exit pupil on the axis (both of the primary
-wavelength). A transverse error is -R λ ∂W/∂(exit pupil); with waves exp(+ikz) the pupil function is exp(-2πi W).
+The optical path difference is W = (path of the chief ray - path of the ray)/λ, from the incident
+wave to the reference sphere around the chief ray's image point, whose radius reaches to the
+paraxial exit pupil on the axis (both of the primary wavelength). A transverse error is -R λ
+∂W/∂(exit pupil); with waves exp(+ikz) the pupil function is exp(-2πi W).
 """
 
 from __future__ import annotations
@@ -37,43 +40,74 @@ from pixsim.optics.lens_options import PrescriptionOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
 from pixsim.optics.pupil import Directions
 from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole, Reflectance
-from pixsim.optics.ray_trace import Rays, at_plane, met, paraxial, rays_from, refracted, trace, turned_round
+from pixsim.optics.ray_trace import (
+    Rays,
+    at_plane,
+    met,
+    paraxial,
+    rays_from,
+    refracted,
+    trace,
+    turned_round,
+)
 
-StopPoints = Annotated[ArrayLike, Bounds(-2, 2)]  # over the stop's radius: a square grid, no lengths
+StopPoints = Annotated[
+    ArrayLike, Bounds(-2, 2)
+]  # over the stop's radius: a square grid, no lengths
 MM_PER_NM = 1e-6
-DEGREE = 11  # of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke triplet at 20°
+# of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke
+# triplet at 20°
+DEGREE = 11
 RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
-AIMED = 1e-9  # distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of tilt
+# distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
+# tilt
+AIMED = 1e-9
 AIM_STEPS = 30
 APPROACHES = 12  # to a field whose chief ray is not found from the axis
 KEPT_INDICES = 256  # sets of wavelengths
-BLOCK = 1 << 15  # rays at a time: with fewer, threads take longer to take turns than to trace; more need more memory
-SPOKES_OF_OUTLINE = 256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
+# rays at a time: with fewer, threads take longer to take turns than to trace; more need more memory
+BLOCK = 1 << 15
+SPOKES_OF_OUTLINE = (
+    256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
+)
 OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
 OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
 MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
 SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
 MAX_SPOKES = 4096
-ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11  # of edges in direction cosines, and of field angles in degrees
+ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = (
+    60,
+    1e-12,
+    1e-11,
+)  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 FOCUS_STEP_MM = 1e-3
-FAINTEST_F_NUMBER = 1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
-VIRTUAL = 0.01  # of the focal length: the image may lie as far in front of the last surface, as within a cover glass
-LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10  # of the search for the largest field that can be traced, in tenths
+FAINTEST_F_NUMBER = (
+    1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
+)
+# of the focal length: the image may lie as far in front of the last surface, as within a cover
+# glass
+VIRTUAL = 0.01
+LIMIT_FIELDS, LIMIT_PER_DEG = (
+    33,
+    10,
+)  # of the search for the largest field that can be traced, in tenths
 INSIDE = 1 + 1e-12  # of the stop's edge
 Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Paraxial data at one wavelength, with the object at infinity and the entrance pupil's diameter of the prescription.
+    """Paraxial data at one wavelength, with the object at infinity and the entrance pupil's
+    diameter of the prescription.
 
     focal_length_mm : effective focal length
     back_focal_length_mm : from the last vertex to the paraxial focus
     entrance_pupil_diameter_mm, exit_pupil_diameter_mm : of the stop's images
     entrance_pupil_from_first_vertex_mm : positive behind the first vertex
-    exit_pupil_from_image_mm : negative in front of the image plane; infinite if the lens is telecentric there
+    exit_pupil_from_image_mm : negative in front of the image plane; infinite if the lens is
+        telecentric there
     f_number : focal length over entrance pupil diameter
     """
 
@@ -100,7 +134,8 @@ class ChiefRay:
 
 @dataclass(frozen=True)
 class Wavefront:
-    """Rays of one or more fields and wavelengths (C,) through points of the stop (P,), in the image plane.
+    """Rays of one or more fields and wavelengths (C,) through points of the stop (P,), in the image
+    plane.
 
     opd_waves : (C, P); NaN if the ray meets no image
     passed : (C, P), whether the ray gets through the clear apertures
@@ -130,18 +165,24 @@ def load_lens(
     glass_catalogues: Sequence[str | os.PathLike[str]] = (),
     unknown_glass: Literal["error", "model"] = "error",
 ) -> Lens:
-    """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a `.toml` or `.zmx` file.
+    """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a
+    `.toml` or `.zmx` file.
 
-    The lens is as the file has it: its object, image plane and scale. Where a file leaves a choice, a warning says which was made.
+    The lens is as the file has it: its object, image plane and scale. Where a file leaves a choice,
+    a warning says which was made.
 
     file : name or path
     configuration : of a .zmx file, from 1; the active one by default
-    semi_diameters : whether those that a .zmx file fixes without an aperture "clip" rays at refracting surfaces
-    vignetting_factors : of a .zmx file, "use" or "ignore"; by default they are used unless apertures stop rays
+    semi_diameters : whether those that a .zmx file fixes without an aperture "clip" rays at
+        refracting surfaces
+    vignetting_factors : of a .zmx file, "use" or "ignore"; by default they are used unless
+        apertures stop rays
     glass_catalogues : AGF files, which go before the packaged glasses
-    unknown_glass : "model" takes the n_d and V_d that the file states for a glass that no catalogue has
+    unknown_glass : "model" takes the n_d and V_d that the file states for a glass that no catalogue
+        has
 
-    Raises PixsimError for a file that is missing, damaged or binary, and for what pixsim does not trace, as an unknown glass.
+    Raises PixsimError for a file that is missing, damaged or binary, and for what pixsim does not
+    trace, as an unknown glass.
 
     >>> round(float(load_lens("cooke_triplet").first_order(550.0).focal_length_mm), 6)
     49.999783
@@ -150,7 +191,9 @@ def load_lens(
         "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
         "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues), "unknown_glass": unknown_glass,
     }  # fmt: skip
-    return read_lens(os.fspath(file), checked(PrescriptionOptions, [Layer({"file": os.fspath(file), **table})]))
+    return read_lens(
+        os.fspath(file), checked(PrescriptionOptions, [Layer({"file": os.fspath(file), **table})])
+    )
 
 
 def read_lens(file: str, options: PrescriptionOptions) -> Lens:
@@ -162,15 +205,18 @@ def read_lens(file: str, options: PrescriptionOptions) -> Lens:
 
 
 def lens_of(prescription: Prescription) -> Lens:
-    """Return the lens of a prescription. Raises PixsimError if it makes no real image, or if its axial rays do not get through.
+    """Return the lens of a prescription. Raises PixsimError if it makes no real image, or if its
+    axial rays do not get through.
 
-    Warns of the prescription's notes, of light that its fixed semi-diameters and vignetting factors would stop or do stop, and of
-    fields that cannot be traced.
+    Warns of the prescription's notes, of light that its fixed semi-diameters and vignetting factors
+    would stop or do stop, and of fields that cannot be traced.
     """
     lens = _without_fields(prescription)
     notes = list(prescription.notes)
     largest_deg, limit = _largest_field(lens)
-    notes += [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=limit)] if limit else []
+    notes += (
+        [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=limit)] if limit else []
+    )
     lens = lens.with_same_rays(max_field_deg=largest_deg)
     if prescription.vignetting:
         lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
@@ -180,7 +226,9 @@ def lens_of(prescription: Prescription) -> Lens:
 
 
 def _without_fields(prescription: Prescription) -> Lens:
-    """Return the lens of a prescription without its fields. Raises PixsimError as `lens_of` does."""
+    """Return the lens of a prescription without its fields. Raises PixsimError as `lens_of`
+    does.
+    """
     bare = Lens(prescription, 1.0, 0.0)
     what = f"lens '{prescription.name}'"
     focal = bare.first_order(prescription.primary_nm).focal_length_mm
@@ -192,18 +240,30 @@ def _without_fields(prescription: Prescription) -> Lens:
     if math.isfinite(distance):
         distance += bare._entrance_pupil_mm
         if not distance > 0:
-            raise invalid(what, f"an entrance pupil {-distance:g} mm in front of the object", "one behind the object")
+            raise invalid(
+                what,
+                f"an entrance pupil {-distance:g} mm in front of the object",
+                "one behind the object",
+            )
     value = prescription.aperture_value
-    if prescription.aperture == "f_number" or (prescription.aperture == "working_f_number" and math.isinf(distance)):
+    if prescription.aperture == "f_number" or (
+        prescription.aperture == "working_f_number" and math.isinf(distance)
+    ):
         value = focal / value
     elif prescription.aperture == "working_f_number":
         start = np.array([prescription.object_distance_mm]), np.array([1.0])
         indices = bare._indices(np.array([prescription.primary_nm]))
-        value = distance / (value * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0])))
+        value = distance / (
+            value * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0]))
+        )
     elif prescription.aperture == "object_numerical_aperture":
         if not (value < 1 and math.isfinite(distance)):
             expected = "below 1, of an object at a finite distance"
-            raise invalid(what, f"a numerical aperture of {value:g}, with the object at {distance:g} mm", expected)
+            raise invalid(
+                what,
+                f"a numerical aperture of {value:g}, with the object at {distance:g} mm",
+                expected,
+            )
         value = 2 * distance * math.tan(math.asin(value))
     elif prescription.aperture == "stop_diameter":
         value = value / abs(bare._front(prescription.primary_nm)[0])
@@ -220,13 +280,20 @@ def _without_fields(prescription: Prescription) -> Lens:
     back = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
     if not -VIRTUAL * focal <= back + trailing < math.inf:
         got = f"no real image: a back focal length of {back:.5g} mm"
-        raise invalid(what, got, "a focus behind the last surface", "A lens that makes a virtual image needs another behind it.")
+        raise invalid(
+            what,
+            got,
+            "a focus behind the last surface",
+            "A lens that makes a virtual image needs another behind it.",
+        )
     lens.stop_semi_diameter_mm  # noqa: B018 raises if the marginal ray does not reach the stop
     return lens
 
 
 def _field_deg(lens: Lens, value: float) -> float:
-    """Return the field angle of a field in the unit of the prescription. Raises PixsimError for image heights without a field."""
+    """Return the field angle of a field in the unit of the prescription. Raises PixsimError for
+    image heights without a field.
+    """
     kind = lens.prescription.field_of_view
     if kind == "angle_deg":
         return value
@@ -238,7 +305,9 @@ def _field_deg(lens: Lens, value: float) -> float:
 
 
 def _largest_field(lens: Lens) -> tuple[float, str]:
-    """Return the largest field of a prescription in degrees, or the largest below it that can be traced, and a note on that."""
+    """Return the largest field of a prescription in degrees, or the largest below it that can be
+    traced, and a note on that.
+    """
     stated = lens.prescription.field_value
     unit = "°" if lens.prescription.field_of_view == "angle_deg" else " mm"
     try:
@@ -252,14 +321,18 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
     nm = np.unique(lens.prescription.wavelengths_nm)
 
     def traced(fields: Array) -> float:
-        """Return the last field before the first whose chief ray is lost at one of the wavelengths."""
+        """Return the last field before the first whose chief ray is lost at one of the
+        wavelengths.
+        """
         rays, _ = lens._chief_or_nan(np.repeat(fields, nm.size), np.tile(nm, fields.size))
         found = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
         return float(fields[-1] if found.all() else fields[max(int(np.argmin(found)) - 1, 0)])
 
     while limit:
         step, low = limit, 0.0
-        while step > 1 / LIMIT_PER_DEG and low < limit:  # finer and finer, behind the last that is traced
+        while (
+            step > 1 / LIMIT_PER_DEG and low < limit
+        ):  # finer and finer, behind the last that is traced
             fields = np.linspace(low, min(low + step, limit), LIMIT_FIELDS)
             step, low = step / (LIMIT_FIELDS - 1), traced(fields)
         if low == limit:
@@ -268,7 +341,8 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
             return 0.0, ""  # the axis, whose failure is told where it is traced
         lost_at = min(low + step, limit)
         reason = (
-            f"beyond, the chief ray {lens._failure(lost_at, lens.primary_nm, 0.0, lens._nearest_chief(lost_at, lens.primary_nm))}"
+            "beyond, the chief ray"
+            f" {lens._failure(lost_at, lens.primary_nm, 0.0, lens._nearest_chief(lost_at, lens.primary_nm))}"
         )
         limit = math.floor(low * LIMIT_PER_DEG) / LIMIT_PER_DEG or low
     if not reason:
@@ -276,8 +350,12 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
     return limit, f"fields to {stated:g}{unit} are limited to {limit:.4g}°, since {reason}"
 
 
-def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, float, float, float], ...]:
-    """Return `Lens.vignetting`: rows that act on the stop. Fields that cannot be traced are left out."""
+def _vignetting(
+    lens: Lens, rows: tuple[Vignetting, ...]
+) -> tuple[tuple[float, float, float, float], ...]:
+    """Return `Lens.vignetting`: rows that act on the stop. Fields that cannot be traced are left
+    out.
+    """
     semi = lens.stop_semi_diameter_mm
     upright = math.copysign(1.0, lens._front(lens.primary_nm)[0])
     found = []
@@ -293,15 +371,19 @@ def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, 
 
 
 def _notes_of_stopped_light(lens: Lens) -> list[Note]:
-    """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do stop."""
+    """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do
+    stop.
+    """
     prescription, texts = lens.prescription, []
     if prescription.fixed:
         texts.append(
-            f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures;"
-            ' lens.semi_diameters = "clip" makes them stop rays'
+            f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they"
+            ' are no apertures; lens.semi_diameters = "clip" makes them stop rays'
         )
     if prescription.vignetting and lens.vignetting:
-        texts.append('its vignetting factors are used; lens.vignetting_factors = "ignore" leaves them out')
+        texts.append(
+            'its vignetting factors are used; lens.vignetting_factors = "ignore" leaves them out'
+        )
     if prescription.spare_vignetting:
         texts.append(
             "its vignetting factors are not used, so that nothing is cut twice;"
@@ -319,8 +401,9 @@ class Lens:
     entrance_pupil_diameter_mm : of the paraxial entrance pupil at the primary wavelength
     max_field_deg : the largest field angle for which the lens is made
     object_distance_mm : of the object plane from the entrance pupil
-    vignetting : rows of what light of a field fills of the stop, an ellipse: the field in degrees, from the axis on, the height of
-        its centre there, and its semi-axes across and along the field's direction, in mm; linear in between
+    vignetting : rows of what light of a field fills of the stop, an ellipse: the field in degrees,
+        from the axis on, the height of its centre there, and its semi-axes across and along the
+        field's direction, in mm; linear in between
     """
 
     prescription: Prescription
@@ -331,9 +414,11 @@ class Lens:
     vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
 
     def with_same_rays(self, **changes: Any) -> Lens:
-        """Return the lens with other fields or other light stopped, which keeps what is known of the way of its rays.
+        """Return the lens with other fields or other light stopped, which keeps what is known of
+        the way of its rays.
 
-        changes : fields of the lens: `max_field_deg`, `vignetting`, or a `prescription` whose surfaces stop other rays
+        changes : fields of the lens: `max_field_deg`, `vignetting`, or a `prescription` whose
+            surfaces stop other rays
         """
         changed = replace(self, **changes)
         for known in ("_chief_heights", "_aims", "_known_indices", "stop_semi_diameter_mm"):
@@ -371,15 +456,20 @@ class Lens:
         ranges = [glass.range_um for glass in self.prescription.glasses]
         return 1e3 * max(low for low, _ in ranges), 1e3 * min(high for _, high in ranges)
 
-    # Paraxial ------------------------------------------------------------------------------------------------------------
+    # Paraxial
+    # ------------------------------------------------------------------------------------------------------------
 
     def first_order(self, wavelength_nm: Positive) -> FirstOrder:
-        """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a glass."""
+        """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a
+        glass.
+        """
         surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
         height, angle = paraxial(surfaces, indices, np.array([1.0]), np.array([0.0]))
         scale, distance = self._front(wavelength_nm)
         stop = self.prescription.stop
-        from_stop, slope = paraxial(surfaces[stop:], indices[stop:], np.array([0.0]), np.array([1.0]))
+        from_stop, slope = paraxial(
+            surfaces[stop:], indices[stop:], np.array([0.0]), np.array([1.0])
+        )
         behind = np.asarray(indices[-1])
         with np.errstate(divide="ignore"):
             focal, back = -1 / angle, -height / angle * behind
@@ -396,12 +486,16 @@ class Lens:
         )
 
     def _front(self, wavelength_nm: float) -> tuple[float, float]:
-        """Return the height in the stop over that in the entrance pupil, and the pupil's distance from the first vertex in mm.
+        """Return the height in the stop over that in the entrance pupil, and the pupil's distance
+        from the first vertex in mm.
 
         Raises PixsimError if the entrance pupil is at infinity.
         """
         stop = self.prescription.stop
-        surfaces, indices = self.prescription.surfaces[:stop], self._indices(np.array([wavelength_nm]))
+        surfaces, indices = (
+            self.prescription.surfaces[:stop],
+            self._indices(np.array([wavelength_nm])),
+        )
         to_stop = surfaces[-1].thickness_mm / indices[stop] if surfaces else 0.0
 
         def at_stop(height: float, angle: float) -> float:
@@ -410,37 +504,59 @@ class Lens:
 
         scale = at_stop(1.0, 0.0)
         if not scale:
-            raise invalid(f"lens '{self.prescription.name}'", "an entrance pupil at infinity", "one at a finite distance")
+            raise invalid(
+                f"lens '{self.prescription.name}'",
+                "an entrance pupil at infinity",
+                "one at a finite distance",
+            )
         return scale, at_stop(0.0, 1.0) / scale
 
     def _indices(self, wavelength_nm: Array) -> list[float | Array]:
-        """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for glasses, or numbers if C is 1."""
+        """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for
+        glasses, or numbers if C is 1.
+        """
         key = wavelength_nm.tobytes()
         if (of_key := self._known_indices.get(key)) is not None:  # other threads may clear them
             return of_key
         known: dict[Glass, float | Array] = {AIR: 1.0}
         for glass in self.prescription.glasses:
-            known[glass] = glass.index(wavelength_nm)[:, None] if wavelength_nm.size > 1 else float(glass.index(wavelength_nm)[0])
+            known[glass] = (
+                glass.index(wavelength_nm)[:, None]
+                if wavelength_nm.size > 1
+                else float(glass.index(wavelength_nm)[0])
+            )
         if len(self._known_indices) >= KEPT_INDICES:
             self._known_indices.clear()
-        return self._known_indices.setdefault(key, [1.0, *(known[surface.glass] for surface in self.prescription.surfaces)])
+        return self._known_indices.setdefault(
+            key, [1.0, *(known[surface.glass] for surface in self.prescription.surfaces)]
+        )
 
     @cached_property
     def _known_indices(self) -> dict[bytes, list[float | Array]]:
         """Wavelengths -> indices of `_indices`, which every trace asks for."""
         return {}
 
-    # Aiming at the stop --------------------------------------------------------------------------------------------------
+    # Aiming at the stop
+    # --------------------------------------------------------------------------------------------------
 
     @cached_property
     def stop_semi_diameter_mm(self) -> float:
-        """Radius of the stop in mm: where the real axial ray from the edge of the paraxial entrance pupil meets it."""
-        primary, edge = np.array([self.primary_nm]), np.array([[self.entrance_pupil_diameter_mm / 2]])
+        """Radius of the stop in mm: where the real axial ray from the edge of the paraxial entrance
+        pupil meets it.
+        """
+        primary, edge = (
+            np.array([self.primary_nm]),
+            np.array([[self.entrance_pupil_diameter_mm / 2]]),
+        )
         at_infinity = replace(self, object_distance_mm=math.inf)
         _, at_stop = at_infinity._to_stop(np.zeros(1), primary, np.zeros((1, 1)), edge)
         if not np.isfinite(at_stop[0, 0]):
             where = at_infinity._failure(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
-            raise invalid(f"lens '{self.prescription.name}'", f"a marginal ray that {where}", "an aperture that lets it pass")
+            raise invalid(
+                f"lens '{self.prescription.name}'",
+                f"a marginal ray that {where}",
+                "an aperture that lets it pass",
+            )
         return float(abs(at_stop[0, 0]))
 
     @cached_property
@@ -450,11 +566,14 @@ class Lens:
 
     @cached_property
     def _entrance_pupil_mm(self) -> float:
-        """Distance of the paraxial entrance pupil from the first vertex at the primary wavelength."""
+        """Distance of the paraxial entrance pupil from the first vertex at the primary
+        wavelength.
+        """
         return self._front(self.primary_nm)[1]
 
     def _launched(self, field_deg: Array, x: Array, y: Array) -> Rays:
-        """Return rays at fields (C,) through points (C, P) of the entrance pupil in mm, with their paths from the object.
+        """Return rays at fields (C,) through points (C, P) of the entrance pupil in mm, with their
+        paths from the object.
 
         Paths are relative to that through the centre of the entrance pupil.
         """
@@ -464,13 +583,23 @@ class Lens:
             rays = rays_from(x, y, at, np.zeros((1, 1)), np.sin(angle), np.cos(angle))
             return replace(rays, path_mm=y * np.sin(angle))
         far, below = self.object_distance_mm, -self.object_distance_mm * np.tan(angle)
-        length, to_centre = np.sqrt(x * x + (y - below) ** 2 + far * far), np.sqrt(below * below + far * far)
+        length, to_centre = (
+            np.sqrt(x * x + (y - below) ** 2 + far * far),
+            np.sqrt(below * below + far * far),
+        )
         rays = rays_from(x, y, at, x / length, (y - below) / length, far / length)
         return replace(rays, path_mm=(x * x + y * y - 2 * y * below) / (length + to_centre))
 
-    def _to_stop(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return where rays through points (C, P) of the entrance pupil meet the stop, in mm, both (C, P)."""
-        front, indices = self.prescription.surfaces[: self.prescription.stop + 1], self._indices(wavelength_nm)
+    def _to_stop(
+        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array
+    ) -> tuple[Array, Array]:
+        """Return where rays through points (C, P) of the entrance pupil meet the stop, in mm, both
+        (C, P).
+        """
+        front, indices = (
+            self.prescription.surfaces[: self.prescription.stop + 1],
+            self._indices(wavelength_nm),
+        )
         start = self._launched(field_deg, x, y)
         *_, rays = start, *trace(start, front[:-1], indices)
         if len(front) > 1:
@@ -480,7 +609,9 @@ class Lens:
         return rays.x, rays.y
 
     def _chief_height(self, field_deg: Array, wavelength_nm: Array) -> Array:
-        """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm; NaN if there is none."""
+        """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm;
+        NaN if there is none.
+        """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
         if new := sorted(set(keys) - self._chief_heights.keys()):
             fields, wavelengths = (np.array(part) for part in zip(*new, strict=True))
@@ -496,7 +627,9 @@ class Lens:
 
     def _secants(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
         def miss(y: Array) -> Array:
-            return self._to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[1][:, 0]
+            return self._to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[1][
+                :, 0
+            ]
 
         step = 1e-3 * self.entrance_pupil_diameter_mm
         y, before = start + step, start
@@ -514,12 +647,20 @@ class Lens:
         return np.where(np.abs(error) <= AIMED * self.stop_semi_diameter_mm, y, np.nan)
 
     def _aim(self, field_deg: Array, wavelength_nm: Array) -> Array:
-        """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a cache."""
+        """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a
+        cache.
+        """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
         new, each = sorted(set(keys) - self._aims.keys()), max(1, BLOCK // (RINGS * SPOKES))
         for first in range(0, len(new), each):
             some = new[first : first + each]
-            self._aims.update(zip(some, self._new_aims(*(np.array(part) for part in zip(*some, strict=True))), strict=True))
+            self._aims.update(
+                zip(
+                    some,
+                    self._new_aims(*(np.array(part) for part in zip(*some, strict=True))),
+                    strict=True,
+                )
+            )
         return np.stack([self._aims[key] for key in keys])
 
     def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
@@ -530,7 +671,9 @@ class Lens:
         near_x = np.stack([np.full_like(chief, step), np.zeros_like(chief)], axis=1)
         near_y = np.stack([chief, chief + step], axis=1)
         at_x, at_y = self._to_stop(field_deg, wavelength_nm, near_x, near_y)
-        slope_x, slope_y = (step * self.stop_semi_diameter_mm / part[:, None] for part in (at_x[:, 0], at_y[:, 1]))
+        slope_x, slope_y = (
+            step * self.stop_semi_diameter_mm / part[:, None] for part in (at_x[:, 0], at_y[:, 1])
+        )
         inverse = np.zeros((chief.size, x.size, 2, 2))
         inverse[..., 0, 0], inverse[..., 1, 1] = slope_x, slope_y
         guess = slope_x * x, chief[:, None] + slope_y * y
@@ -540,9 +683,13 @@ class Lens:
         # Sums that are the same for one field and for many, which matrix products are not.
         terms[whole, : odd.shape[1], 0] = (across[whole, None] * fit_odd).sum(axis=-1)
         terms[whole, :, 1] = (along[whole, None] * fit_even).sum(axis=-1)
-        for index in np.flatnonzero(~whole):  # some points of the stop are not reached, as behind the rim of a lens
+        for index in np.flatnonzero(
+            ~whole
+        ):  # some points of the stop are not reached, as behind the rim of a lens
             seen = np.isfinite(across[index]) & np.isfinite(along[index])
-            terms[index, : odd.shape[1], 0] = np.linalg.lstsq(odd[seen], across[index, seen], rcond=1e-10)[0]
+            terms[index, : odd.shape[1], 0] = np.linalg.lstsq(
+                odd[seen], across[index, seen], rcond=1e-10
+            )[0]
             terms[index, :, 1] = np.linalg.lstsq(even[seen], along[index, seen], rcond=1e-10)[0]
         return list(terms)
 
@@ -557,10 +704,11 @@ class Lens:
         inverse: Array,
         aimed: float = AIMED,
     ) -> tuple[Array, Array]:
-        """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop; NaN if there are none.
+        """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop;
+        NaN if there are none.
 
-        Broyden's method (Math. Comp. 19, 577, 1965) from `across`, `along`, with the derivatives of the entrance pupil by the
-        stop, `inverse` (C, P, 2, 2).
+        Broyden's method (Math. Comp. 19, 577, 1965) from `across`, `along`, with the derivatives of
+        the entrance pupil by the stop, `inverse` (C, P, 2, 2).
         """
         semi = self.stop_semi_diameter_mm
 
@@ -579,17 +727,24 @@ class Lens:
             turned = (inverse * (after - error)[..., None, :]).sum(axis=-1)
             back = (step[..., None] * inverse).sum(axis=-2)
             with np.errstate(all="ignore"):
-                update = (step - turned)[..., None] * (back / (step * turned).sum(axis=-1, keepdims=True))[..., None, :]
+                update = (step - turned)[..., None] * (
+                    back / (step * turned).sum(axis=-1, keepdims=True)
+                )[..., None, :]
             usable = moving & np.isfinite(update).all(axis=(-1, -2))
             inverse = inverse + np.where(usable[..., None, None], update, 0.0)
             error = after
         lost = ~(np.abs(error).max(axis=-1) <= aimed)
         return np.where(lost, np.nan, across), np.where(lost, np.nan, along)
 
-    # Real rays -----------------------------------------------------------------------------------------------------------
+    # Real rays
+    # -----------------------------------------------------------------------------------------------------------
 
-    def _to_image(self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array) -> tuple[Rays, Array, Array]:
-        """Return rays through points (C, P) of the entrance pupil in the image plane, and where they meet the stop, in mm."""
+    def _to_image(
+        self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array
+    ) -> tuple[Rays, Array, Array]:
+        """Return rays through points (C, P) of the entrance pupil in the image plane, and where
+        they meet the stop, in mm.
+        """
         surfaces, indices = self.prescription.surfaces, self._indices(wavelength_nm)
         start = self._launched(field_deg, x_mm, y_mm)
         for number, rays in enumerate(trace(start, surfaces, indices)):
@@ -598,19 +753,27 @@ class Lens:
         return at_plane(rays, surfaces[-1].thickness_mm, indices[-1]), at_x, at_y
 
     def _chief_or_nan(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
-        """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil (C,); NaN if lost."""
+        """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil
+        (C,); NaN if lost.
+        """
         height = self._chief_height(field_deg, wavelength_nm)
-        rays, _, _ = self._to_image(field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None])
+        rays, _, _ = self._to_image(
+            field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None]
+        )
         return rays, height
 
     def _chief(self, field_deg: Array, wavelength_nm: Array) -> Rays:
-        """Return the chief rays in the image plane, (C, 1). Raises PixsimError if one does not get there."""
+        """Return the chief rays in the image plane, (C, 1). Raises PixsimError if one does not get
+        there.
+        """
         rays, height = self._chief_or_nan(field_deg, wavelength_nm)
         lost = ~np.isfinite(rays.path_mm[:, 0])
         if lost.any():
             index = int(np.argmax(lost))
             angle, at = float(field_deg[index]), float(height[index])
-            start = at if math.isfinite(at) else self._nearest_chief(angle, float(wavelength_nm[index]))
+            start = (
+                at if math.isfinite(at) else self._nearest_chief(angle, float(wavelength_nm[index]))
+            )
             where = self._failure(angle, float(wavelength_nm[index]), 0.0, start)
             got = f"{angle:g}, where the chief ray {where} ({wavelength_nm[index]:g} nm)"
             own = f"; the largest of its file is {self.prescription.field_value:g} degrees"
@@ -619,7 +782,9 @@ class Lens:
         return rays
 
     def _nearest_chief(self, field_deg: float, wavelength_nm: float) -> float:
-        """Return the height in the entrance pupil of the chief ray of the largest smaller field that has one, in mm."""
+        """Return the height in the entrance pupil of the chief ray of the largest smaller field
+        that has one, in mm.
+        """
         for share in np.linspace(0.95, 0.0, 20):
             height = self._chief_height(np.array([share * field_deg]), np.array([wavelength_nm]))[0]
             if math.isfinite(height):
@@ -643,7 +808,8 @@ class Lens:
         return "does not reach the stop's centre"
 
     def chief_ray(self, field_deg: ArrayLike, wavelength_nm: Positives) -> ChiefRay:
-        """Return the ray through the centre of the stop: its height in the image plane in mm, and its angle, both (...).
+        """Return the ray through the centre of the stop: its height in the image plane in mm, and
+        its angle, both (...).
 
         field_deg, wavelength_nm : broadcast together to (...)
 
@@ -654,19 +820,28 @@ class Lens:
         angle = np.degrees(np.arctan2(rays.m[:, 0], rays.n[:, 0]))
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
 
-    def opd_waves(self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints) -> Array:
-        """Return the optical path difference in waves of its own wavelength, (...); NaN outside the stop.
+    def opd_waves(
+        self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints
+    ) -> Array:
+        """Return the optical path difference in waves of its own wavelength, (...); NaN outside the
+        stop.
 
         Rays that a clear aperture stops have one too.
 
-        field_deg, wavelength_nm, stop_x, stop_y : broadcast together to (...); points of the stop over its radius
+        field_deg, wavelength_nm, stop_x, stop_y : broadcast together to (...); points of the stop
+            over its radius
 
-        Raises PixsimError if a ray within the stop misses a surface or is totally reflected, which it names.
+        Raises PixsimError if a ray within the stop misses a surface or is totally reflected, which
+        it names.
         """
-        shape, *whole = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm, stop_x=stop_x, stop_y=stop_y)
+        shape, *whole = _in_line(
+            field_deg=field_deg, wavelength_nm=wavelength_nm, stop_x=stop_x, stop_y=stop_y
+        )
         conditions = np.broadcast(np.asarray(field_deg), np.asarray(wavelength_nm))
         points = np.broadcast(np.asarray(stop_x), np.asarray(stop_y))
-        outer, inner = ((1,) * (len(shape) - len(part.shape)) + part.shape for part in (conditions, points))
+        outer, inner = (
+            (1,) * (len(shape) - len(part.shape)) + part.shape for part in (conditions, points)
+        )
         if all(one == 1 or other == 1 for one, other in zip(outer, inner, strict=True)):
             _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
             _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
@@ -678,11 +853,15 @@ class Lens:
         pairs, which = np.unique(np.stack([fields, wavelengths]), axis=1, return_inverse=True)
         for index, (one_field, one_wavelength) in enumerate(pairs.T):
             chosen = which.ravel() == index
-            opd[chosen] = self._opd(np.array([one_field]), np.array([one_wavelength]), x[chosen], y[chosen])[0]
+            opd[chosen] = self._opd(
+                np.array([one_field]), np.array([one_wavelength]), x[chosen], y[chosen]
+            )[0]
         return np.asarray(opd.reshape(shape))[()]
 
     def _opd(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array) -> Array:
-        """Return OPD of fields and wavelengths (C,) at points (P,) of the stop, (C, P); mirror images are traced once."""
+        """Return OPD of fields and wavelengths (C,) at points (P,) of the stop, (C, P); mirror
+        images are traced once.
+        """
         inside = np.hypot(x, y) <= INSIDE
         opd = np.full((field_deg.size, x.size), np.nan)
         points, which = np.unique(np.abs(x[inside]) + 1j * y[inside], return_inverse=True)
@@ -690,10 +869,23 @@ class Lens:
             found = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
             if not np.isfinite(found).all():
                 condition, point = (int(part) for part in np.argwhere(~np.isfinite(found))[0])
-                where = self._lost_ray(field_deg[condition], wavelength_nm[condition], points[point].real, points[point].imag)
-                got = f"a ray at field_deg = {field_deg[condition]:g} through ({points[point].real:.3g}, {points[point].imag:.3g})"
+                where = self._lost_ray(
+                    field_deg[condition],
+                    wavelength_nm[condition],
+                    points[point].real,
+                    points[point].imag,
+                )
+                got = (
+                    f"a ray at field_deg = {field_deg[condition]:g} through"
+                    f" ({points[point].real:.3g}, {points[point].imag:.3g})"
+                )
                 hint = "Stop the lens down, take a smaller field, or leave these points out."
-                raise invalid("stop_x and stop_y", f"{got} of the stop that {where}", "rays that reach the image", hint)
+                raise invalid(
+                    "stop_x and stop_y",
+                    f"{got} of the stop that {where}",
+                    "rays that reach the image",
+                    hint,
+                )
             opd[:, inside] = found[:, which.ravel()]
         return opd
 
@@ -701,18 +893,27 @@ class Lens:
         """Return where the ray to a point of the stop ends, for a message."""
         terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
         odd, even = _bases(np.array([x]), np.array([y]))
-        across, along = (float(_polynomials(terms[..., axis], basis)[0, 0]) for axis, basis in enumerate((odd, even)))
+        across, along = (
+            float(_polynomials(terms[..., axis], basis)[0, 0])
+            for axis, basis in enumerate((odd, even))
+        )
         where = self._failure(field_deg, wavelength_nm, across, along)
         return where if "surface" in where else "no ray in front of the lens reaches"
 
     def wavefront(
-        self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints, aimed: float = AIMED
+        self,
+        field_deg: ArrayLike,
+        wavelength_nm: Positives,
+        stop_x: StopPoints,
+        stop_y: StopPoints,
+        aimed: float = AIMED,
     ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,)
-        aimed : ratio of the distance in which rays meet their points, at most, to the stop's radius; a larger one takes less time
+        aimed : ratio of the distance in which rays meet their points, at most, to the stop's
+            radius; a larger one takes less time
 
         Raises PixsimError if a chief ray does not reach the image.
         """
@@ -726,16 +927,33 @@ class Lens:
 
         def compute(number: int) -> None:
             some = blocks[number]
-            parts[number] = self._block(fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some), aimed)
+            parts[number] = self._block(
+                fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some), aimed
+            )
 
-        in_threads(compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces))
+        in_threads(
+            compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces)
+        )
         if len(blocks) == 1:
             return parts[0]
         names = (part.name for part in dataclass_fields(Wavefront))
-        return Wavefront(*(np.concatenate([getattr(parts[number], name) for number in range(len(blocks))]) for name in names))
+        return Wavefront(
+            *(
+                np.concatenate([getattr(parts[number], name) for number in range(len(blocks))])
+                for name in names
+            )
+        )
 
     def _block(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array, terms: Array, bases: Bases, chief: Rays, aimed: float
+        self,
+        field_deg: Array,
+        wavelength_nm: Array,
+        x: Array,
+        y: Array,
+        terms: Array,
+        bases: Bases,
+        chief: Rays,
+        aimed: float,
     ) -> Wavefront:
         across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
         rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
@@ -747,14 +965,21 @@ class Lens:
                 for axis, basis in enumerate(slopes):
                     inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
             solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse, aimed)
-            across, along = (np.where(off <= aimed, kept, new) for kept, new in zip((across, along), solved, strict=True))
+            across, along = (
+                np.where(off <= aimed, kept, new)
+                for kept, new in zip((across, along), solved, strict=True)
+            )
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
 
-    def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: Positives, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
-        """Return rays through points of the paraxial entrance pupil at the primary wavelength, as programs without aiming do.
+    def unaimed_wavefront(
+        self, field_deg: ArrayLike, wavelength_nm: Positives, x_mm: ArrayLike, y_mm: ArrayLike
+    ) -> Wavefront:
+        """Return rays through points of the paraxial entrance pupil at the primary wavelength, as
+        programs without aiming do.
 
-        The chief ray is the one through its centre; off the axis it does not meet the centre of the stop.
+        The chief ray is the one through its centre; off the axis it does not meet the centre of the
+        stop.
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         x_mm, y_mm : broadcast together, then in one line, (P,)
@@ -764,13 +989,26 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         _, x, y = _in_line(x_mm=x_mm, y_mm=y_mm)
         chief, _, _ = self._to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
-        return self._wavefront_of(*self._to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths)
+        return self._wavefront_of(
+            *self._to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths
+        )
 
-    def _wavefront_of(self, rays: Rays, at_x: Array, at_y: Array, chief: Rays, field_deg: Array, wavelength_nm: Array) -> Wavefront:
-        """Return the wavefront of rays (C, P) in the image plane, which met the stop at these points, against chief rays (C, 1)."""
+    def _wavefront_of(
+        self,
+        rays: Rays,
+        at_x: Array,
+        at_y: Array,
+        chief: Rays,
+        field_deg: Array,
+        wavelength_nm: Array,
+    ) -> Wavefront:
+        """Return the wavefront of rays (C, P) in the image plane, which met the stop at these
+        points, against chief rays (C, 1).
+        """
         index = np.asarray(self._indices(wavelength_nm)[-1])
         off_x, off_y = rays.x, rays.y - chief.y
-        # From the image plane back to the reference sphere, less the radius; the radius is negative if the pupil lies behind.
+        # From the image plane back to the reference sphere, less the radius; the radius is negative
+        # if the pupil lies behind.
         from_image = self._exit_pupil_from_image_mm
         radius = -np.copysign(np.hypot(chief.y, from_image), from_image)
         along_ray = off_x * rays.l + off_y * rays.m
@@ -783,24 +1021,44 @@ class Lens:
         passed = rays.passed
         if self.vignetting:
             passed = passed & (self._width_at_stop(field_deg, at_x, at_y) <= INSIDE)
-        return Wavefront(opd, passed, off_x, off_y, cosines, at_x / semi, at_y / semi, chief.y[:, 0], chief.m[:, 0])
+        return Wavefront(
+            opd,
+            passed,
+            off_x,
+            off_y,
+            cosines,
+            at_x / semi,
+            at_y / semi,
+            chief.y[:, 0],
+            chief.m[:, 0],
+        )
 
-    # Light at a point of the image ---------------------------------------------------------------------------------------
+    # Light at a point of the image
+    # ---------------------------------------------------------------------------------------
 
     def _width_at_stop(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Array:
-        """Return how far from its middle light of fields (C,) is in the stop, over what `vignetting` lets pass there, (C, P)."""
+        """Return how far from its middle light of fields (C,) is in the stop, over what
+        `vignetting` lets pass there, (C, P).
+        """
         at_deg, *columns = np.array(self.vignetting).T
-        centre, across, along = (np.interp(np.abs(field_deg), at_deg, column)[:, None] for column in columns)
+        centre, across, along = (
+            np.interp(np.abs(field_deg), at_deg, column)[:, None] for column in columns
+        )
         centre = centre * np.where(field_deg < 0, -1.0, 1.0)[:, None]
         return np.asarray(np.hypot(x_mm / across, (y_mm - centre) / along))
 
-    def _widths(self, field_deg: Array, height_mm: Array, wavelength_nm: Array, across: Array, along: Array) -> Array:
-        """Return how far from the axis light of some directions is at its widest place, over what may pass there, (C, P).
+    def _widths(
+        self, field_deg: Array, height_mm: Array, wavelength_nm: Array, across: Array, along: Array
+    ) -> Array:
+        """Return how far from the axis light of some directions is at its widest place, over what
+        may pass there, (C, P).
 
-        1 at the edge of the stop or of a clear aperture; infinite for a ray that misses a surface or is totally reflected.
+        1 at the edge of the stop or of a clear aperture; infinite for a ray that misses a surface
+        or is totally reflected.
 
         field_deg, height_mm : (C,) of the image point
-        across, along : (C, P), direction cosines of the light in image space, which is traced backwards
+        across, along : (C, P), direction cosines of the light in image space, which is traced
+            backwards
         """
         surfaces = turned_round(self.prescription.surfaces)
         indices = self._indices(wavelength_nm)[::-1]
@@ -810,7 +1068,9 @@ class Lens:
         behind = np.full((1, 1), -self.prescription.surfaces[-1].thickness_mm)
         start = rays_from(np.zeros((1, 1)), height_mm[:, None], behind, -across, -along, ahead)
         widest = np.zeros(across.shape)
-        for number, (surface, rays) in enumerate(zip(surfaces, trace(start, surfaces, indices), strict=True)):
+        for number, (surface, rays) in enumerate(
+            zip(surfaces, trace(start, surfaces, indices), strict=True)
+        ):
             limits = [self.stop_semi_diameter_mm] if number == last else []
             if surface.clips and surface.semi_diameter_mm is not None:
                 limits.append(surface.semi_diameter_mm)
@@ -820,10 +1080,14 @@ class Lens:
                 widest = np.maximum(widest, self._width_at_stop(field_deg, rays.x, rays.y))
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
-    def outline(self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = SPOKES_OF_OUTLINE) -> Outline:
-        """Return the outline of the directions that light comes from at the chief rays' image points.
+    def outline(
+        self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = SPOKES_OF_OUTLINE
+    ) -> Outline:
+        """Return the outline of the directions that light comes from at the chief rays' image
+        points.
 
-        The directions are those whose rays, traced backwards from that point, pass the stop and all clear apertures.
+        The directions are those whose rays, traced backwards from that point, pass the stop and all
+        clear apertures.
 
         field_deg, wavelength_nm : broadcast together, then in one line, (C,)
         spokes : number of points of the outline, a multiple of 4
@@ -839,7 +1103,9 @@ class Lens:
         """Return `outline` of fields and wavelengths in one line, (C,)."""
         chief = self._chief(field_deg, wavelength_nm)
         height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
-        angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2  # the half with x > 0
+        angle = (np.arange(spokes // 2) + 0.5) * (
+            2 * np.pi / spokes
+        ) - np.pi / 2  # the half with x > 0
         cosine, sine = np.cos(angle), np.sin(angle)
         centre = self._middle(field_deg, wavelength_nm, height, chief_cosine)
         dark = np.isnan(centre)
@@ -847,10 +1113,20 @@ class Lens:
 
         def excess(radius: Array) -> Array:
             along = [part[: radius.shape[1]] for part in (cosine, sine)]
-            return self._widths(field_deg, height, wavelength_nm, radius * along[0], centre[:, None] + radius * along[1]) - 1
+            return (
+                self._widths(
+                    field_deg,
+                    height,
+                    wavelength_nm,
+                    radius * along[0],
+                    centre[:, None] + radius * along[1],
+                )
+                - 1
+            )
 
         horizon = -centre[:, None] * sine + np.sqrt(1 - (centre[:, None] * cosine) ** 2)
-        # Outwards in steps to the first edge, which a small step foretells: beyond it, strong aspheres may let rays through again.
+        # Outwards in steps to the first edge, which a small step foretells: beyond it, strong
+        # aspheres may let rays through again.
         low = np.zeros(horizon.shape)
         below = np.broadcast_to(np.minimum(excess(low[:, :1]), 0.0), horizon.shape)
         near = np.minimum(horizon, OUTLINE_START / self.first_order(self.primary_nm).f_number)
@@ -860,7 +1136,10 @@ class Lens:
         high = OUTLINE_STEPS[0] * edge
         above = excess(high)
         further = OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2]
-        for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]):
+        for share in (
+            *OUTLINE_STEPS[1:],
+            *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:],
+        ):
             inside = (above <= 0) & (high < horizon)
             if not inside.any():
                 break
@@ -868,24 +1147,33 @@ class Lens:
             high = np.where(inside, np.minimum(horizon, share * edge), high)
             above = np.where(inside, excess(high), above)
         radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
-        both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
+        both = np.concatenate(
+            [radius, radius[:, ::-1]], axis=1
+        )  # the mirror image: x < 0, from +y back to -y
         return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
 
-    def _middle(self, field_deg: Array, wavelength_nm: Array, height: Array, chief_cosine: Array) -> Array:
-        """Return a direction cosine along y from which light reaches each image point (C,); NaN where there is none."""
+    def _middle(
+        self, field_deg: Array, wavelength_nm: Array, height: Array, chief_cosine: Array
+    ) -> Array:
+        """Return a direction cosine along y from which light reaches each image point (C,); NaN
+        where there is none.
+        """
         grid = np.linspace(-0.95, 0.95, 21)
         waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
         along = np.where(waves.passed & np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan)
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             middle = (np.nanmin(along, axis=1) + np.nanmax(along, axis=1)) / 2
         candidates = np.concatenate([middle[:, None], chief_cosine[:, None], along], axis=1)
-        width = self._widths(field_deg, height, wavelength_nm, np.zeros_like(candidates), candidates)
+        width = self._widths(
+            field_deg, height, wavelength_nm, np.zeros_like(candidates), candidates
+        )
         width[:, 2:] += 1e-3  # the middle, where it passes
         best = np.argmin(width, axis=1)
         rows = np.arange(best.size)
         chosen = np.where(width[:, 0] < 1, middle, candidates[rows, best])
         least = width[rows, best]
-        # What is left of a pupil may lie between two of the rays: the width has one minimum along a line.
+        # What is left of a pupil may lie between two of the rays: the width has one minimum along a
+        # line.
         spread = np.ptp(np.where(np.isfinite(along), along, chosen[:, None]), axis=1)
         for part in range(1, MIDDLE_STEPS + 1):
             thin = ~(least < 1) & np.isfinite(chosen)
@@ -893,65 +1181,98 @@ class Lens:
                 break
             step = spread / (grid.size - 1) ** part
             finer = (chosen[:, None] + step[:, None] * np.linspace(-1, 1, grid.size))[thin]
-            found = self._widths(field_deg[thin], height[thin], wavelength_nm[thin], np.zeros_like(finer), finer)
+            found = self._widths(
+                field_deg[thin], height[thin], wavelength_nm[thin], np.zeros_like(finer), finer
+            )
             at = np.argmin(found, axis=1)
             chosen[thin], least[thin] = finer[np.arange(at.size), at], found[np.arange(at.size), at]
         return np.where(least < 1, chosen, np.nan)
 
     def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: Positives) -> Array:
-        """Return irradiance over the scene's radiance at image points, (...), in sr, without losses in the glass.
+        """Return irradiance over the scene's radiance at image points, (...), in sr, without losses
+        in the glass.
 
-        It is the area, in direction cosines, of the directions at the chief ray's image point whose rays, traced backwards, pass
-        the stop and all clear apertures. For a thin lens it is `irradiance_factor` (Foote, 1915).
+        It is the area, in direction cosines, of the directions at the chief ray's image point whose
+        rays, traced backwards, pass the stop and all clear apertures. For a thin lens it is
+        `irradiance_factor` (Foote, 1915).
 
         field_deg, wavelength_nm : broadcast together to (...)
 
         Raises PixsimError if a chief ray does not reach the image.
         """
         shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        corners = bool(self.vignetting) or any(surface.clips for surface in self.prescription.surfaces)
-        area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES).area
+        corners = bool(self.vignetting) or any(
+            surface.clips for surface in self.prescription.surfaces
+        )
+        area = self._outline(
+            fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES
+        ).area
         return np.asarray(area.reshape(shape)[()])
 
-    def relative_illumination(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
-        """Return irradiance on the image relative to that on the axis, (...), for a scene of uniform radiance.
+    def relative_illumination(
+        self, field_deg: ArrayLike, wavelength_nm: Positive | None = None
+    ) -> Array:
+        """Return irradiance on the image relative to that on the axis, (...), for a scene of
+        uniform radiance.
 
         wavelength_nm : the primary one by default
 
         Raises PixsimError as `projected_solid_angle_sr` does.
         """
         wavelength = self.primary_nm if wavelength_nm is None else wavelength_nm
-        return np.asarray(self.projected_solid_angle_sr(field_deg, wavelength) / self.projected_solid_angle_sr(0.0, wavelength))
+        return np.asarray(
+            self.projected_solid_angle_sr(field_deg, wavelength)
+            / self.projected_solid_angle_sr(0.0, wavelength)
+        )
 
     def directions(
-        self, field_deg: ArrayLike, wavelength_nm: Positives, azimuth_deg: Finites, rings: int = 24, spokes: int = 48
+        self,
+        field_deg: ArrayLike,
+        wavelength_nm: Positives,
+        azimuth_deg: Finites,
+        rings: int = 24,
+        spokes: int = 48,
     ) -> Directions:
         """Return the directions of the light at image points (...), as a microlens sees them.
 
-        field_deg, wavelength_nm, azimuth_deg : broadcast together to (...); azimuths of the image points from the axis, from +x
-            (columns) to +y (rows)
+        field_deg, wavelength_nm, azimuth_deg : broadcast together to (...); azimuths of the image
+            points from the axis, from +x (columns) to +y (rows)
         rings, spokes : numbers of quadrature nodes within the outline; spokes a multiple of 4
 
         Raises PixsimError if no light reaches one of the points.
         """
         if not 0 < rings <= MAX_SPOKES:
             raise invalid("rings", rings, f"1 to {MAX_SPOKES}")
-        shape, fields, wavelengths, turn = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg)
+        shape, fields, wavelengths, turn = _in_line(
+            field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg
+        )
         outline = self.outline(fields, wavelengths, spokes)
         node, share = np.polynomial.legendre.leggauss(rings)
         radius = np.sqrt((1 + node) / 2)[:, None] * outline.radius[:, None, :]
-        sideways = (outline.centre[:, 0, None, None] + radius * np.cos(outline.angle)).reshape(turn.size, -1)
-        outward = (outline.centre[:, 1, None, None] + radius * np.sin(outline.angle)).reshape(turn.size, -1)
+        sideways = (outline.centre[:, 0, None, None] + radius * np.cos(outline.angle)).reshape(
+            turn.size, -1
+        )
+        outward = (outline.centre[:, 1, None, None] + radius * np.sin(outline.angle)).reshape(
+            turn.size, -1
+        )
         weight = np.broadcast_to(share[:, None] * outline.radius[:, None, :] ** 2, radius.shape)
         cosine, sine = np.cos(np.radians(turn))[:, None], np.sin(np.radians(turn))[:, None]
-        cosines = np.stack([outward * cosine + sideways * sine, outward * sine - sideways * cosine], axis=-1)
+        cosines = np.stack(
+            [outward * cosine + sideways * sine, outward * sine - sideways * cosine], axis=-1
+        )
         chief = outline.chief_cosine[:, None] * np.concatenate([cosine, sine], axis=1)
-        return Directions(cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2))
+        return Directions(
+            cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2)
+        )
 
-    def ray_points(self, field_deg: float, wavelength_nm: Positive, stop_x: StopPoints, stop_y: StopPoints) -> Array:
-        """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from the first vertex: x, y, z.
+    def ray_points(
+        self, field_deg: float, wavelength_nm: Positive, stop_x: StopPoints, stop_y: StopPoints
+    ) -> Array:
+        """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from
+        the first vertex: x, y, z.
 
-        stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,); NaN for rays that are lost
+        stop_x, stop_y : over the stop's radius, broadcast together, then in one line, (P,); NaN for
+            rays that are lost
 
         Raises PixsimError if the chief ray does not reach the image.
         """
@@ -959,31 +1280,44 @@ class Lens:
         self._chief(fields, wavelengths)
         _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
         surfaces, terms = self.prescription.surfaces, self._aim(fields, wavelengths)
-        across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(_bases(x, y)))
+        across, along = (
+            _polynomials(terms[..., axis], basis) for axis, basis in enumerate(_bases(x, y))
+        )
         indices, points, vertex = self._indices(wavelengths), [], 0.0
-        for surface, rays in zip(surfaces, trace(self._launched(fields, across, along), surfaces, indices), strict=True):
+        for surface, rays in zip(
+            surfaces, trace(self._launched(fields, across, along), surfaces, indices), strict=True
+        ):
             points.append([rays.x[0], rays.y[0], rays.z[0] + vertex])
             vertex += surface.thickness_mm
         rays = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
         return np.array([*points, [rays.x[0], rays.y[0], rays.z[0] + vertex]]).transpose(2, 0, 1)
 
-    # What a lens designer asks for ---------------------------------------------------------------------------------------
+    # What a lens designer asks for
+    # ---------------------------------------------------------------------------------------
 
     @cached_property
     def paraxial_height_mm(self) -> float:
-        """Paraxial image height over the tangent of the field angle at the primary wavelength, in mm.
+        """Paraxial image height over the tangent of the field angle at the primary wavelength, in
+        mm.
 
-        The focal length for an object at infinity; for another, the magnification times the object's distance.
+        The focal length for an object at infinity; for another, the magnification times the
+        object's distance.
         """
         if math.isinf(self.object_distance_mm):
             return self.first_order(self.primary_nm).focal_length_mm
-        indices, from_vertex = self._indices(np.array([self.primary_nm])), self.object_distance_mm - self._entrance_pupil_mm
-        _, angle = paraxial(self.prescription.surfaces, indices, np.array([from_vertex]), np.array([1.0]))
+        indices, from_vertex = (
+            self._indices(np.array([self.primary_nm])),
+            self.object_distance_mm - self._entrance_pupil_mm,
+        )
+        _, angle = paraxial(
+            self.prescription.surfaces, indices, np.array([from_vertex]), np.array([1.0])
+        )
         return float(-self.object_distance_mm / angle[0])
 
     @cached_property
     def image_scale_mm(self) -> float:
-        """Chief ray's height in the image plane over the tangent of a very small field angle, at the primary wavelength, in mm.
+        """Chief ray's height in the image plane over the tangent of a very small field angle, at
+        the primary wavelength, in mm.
 
         It differs from `paraxial_height_mm` where the image plane is not the paraxial focus.
         """
@@ -996,36 +1330,49 @@ class Lens:
 
     @property
     def working_f_number(self) -> float:
-        """Half the reciprocal of the image's paraxial numerical aperture, at the primary wavelength, a number.
+        """Half the reciprocal of the image's paraxial numerical aperture, at the primary
+        wavelength, a number.
 
         The f-number for an object at infinity. Light from a nearer object converges less.
         """
         return abs(self.paraxial_height_mm) / self.entrance_pupil_diameter_mm
 
     def distortion(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
-        """Return the chief ray's height over `image_scale_mm` times the field's tangent, minus 1, a ratio (...); 0 on the axis.
+        """Return the chief ray's height over `image_scale_mm` times the field's tangent, minus 1, a
+        ratio (...); 0 on the axis.
 
-        The reference is the image of a very small field in the same plane, so that defocus is no distortion.
+        The reference is the image of a very small field in the same plane, so that defocus is no
+        distortion.
 
-        wavelength_nm : of the chief ray, the primary one by default; the reference is that of the primary
+        wavelength_nm : of the chief ray, the primary one by default; the reference is that of the
+            primary
 
         Raises PixsimError as `chief_ray` does.
         """
         angle = np.asarray(field_deg, float)
-        height = self.chief_ray(angle, self.primary_nm if wavelength_nm is None else wavelength_nm).height_mm
+        height = self.chief_ray(
+            angle, self.primary_nm if wavelength_nm is None else wavelength_nm
+        ).height_mm
         ideal = self.image_scale_mm * np.tan(np.radians(angle))
-        return np.asarray(np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1)[()]
+        return np.asarray(
+            np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1
+        )[()]
 
     def foci_mm(self, field_deg: ArrayLike, wavelength_nm: Positives) -> tuple[Array, Array]:
-        """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the image plane, both (...).
+        """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the
+        image plane, both (...).
 
         field_deg, wavelength_nm : broadcast together to (...)
 
         Raises PixsimError as `chief_ray` does.
         """
         shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        near = 1e-3  # of the stop's radius: third-order aberrations shift the focus by 1e-6 of what they do at its edge
-        waves = self.wavefront(fields, wavelengths, np.array([0.0, 0.0, near]), np.array([near, -near, 0.0]))
+        # of the stop's radius: third-order aberrations shift the focus by 1e-6 of what they do at
+        # its edge
+        near = 1e-3
+        waves = self.wavefront(
+            fields, wavelengths, np.array([0.0, 0.0, near]), np.array([near, -near, 0.0])
+        )
         ahead = np.sqrt(1 - np.square(waves.cosines).sum(axis=-1))
         slope_x, slope_y = waves.cosines[..., 0] / ahead, waves.cosines[..., 1] / ahead
         tangential = -(waves.y_mm[:, 0] - waves.y_mm[:, 1]) / (slope_y[:, 0] - slope_y[:, 1])
@@ -1033,7 +1380,8 @@ class Lens:
         return np.asarray(tangential.reshape(shape)[()]), np.asarray(sagittal.reshape(shape)[()])
 
     def field_of_height(self, height_mm: float, wavelength_nm: Positive) -> float:
-        """Return the number of degrees of the field angle whose chief ray has this height in the image plane.
+        """Return the number of degrees of the field angle whose chief ray has this height in the
+        image plane.
 
         Raises PixsimError if no field has: the point lies beyond the image circle.
         """
@@ -1048,17 +1396,27 @@ class Lens:
         low, high = (np.array([fields[index]]) for index in (above - 1, above))
         ends = (np.array([heights[index] - height]) for index in (above - 1, above))
         (below, beyond), wavelength = ends, np.array([wavelength_nm])
-        found = _root(lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height, low, below, high, beyond)
+        found = _root(
+            lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height,
+            low,
+            below,
+            high,
+            beyond,
+        )
         return math.copysign(float(found[0]), height_mm)
 
     def image_circle_mm(self, wavelength_nm: Positive) -> float:
-        """Return the largest image height that light reaches, in mm, to about 1 % of the field angle."""
+        """Return the largest image height that light reaches, in mm, to about 1 % of the field
+        angle.
+        """
         fields, heights = self._imaged(wavelength_nm)
         lit = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
         return float(heights[lit][-1]) if lit.any() else 0.0
 
     def _imaged(self, wavelength_nm: float) -> tuple[Array, Array]:
-        """Return fields in degrees from the axis on that have a chief ray, and their image heights, which grow, in mm."""
+        """Return fields in degrees from the axis on that have a chief ray, and their image heights,
+        which grow, in mm.
+        """
         fields = np.linspace(0.0, STEEPEST_DEG, FIELDS_TRIED)
         rays, _ = self._chief_or_nan(fields, np.full(fields.size, wavelength_nm))
         growing = np.concatenate([[True], np.diff(rays.y[:, 0]) > 0])
@@ -1067,14 +1425,24 @@ class Lens:
 
     def _plain_indices(self, wavelength_nm: float) -> list[float]:
         """Return the index in front of the lens and behind each surface."""
-        return [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
+        return [
+            float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))
+        ]
 
     def fresnel_transmittance(self, wavelength_nm: Positive) -> float:
-        """Return the fraction of light on the axis that uncoated surfaces let through, for information."""
-        return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(self._plain_indices(wavelength_nm)))
+        """Return the fraction of light on the axis that uncoated surfaces let through, for
+        information.
+        """
+        return math.prod(
+            4 * one * other / (one + other) ** 2
+            for one, other in pairwise(self._plain_indices(wavelength_nm))
+        )
 
-    def ghosts(self, wavelength_nm: Positive, reflectance: Reflectance | None = None) -> list[Ghost]:
-        """Return the light on the axis that each pair of surfaces reflects twice, the largest share first.
+    def ghosts(
+        self, wavelength_nm: Positive, reflectance: Reflectance | None = None
+    ) -> list[Ghost]:
+        """Return the light on the axis that each pair of surfaces reflects twice, the largest share
+        first.
 
         reflectance : share of the light that coated surfaces in air reflect; None for bare glass
         """
@@ -1086,28 +1454,46 @@ class Lens:
         surfaces = self.prescription.surfaces
         return ghosts_of(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
 
-    # Changed lenses ------------------------------------------------------------------------------------------------------
+    # Changed lenses
+    # ------------------------------------------------------------------------------------------------------
 
     def scaled(self, factor: Positive) -> Lens:
-        """Return the lens with every length times `factor`, but the object's distance. Raises PixsimError unless it is above 0.
+        """Return the lens with every length times `factor`, but the object's distance. Raises
+        PixsimError unless it is above 0.
 
         factor : a ratio of lengths
         """
         if not factor > 0:
             raise invalid("factor", f"{factor:g}", "a finite number above 0")
         scaled = self.prescription.scaled(factor)
-        rows = tuple((at_deg, factor * centre, factor * x, factor * y) for at_deg, centre, x, y in self.vignetting)
+        rows = tuple(
+            (at_deg, factor * centre, factor * x, factor * y)
+            for at_deg, centre, x, y in self.vignetting
+        )
         return replace(
-            self, prescription=scaled, entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm, vignetting=rows
+            self,
+            prescription=scaled,
+            entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm,
+            vignetting=rows,
         )
 
     def stopped_down(self, f_number: FNumberOrPinhole) -> Lens:
-        """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number, for a larger one."""
+        """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number,
+        for a larger one.
+        """
         first = self.first_order(self.primary_nm)
         if not first.f_number * (1 - WIDEST) <= f_number < math.inf:
-            expected = f"at least {first.f_number:.6g}, the widest of '{self.prescription.name}', and finite"
+            expected = (
+                f"at least {first.f_number:.6g}, the widest of '{self.prescription.name}', and"
+                " finite"
+            )
             raise invalid("f_number", f"{f_number:g}", expected)
-        return replace(self, entrance_pupil_diameter_mm=min(first.focal_length_mm / f_number, first.entrance_pupil_diameter_mm))
+        return replace(
+            self,
+            entrance_pupil_diameter_mm=min(
+                first.focal_length_mm / f_number, first.entrance_pupil_diameter_mm
+            ),
+        )
 
     def refocused(
         self,
@@ -1118,36 +1504,53 @@ class Lens:
     ) -> Lens:
         """Return the lens with its image plane moved to the focus of an object plane.
 
-        focus : "paraxial" at the primary wavelength; "axis", of least rms wavefront on the axis over the file's wavelengths;
-            "field", the same over the picture up to `field_deg`, without the tilts, which move details and do not blur them
+        focus : "paraxial" at the primary wavelength; "axis", of least rms wavefront on the axis
+            over the file's wavelengths; "field", the same over the picture up to `field_deg`,
+            without the tilts, which move details and do not blur them
         object_distance_mm : of the object plane from the entrance pupil
         field_deg : half the diagonal of the picture; the lens's largest field by default
         wavelength_nm : of the focus; None means the primary one, or those of the file
 
-        Raises PixsimError if there is no real image, if rays do not reach it, or if a glass is not known at the wavelength.
+        Raises PixsimError if there is no real image, if rays do not reach it, or if a glass is not
+        known at the wavelength.
         """
         lens = replace(self, object_distance_mm=object_distance_mm)
         lens = lens._moved(lens._paraxial_focus_mm(wavelength_nm))
         if focus == "paraxial":
             return lens
-        largest = (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
+        largest = (
+            (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
+        )
         for _ in range(2):  # the second step corrects for what the first one left of a far start
             lens = lens._moved(lens._best_focus_mm(largest, wavelength_nm))
         return lens
 
     def _moved(self, shift_mm: float) -> Lens:
-        """Return the lens with its image plane moved. Raises PixsimError if it would lie in front of the last surface."""
+        """Return the lens with its image plane moved. Raises PixsimError if it would lie in front
+        of the last surface.
+        """
         *others, last = self.prescription.surfaces
         distance = last.thickness_mm + shift_mm
         if not 0 <= distance < math.inf:
-            got = f"{self.object_distance_mm:g}, whose image is {distance:.4g} mm behind the last surface"
-            raise invalid("object_distance_mm", got, "a distance with a real image", "Move the object away from the lens.")
+            got = (
+                f"{self.object_distance_mm:g}, whose image is {distance:.4g} mm behind the last"
+                " surface"
+            )
+            raise invalid(
+                "object_distance_mm",
+                got,
+                "a distance with a real image",
+                "Move the object away from the lens.",
+            )
         surfaces = (*others, replace(last, thickness_mm=distance))
         return replace(self, prescription=replace(self.prescription, surfaces=surfaces))
 
     def _paraxial_focus_mm(self, wavelength_nm: float | None = None) -> float:
         """Return where the object plane is in focus, in mm behind the image plane."""
-        surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm or self.primary_nm]))
+        surfaces, indices = (
+            self.prescription.surfaces,
+            self._indices(np.array([wavelength_nm or self.primary_nm])),
+        )
         start = np.array([1.0]), np.array([0.0])
         if math.isfinite(self.object_distance_mm):
             start = np.array([self.object_distance_mm - self._entrance_pupil_mm]), np.array([1.0])
@@ -1156,36 +1559,55 @@ class Lens:
         return float(back[0]) - surfaces[-1].thickness_mm
 
     def _best_focus_mm(self, largest_deg: float, wavelength_nm: float | None = None) -> float:
-        """Return the shift of the image plane in mm that leaves the least mean square of the wavefront.
+        """Return the shift of the image plane in mm that leaves the least mean square of the
+        wavefront.
 
-        Over points of the stop that pass, the file's wavelengths or a given one, and the picture's area up to a field; in it,
-        W changes by ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's slope))/λ, and a tilt goes with the picture.
+        Over points of the stop that pass, the file's wavelengths or a given one, and the picture's
+        area up to a field; in it, W changes by ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's
+        slope))/λ, and a tilt goes with the picture.
         """
         node, share = np.polynomial.legendre.leggauss(4)
         if not largest_deg:
             node, share = np.array([-1.0]), np.array([2.0])
-        fields = np.degrees(np.arctan(math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)))
-        wavelengths = self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
+        fields = np.degrees(
+            np.arctan(math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2))
+        )
+        wavelengths = (
+            self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
+        )
         fields, weight = (np.repeat(part, len(wavelengths)) for part in (fields, share / 2))
         wavelength = np.tile(np.array(wavelengths), node.size)
         radius = np.sqrt((np.arange(8) + 0.5) / 8)[:, None]
         angle = (np.arange(24) + 0.5) * (np.pi / 24) - np.pi / 2
         x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
         waves = self.wavefront(fields, wavelength, x, y)
-        change = self._moved(FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves - waves.opd_waves
+        change = (
+            self._moved(FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves
+            - waves.opd_waves
+        )
         top = bottom = 0.0
         for index in range(fields.size):
-            seen = waves.passed[index] & np.isfinite(waves.opd_waves[index]) & np.isfinite(change[index])
+            seen = (
+                waves.passed[index]
+                & np.isfinite(waves.opd_waves[index])
+                & np.isfinite(change[index])
+            )
             along = waves.cosines[index, seen, 1]
             basis = np.stack([np.ones(along.size), *([along] if largest_deg else [])], axis=1)
             if along.size <= basis.shape[1]:
                 continue
-            both = np.stack([waves.opd_waves[index, seen], change[index, seen] / FOCUS_STEP_MM], axis=1)
+            both = np.stack(
+                [waves.opd_waves[index, seen], change[index, seen] / FOCUS_STEP_MM], axis=1
+            )
             both = both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]
             top += weight[index] * float((both[:, 0] * both[:, 1]).mean())
             bottom += weight[index] * float((both[:, 1] ** 2).mean())
         if not bottom:
-            raise invalid(f"lens '{self.prescription.name}'", "no rays that reach the image", "a lens that lets light through")
+            raise invalid(
+                f"lens '{self.prescription.name}'",
+                "no rays that reach the image",
+                "a lens that lets light through",
+            )
         return -top / bottom
 
 
@@ -1204,7 +1626,9 @@ class Outline:
 
     @property
     def angle(self) -> Array:
-        """Azimuths of the spokes in radians from +x towards +y, (spokes,): from -y by way of +x and +y round to -y."""
+        """Azimuths of the spokes in radians from +x towards +y, (spokes,): from -y by way of +x and
+        +y round to -y.
+        """
         count = self.radius.shape[1]
         return np.asarray((np.arange(count) + 0.5) * (2 * np.pi / count) - np.pi / 2)
 
@@ -1214,7 +1638,9 @@ class Outline:
         return np.asarray(np.square(self.radius).mean(axis=1) * np.pi)
 
 
-def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array) -> Array:
+def _root(
+    function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array
+) -> Array:
     """Return roots (...) of a function: regula falsi of Illinois; halving where it is infinite.
 
     low, high : brackets; where there is no sign change, an end of the last bracket is returned
@@ -1226,8 +1652,12 @@ def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Ar
         if not going.any():
             break
         with np.errstate(all="ignore"):
-            new = np.where(np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2)
-        at = np.where(going, np.clip(new, low, high), at)  # the others stay, whatever their neighbours do
+            new = np.where(
+                np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2
+            )
+        at = np.where(
+            going, np.clip(new, low, high), at
+        )  # the others stay, whatever their neighbours do
         value = np.where(going, function(at), value)
         inside, outside = going & (value <= 0), going & ~(value <= 0)
         # The end that stays twice counts half.
@@ -1240,43 +1670,60 @@ def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Ar
 
 
 def _part(rays: Rays, some: slice) -> Rays:
-    return Rays(*(getattr(rays, name)[some] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed")))
+    return Rays(
+        *(getattr(rays, name)[some] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed"))
+    )
 
 
-def _conditions(field_deg: ArrayLike, wavelength_nm: ArrayLike) -> tuple[tuple[int, ...], Array, Array]:
+def _conditions(
+    field_deg: ArrayLike, wavelength_nm: ArrayLike
+) -> tuple[tuple[int, ...], Array, Array]:
     """Return the shape that fields and wavelengths broadcast to, and both in one line."""
     shape, fields, wavelengths = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm)
     if not np.all(np.abs(fields) < 90):
-        raise invalid("field_deg", f"{fields.flat[np.argmax(~(np.abs(fields) < 90))]:g}", "above -90 and below 90 degrees")
+        raise invalid(
+            "field_deg",
+            f"{fields.flat[np.argmax(~(np.abs(fields) < 90))]:g}",
+            "above -90 and below 90 degrees",
+        )
     return shape, fields, wavelengths
 
 
 def _in_line(**parts: ArrayLike) -> tuple[Any, ...]:
-    """Return the shape that arguments broadcast to, and each in one line of finite numbers; their names are for messages."""
+    """Return the shape that arguments broadcast to, and each in one line of finite numbers; their
+    names are for messages.
+    """
     check_broadcast(**{name: np.shape(value) for name, value in parts.items()})
     for name, value in parts.items():
         array = np.asarray(value, float)
         if not (array.size and np.isfinite(array).all()):
-            got = f"{array.flat[np.argmin(np.isfinite(array))]:g}" if array.size else "an empty array"
+            got = (
+                f"{array.flat[np.argmin(np.isfinite(array))]:g}" if array.size else "an empty array"
+            )
             raise invalid(name, got, "finite numbers, at least one")
     arrays = np.broadcast_arrays(*(np.asarray(value, float) for value in parts.values()))
     return arrays[0].shape, *(array.ravel() for array in arrays)
 
 
 EXPONENTS = tuple(
-    np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T for start in (1, 0)
+    np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T
+    for start in (1, 0)
 )  # of the monomials x^i y^j odd in x and even in x
 
 
 def _bases(x: Array, y: Array) -> Bases:
     """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
-    powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
+    powers_x, powers_y = (
+        np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
+    )
     odd, even = ((powers_x[i] * powers_y[j]).T for i, j in EXPONENTS)
     return odd, even
 
 
 def _polynomials(terms: Array, basis: Array) -> Array:
-    """Return polynomials (C, P) of coefficients (C, terms), of which the first are used, at the monomials (P, terms)."""
+    """Return polynomials (C, P) of coefficients (C, terms), of which the first are used, at the
+    monomials (P, terms).
+    """
     total = np.zeros((len(terms), len(basis)))
     for index, monomial in enumerate(basis.T):
         total += terms[:, index, None] * monomial
@@ -1285,7 +1732,9 @@ def _polynomials(terms: Array, basis: Array) -> Array:
 
 def _slopes(x: Array, y: Array) -> tuple[Bases, Bases]:
     """Return the derivatives of the monomials of `_bases`, by x and by y."""
-    powers_x, powers_y = (np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y))
+    powers_x, powers_y = (
+        np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
+    )
     by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in EXPONENTS]
     by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in EXPONENTS]
     return (by_x[0], by_x[1]), (by_y[0], by_y[1])
@@ -1293,9 +1742,16 @@ def _slopes(x: Array, y: Array) -> tuple[Bases, Bases]:
 
 @cache
 def _nodes() -> tuple[Array, Array, Bases, Bases]:
-    """Return points of half of the stop, the monomials there, and the matrices (terms, points) that fit polynomials to values."""
+    """Return points of half of the stop, the monomials there, and the matrices (terms, points) that
+    fit polynomials to values.
+    """
     radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
     angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     odd, even = _bases(x, y)
-    return np.asarray(x), np.asarray(y), (odd, even), (np.asarray(np.linalg.pinv(odd)), np.asarray(np.linalg.pinv(even)))
+    return (
+        np.asarray(x),
+        np.asarray(y),
+        (odd, even),
+        (np.asarray(np.linalg.pinv(odd)), np.asarray(np.linalg.pinv(even))),
+    )

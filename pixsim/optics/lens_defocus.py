@@ -1,4 +1,6 @@
-"""Depths, and the diameters of a thin lens's discs for points there. A real lens has those of its image distance and aperture."""
+"""Depths, and the diameters of a thin lens's discs for points there. A real lens has those of its
+image distance and aperture.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +9,33 @@ from collections.abc import Sequence
 
 from pixsim.optics.camera import Camera
 
-DEPTHS = "depths_m"  # entry of an irradiance's header: of what is in view, the nearest, the one least out of focus, the farthest
+# entry of an irradiance's header: of what is in view, the nearest, the one least out of focus, the
+# farthest
+DEPTHS = "depths_m"
 
 
 def signed_disc_um(camera: Camera, depth_m: float) -> float:
-    """Return the diameter of a thin lens's disc for a point at a depth, below 0 in front of the plane in focus."""
+    """Return the diameter of a thin lens's disc for a point at a depth, below 0 in front of the
+    plane in focus.
+    """
     return _disc_per_dioptre_um(camera) * (1 / camera.object_distance_m - 1 / depth_m)
 
 
 def depth_of_disc_m(camera: Camera, signed_um: float) -> float:
-    """Return the depth of a point with a disc; infinite for discs as large as those at infinity, and beyond."""
+    """Return the depth of a point with a disc; infinite for discs as large as those at infinity,
+    and beyond.
+    """
     dioptres = 1 / camera.object_distance_m - signed_um / _disc_per_dioptre_um(camera)
     return 1 / dioptres if dioptres > 0 else math.inf
 
 
 def depth_of_field_m(camera: Camera, blur_um: float) -> tuple[float, float]:
-    """Return the nearest and the farthest depth at which a point's disc on the sensor is at most `blur_um` wide, m.
+    """Return the nearest and the farthest depth at which a point's disc on the sensor is at most
+    `blur_um` wide, m.
 
-    Both are distances from the entrance pupil, and the farthest may be infinite. A real lens focuses on the object's distance, and
-    has the discs of a thin lens of its image distance and aperture.
+    Both are distances from the entrance pupil, and the farthest may be infinite. A real lens
+    focuses on the object's distance, and has the discs of a thin lens of its image distance and
+    aperture.
 
     >>> near_m, far_m = depth_of_field_m(Camera(focal_length_mm=50.0, f_number=2.0, object_distance_m=5.0), 30.0)
     >>> round(near_m, 2), round(far_m, 2)  # u f²/(f² ± N c (u - f))

@@ -1,10 +1,18 @@
-"""The lens: its veil and its fall-off, and a real one in place of the thin one: its file, and how it is read and focused."""
+"""The lens: its veil and its fall-off, and a real one in place of the thin one: its file, and how
+it is read and focused.
+"""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from pixsim.base.records import Record
 from pixsim.light.curves import Share
@@ -21,13 +29,20 @@ def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
     if not (isinstance(lens, dict) and lens.get("file") and isinstance(camera, dict)):
         return []
     return [
-        name for name in OF_THIN_LENS if camera.get(name) is not None and not (isinstance(own, dict) and own.get(name) is not None)
+        name
+        for name in OF_THIN_LENS
+        if camera.get(name) is not None
+        and not (isinstance(own, dict) and own.get(name) is not None)
     ]
 
 
 def as_file_names(value: object) -> object:
     """Names of files, from a list or from text with commas, as an option has it."""
-    return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+    return (
+        [part.strip() for part in value.split(",") if part.strip()]
+        if isinstance(value, str)
+        else value
+    )
 
 
 # Fields of any lens, with the fields of the camera that hold them.
@@ -37,7 +52,13 @@ OF_ANY_LENS = {
     "relative_illumination": "fall_off",
 }
 # How a lens's file is read, where it leaves a choice.
-READING = ("configuration", "semi_diameters", "vignetting_factors", "glass_catalogues", "unknown_glass")
+READING = (
+    "configuration",
+    "semi_diameters",
+    "vignetting_factors",
+    "glass_catalogues",
+    "unknown_glass",
+)
 
 
 class PrescriptionOptions(Record):
@@ -45,69 +66,128 @@ class PrescriptionOptions(Record):
 
     file: str | None = Field(
         None,
-        description="prescription: a .toml or .zmx file, or the name of a packaged lens, as phone (absent: an ideal thin lens)",
+        description=(
+            "prescription: a .toml or .zmx file, or the name of a packaged lens, as phone (absent:"
+            " an ideal thin lens)"
+        ),
     )
     focal_length_mm: FocalLength | None = Field(
-        None, description="focal length to which the whole lens is scaled (absent: its largest field reaches the corner of the die)"
+        None,
+        description=(
+            "focal length to which the whole lens is scaled (absent: its largest field reaches the"
+            " corner of the die)"
+        ),
     )
     refocus: Literal["paraxial", "axis", "field"] = Field(
         "axis",
-        description="focus on the object: 'paraxial'; 'axis', least rms wavefront there; 'field', least on average over the die",
+        description=(
+            "focus on the object: 'paraxial'; 'axis', least rms wavefront there; 'field', least on"
+            " average over the die"
+        ),
     )
     focus_nm: Wavelength | None = Field(
-        None, description="wavelength of that focus, as 850 for infrared light (absent: those of the file)"
+        None,
+        description=(
+            "wavelength of that focus, as 850 for infrared light (absent: those of the file)"
+        ),
     )
     ideal: Literal["distorted", "undistorted"] = Field(
-        "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
+        "distorted",
+        description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'",
     )
     configuration: Annotated[int, Field(ge=1, lt=10**6)] | None = Field(
-        None, description="configuration of a .zmx file, from 1: a focal length of a zoom, or a focus (absent: the active one)"
+        None,
+        description=(
+            "configuration of a .zmx file, from 1: a focal length of a zoom, or a focus (absent:"
+            " the active one)"
+        ),
     )
     semi_diameters: Literal["ignore", "clip"] = Field(
         "ignore",
-        description="semi-diameters that a .zmx file fixes without an aperture: 'ignore', or 'clip' rays at refracting surfaces",
+        description=(
+            "semi-diameters that a .zmx file fixes without an aperture: 'ignore', or 'clip' rays at"
+            " refracting surfaces"
+        ),
     )
     vignetting_factors: Literal["use", "ignore"] | None = Field(
-        None, description="vignetting factors of a .zmx file: 'use' or 'ignore' (absent: use, unless apertures stop rays)"
+        None,
+        description=(
+            "vignetting factors of a .zmx file: 'use' or 'ignore' (absent: use, unless apertures"
+            " stop rays)"
+        ),
     )
     glass_catalogues: Annotated[tuple[str, ...], BeforeValidator(as_file_names)] = Field(
-        (), description="glass catalogues of yours as Zemax has them, as my.agf; they go before pixsim's table"
+        (),
+        description=(
+            "glass catalogues of yours as Zemax has them, as my.agf; they go before pixsim's table"
+        ),
     )
     unknown_glass: Literal["error", "model"] = Field(
-        "error", description="a glass that no catalogue has: an 'error', or the 'model' of the n_d and V_d that the file states"
+        "error",
+        description=(
+            "a glass that no catalogue has: an 'error', or the 'model' of the n_d and V_d that the"
+            " file states"
+        ),
     )
 
     @model_serializer(mode="wrap")
     def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a real lens settings are written, and hashed, as if it had no fields; so are ways of reading unused."""
+        """Without a real lens settings are written, and hashed, as if it had no fields; so are ways
+        of reading unused.
+        """
         of_file, fields = PrescriptionOptions.model_fields, type(self).model_fields
-        unused = set(of_file) if self.file is None else {name for name in READING if getattr(self, name) == of_file[name].default}
+        unused = (
+            set(of_file)
+            if self.file is None
+            else {name for name in READING if getattr(self, name) == of_file[name].default}
+        )
         unused |= {"focus_nm"} if self.focus_nm is None else set()
-        unused |= {name for name in fields if name in OF_ANY_LENS and getattr(self, name) == fields[name].default}
+        unused |= {
+            name
+            for name in fields
+            if name in OF_ANY_LENS and getattr(self, name) == fields[name].default
+        }
         return {name: value for name, value in handler(self).items() if name not in unused}
 
     @model_validator(mode="after")
     def _has_a_file(self) -> Self:
         of_file = PrescriptionOptions.model_fields
-        if self.file is None and (given := [name for name in of_file if name in self.model_fields_set - {"file"}]):
-            raise ValueError(f"{', '.join(given)} without file; allowed: with the lens's prescription in lens.file")
+        if self.file is None and (
+            given := [name for name in of_file if name in self.model_fields_set - {"file"}]
+        ):
+            raise ValueError(
+                f"{', '.join(given)} without file; allowed: with the lens's prescription in"
+                " lens.file"
+            )
         return self
 
 
 class LensOptions(PrescriptionOptions):
-    """The lens: the veil and the fall-off of any one, and a real one in place of the thin lens of the camera."""
+    """The lens: the veil and the fall-off of any one, and a real one in place of the thin lens of
+    the camera.
+    """
 
     veiling_glare: Share | None = Field(
         None,
-        description="share of the light of the whole field that falls evenly on the sensor (ISO 9358, ISO 18844): a number from 0 "
-        "to below 1, or a CSV file of wavelength in nm and share (absent: none)",
+        description=(
+            "share of the light of the whole field that falls evenly on the sensor (ISO 9358, ISO"
+            " 18844): a number from 0 to below 1, or a CSV file of wavelength in nm and share"
+            " (absent: none)"
+        ),
     )
     veiling_glare_outside: OutsideLight | None = Field(
         None,
-        description="light from outside the rendered field that strays into it, relative to what strays from within (absent: none)",
+        description=(
+            "light from outside the rendered field that strays into it, relative to what strays"
+            " from within (absent: none)"
+        ),
     )
     relative_illumination: RelativeIllumination | None = Field(
-        None, description="CSV file of image_height_mm and relative_illumination, in place of the fall-off of the thin lens"
+        None,
+        description=(
+            "CSV file of image_height_mm and relative_illumination, in place of the fall-off of the"
+            " thin lens"
+        ),
     )
 
 

@@ -13,14 +13,17 @@ from pixsim.optics.lens import Lens, Outline
 
 RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
 OUTLINE_SPOKES = 180
-NEAR = 1.5  # of the outline's radius: what lies further is blocked, and near the end of an image circle goes anywhere
+# of the outline's radius: what lies further is blocked, and near the end of an image circle goes
+# anywhere
+NEAR = 1.5
 
 
 def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
     """Return the rays of fields (F,) through half of the stop, for each wavelength (W,).
 
-    Their directions are those of points of the reference sphere from its centre, the chief ray's image point. Light outside of the
-    wavelengths at which all glasses are known takes the paths of the nearest one of these.
+    Their directions are those of points of the reference sphere from its centre, the chief ray's
+    image point. Light outside of the wavelengths at which all glasses are known takes the paths of
+    the nearest one of these.
 
     Raises PixsimError if a chief ray does not reach the image.
     """
@@ -36,18 +39,28 @@ def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[
     found = []
     for at in range(fields.size):
         cosines, off = waves.cosines[at], np.stack([waves.x_mm[at], waves.y_mm[at]], axis=-1)
-        if math.isfinite(from_image):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
-            distance = -math.copysign(math.hypot(float(waves.chief_y_mm[at]), from_image), from_image)
+        if math.isfinite(
+            from_image
+        ):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
+            distance = -math.copysign(
+                math.hypot(float(waves.chief_y_mm[at]), from_image), from_image
+            )
             along = (off * cosines).sum(axis=-1)
-            with np.errstate(invalid="ignore"):  # at the end of an image circle some rays miss the sphere
-                back = along + np.copysign(np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance)
+            with np.errstate(
+                invalid="ignore"
+            ):  # at the end of an image circle some rays miss the sphere
+                back = along + np.copysign(
+                    np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance
+                )
             cosines = (back[:, None] * cosines - off) / distance
         seen = np.isfinite(waves.opd_waves[at]) & np.isfinite(cosines).all(axis=-1)
         seen[seen] = _near(outline, at, cosines[seen])
         edge = outline.radius[at][:, None] * spokes + outline.centre[at]
         opd = waves.opd_waves[at][seen] * waves_per_wave[at]
         found.append(PupilRays(cosines[seen], opd, edge, 1e3 * float(waves.chief_y_mm[at])))
-    return [found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
+    return [
+        found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)
+    ]
 
 
 def _near(outline: Outline, at: int, cosines: Array) -> NDArray[np.bool_]:

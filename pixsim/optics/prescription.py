@@ -1,9 +1,11 @@
-"""Prescriptions of lenses: surfaces, glasses, stop and aperture, read from a file of pixsim (`.toml`) or of Zemax (`.zmx`).
+"""Prescriptions of lenses: surfaces, glasses, stop and aperture, read from a file of pixsim
+(`.toml`) or of Zemax (`.zmx`).
 
-Lengths are in mm, light travels along +z. Surfaces are centred and rotationally symmetric, in the order in which light meets
-them: z = c r²/(1 + √(1 - (1+k) c² r²)) + Σ A_j r^j. The object is a plane in air, the image plane follows the last thickness.
-What a file asks for and this does not describe is an error that names the line and the surface; nothing is substituted. Where a
-file leaves a choice, `PrescriptionOptions` makes it, and a note says which was made.
+Lengths are in mm, light travels along +z. Surfaces are centred and rotationally symmetric, in the
+order in which light meets them: z = c r²/(1 + √(1 - (1+k) c² r²)) + Σ A_j r^j. The object is a
+plane in air, the image plane follows the last thickness. What a file asks for and this does not
+describe is an error that names the line and the surface; nothing is substituted. Where a file
+leaves a choice, `PrescriptionOptions` makes it, and a note says which was made.
 """
 
 from __future__ import annotations
@@ -17,7 +19,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
+from pixsim.base.errors import (
+    PLAIN_WORD,
+    PixsimError,
+    did_you_mean,
+    excerpt,
+    invalid,
+    names_in,
+    one_line,
+    quoted,
+)
 from pixsim.base.files import read_text
 from pixsim.base.layers import Layer
 from pixsim.base.notes import Note
@@ -44,12 +55,15 @@ from pixsim.optics.lens_options import PrescriptionOptions
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 MAX_SURFACES = 200
-MAX_LINES = 50_000  # of a .zmx file, which has some dozen for each surface: operands and lines are looked up in each other
+# of a .zmx file, which has some dozen for each surface: operands and lines are looked up in each
+# other
+MAX_LINES = 50_000
 MAX_POWER = 60  # of an asphere
 FIELD_ANGLES_DEG = (1e-6, 180.0)  # that a file may state; `lens` limits fields to what it can trace
 LONGEST_MM = 1e6
 FARTHEST_MM = 1e13  # of an object that is not at infinity: `FAR` in m
-# What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal numbers take very long.
+# What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal
+# numbers take very long.
 SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
 LEAST_CURVATURE_PER_MM, LEAST_CONIC = 1e-12, 1e-9
 LEAST_SAG_MM = 1e-15  # of a term of an asphere at `LONGEST_MM`
@@ -70,7 +84,8 @@ class Surface:
     conic : k of the conic; 0 for a sphere
     asphere : (power j, A_j in mm^(1-j)), each power at least 2 and once
     semi_diameter_mm : of the surface; None if the file does not state it
-    clips : whether `semi_diameter_mm` is a clear aperture that stops rays, or else for drawings only
+    clips : whether `semi_diameter_mm` is a clear aperture that stops rays, or else for drawings
+        only
     """
 
     curvature_per_mm: float
@@ -93,13 +108,16 @@ class Surface:
             curvature_per_mm=self.curvature_per_mm / factor,
             thickness_mm=self.thickness_mm * factor,
             asphere=tuple((power, value * factor ** (1 - power)) for power, value in self.asphere),
-            semi_diameter_mm=None if self.semi_diameter_mm is None else self.semi_diameter_mm * factor,
+            semi_diameter_mm=(
+                None if self.semi_diameter_mm is None else self.semi_diameter_mm * factor
+            ),
         )
 
 
 @dataclass(frozen=True)
 class Vignetting:
-    """The part of the pupil that light of a field fills: an ellipse, as vignetting factors describe it.
+    """The part of the pupil that light of a field fills: an ellipse, as vignetting factors describe
+    it.
 
     field_value : of the field, in what `Prescription.field_value` is in
     decentre : of the ellipse, along the field's direction, over the pupil's radius
@@ -112,7 +130,13 @@ class Vignetting:
     along: float = 1.0
 
 
-Aperture = Literal["entrance_pupil_diameter", "stop_diameter", "f_number", "working_f_number", "object_numerical_aperture"]
+Aperture = Literal[
+    "entrance_pupil_diameter",
+    "stop_diameter",
+    "f_number",
+    "working_f_number",
+    "object_numerical_aperture",
+]
 FieldOfView = Literal["angle_deg", "object_height", "paraxial_image_height", "real_image_height"]
 
 
@@ -123,16 +147,18 @@ class Prescription:
     name, title, source : for reports
     surfaces : in the order of the light, without object and image plane
     stop : index of the surface that is the stop, from 0
-    aperture : what `aperture_value` is: the diameter of the paraxial entrance pupil or of the stop in mm, the f-number, that of the
-        paraxial light in the image, or the numerical aperture in front of the lens
-    field_of_view : what `field_value` is: the largest field angle in degrees, or the largest object height, or paraxial or real
-        image height, in mm
+    aperture : what `aperture_value` is: the diameter of the paraxial entrance pupil or of the stop
+        in mm, the f-number, that of the paraxial light in the image, or the numerical aperture in
+        front of the lens
+    field_of_view : what `field_value` is: the largest field angle in degrees, or the largest object
+        height, or paraxial or real image height, in mm
     wavelengths_nm : of the file
     primary_nm : the wavelength of first-order data, and of the reference spheres' radius
     object_distance_mm : from the object plane to the first vertex
     vignetting : of fields, by `field_value`; empty without, and where not used
     spare_vignetting : what the file states of it and is not used
-    fixed : surfaces, from 0, whose semi-diameter the file fixes without an aperture, and which stop no rays
+    fixed : surfaces, from 0, whose semi-diameter the file fixes without an aperture, and which stop
+        no rays
     notes : what a user should know of how the file was read
     """
 
@@ -175,16 +201,20 @@ class Prescription:
     @property
     def glasses(self) -> tuple[Glass, ...]:
         """Glasses, each once, in the order of the light."""
-        return tuple(dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR))
+        return tuple(
+            dict.fromkeys(surface.glass for surface in self.surfaces if surface.glass != AIR)
+        )
 
 
 def read_prescription(file: str, options: PrescriptionOptions | None = None) -> Prescription:
-    """Read a packaged prescription by its name, or a user's by the path of its `.toml` or `.zmx` file.
+    """Read a packaged prescription by its name, or a user's by the path of its `.toml` or `.zmx`
+    file.
 
     options : how to read it where the file leaves a choice; their `file` is not looked at
 
-    Raises PixsimError for an unknown name, for a file that is missing, damaged, binary or too large, and for what pixsim does
-    not trace: mirrors, gradient indices, tilted, diffractive or free-form surfaces, unknown glasses, a missing stop.
+    Raises PixsimError for an unknown name, for a file that is missing, damaged, binary or too
+    large, and for what pixsim does not trace: mirrors, gradient indices, tilted, diffractive or
+    free-form surfaces, unknown glasses, a missing stop.
     """
     known = packaged("data/lenses")
     path = known.get(file) or Path(file)
@@ -192,7 +222,9 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     if kind not in READERS:
         what = f"'{file}'" if kind or not file else f"the unknown lens '{file}'"
         hint = HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
-        raise invalid("lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint)
+        raise invalid(
+            "lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint
+        )
     options = options or PrescriptionOptions()
     own: dict[str, Glass] = {}
     for name in options.glass_catalogues:
@@ -200,17 +232,27 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
             own.setdefault(full, glass)
     prescription = READERS[kind](path, options, own)
     if own and not any(glass.name.partition(", n_d ")[0] in own for glass in prescription.glasses):
-        note = Note("not_used", setting="lens.glass_catalogues", reason=f"no glass of lens '{prescription.name}' is theirs")
+        note = Note(
+            "not_used",
+            setting="lens.glass_catalogues",
+            reason=f"no glass of lens '{prescription.name}' is theirs",
+        )
         return replace(prescription, notes=(*prescription.notes, note))
     return prescription
 
 
 IN_OPTICSTUDIO = "In OpticStudio, save it as .zmx (File, Save As)."
-OF_CODE_V = "Open it in OpticStudio (File, Convert File Formats) and save it as .zmx, or write its surfaces as .toml: docs/lens.md."
+OF_CODE_V = (
+    "Open it in OpticStudio (File, Convert File Formats) and save it as .zmx, or write its surfaces"
+    " as .toml: docs/lens.md."
+)
 # Other files of lenses -> how to get one that is read.
 HOW_TO_EXPORT = {
     ".zos": f"That is OpticStudio's own format. {IN_OPTICSTUDIO}",
-    ".zar": "That is an archive of OpticStudio. Open it there (File, Load Archive), and save the lens as .zmx (File, Save As).",
+    ".zar": (
+        "That is an archive of OpticStudio. Open it there (File, Load Archive), and save the lens"
+        " as .zmx (File, Save As)."
+    ),
     ".zda": f"That is data of a Zemax session. {IN_OPTICSTUDIO}",
     ".seq": f"That is a file of CODE V. {OF_CODE_V}",
     ".len": f"That is a file of CODE V or OSLO. {OF_CODE_V}",
@@ -229,7 +271,11 @@ APERTURES: dict[Aperture, tuple[float, float]] = {
     "working_f_number": F_NUMBERS,
     "object_numerical_aperture": NUMERICAL_APERTURES,
 }
-LEAST = {"curvature_per_mm": LEAST_CURVATURE_PER_MM, "thickness_mm": SHORTEST_MM, "conic": LEAST_CONIC}
+LEAST = {
+    "curvature_per_mm": LEAST_CURVATURE_PER_MM,
+    "thickness_mm": SHORTEST_MM,
+    "conic": LEAST_CONIC,
+}
 
 
 def _checked(prescription: Prescription, where: str, place: Callable[[int], str]) -> Prescription:
@@ -237,35 +283,67 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
 
     place : returns the line and number of a surface (index from 0), for messages
 
-    Raises PixsimError if a length is too large, a thickness in glass is negative, or an aspheric term is not allowed.
+    Raises PixsimError if a length is too large, a thickness in glass is negative, or an aspheric
+    term is not allowed.
     """
     if not 0 < len(prescription.surfaces) <= MAX_SURFACES:
         raise invalid(f"surfaces of {where}", len(prescription.surfaces), f"1 to {MAX_SURFACES}")
     for index, surface in enumerate(prescription.surfaces):
-        numbers = {"curvature_per_mm": surface.curvature_per_mm, "thickness_mm": surface.thickness_mm, "conic": surface.conic}
+        numbers = {
+            "curvature_per_mm": surface.curvature_per_mm,
+            "thickness_mm": surface.thickness_mm,
+            "conic": surface.conic,
+        }
         for name, value in numbers.items():
             if not (value == 0 or LEAST[name] <= abs(value) <= LONGEST_MM):
-                raise invalid(f"{place(index)}: {name}", f"{value:g}", f"0, or {LEAST[name]:g} to {LONGEST_MM:g} in size")
+                raise invalid(
+                    f"{place(index)}: {name}",
+                    f"{value:g}",
+                    f"0, or {LEAST[name]:g} to {LONGEST_MM:g} in size",
+                )
         if surface.thickness_mm < 0 and surface.glass != AIR:
             got = f"{surface.thickness_mm:g} in the glass {named(surface.glass.name)}"
-            raise invalid(f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only")
-        if surface.semi_diameter_mm is not None and not SHORTEST_MM <= surface.semi_diameter_mm <= LONGEST_MM:
+            raise invalid(
+                f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only"
+            )
+        if (
+            surface.semi_diameter_mm is not None
+            and not SHORTEST_MM <= surface.semi_diameter_mm <= LONGEST_MM
+        ):
             got = f"{surface.semi_diameter_mm:g}"
-            raise invalid(f"{place(index)}: semi_diameter_mm", got, f"{SHORTEST_MM:g} to {LONGEST_MM:g}")
+            raise invalid(
+                f"{place(index)}: semi_diameter_mm", got, f"{SHORTEST_MM:g} to {LONGEST_MM:g}"
+            )
         for power, value in surface.asphere:
             if not (2 <= power <= MAX_POWER and math.isfinite(value)):
                 got = f"A{power} = {value:g}"
                 hint = "A term in r is a cone, which has no focus." if power == 1 else ""
-                raise invalid(f"{place(index)}: asphere", got, f"finite terms A2 to A{MAX_POWER}, by the power of r", hint)
+                raise invalid(
+                    f"{place(index)}: asphere",
+                    got,
+                    f"finite terms A2 to A{MAX_POWER}, by the power of r",
+                    hint,
+                )
             least = LEAST_SAG_MM / LONGEST_MM**power
             if 0 < abs(value) < least:
-                raise invalid(f"{place(index)}: asphere", f"A{power} = {value:g}", f"0, or at least {least:.1g} in size")
+                raise invalid(
+                    f"{place(index)}: asphere",
+                    f"A{power} = {value:g}",
+                    f"0, or at least {least:.1g} in size",
+                )
     low, high = APERTURES[prescription.aperture]
     if not low <= prescription.aperture_value <= high:
-        raise invalid(f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}")
-    low, high = FIELD_ANGLES_DEG if prescription.field_of_view == "angle_deg" else (SHORTEST_MM, LONGEST_MM)
+        raise invalid(
+            f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}"
+        )
+    low, high = (
+        FIELD_ANGLES_DEG if prescription.field_of_view == "angle_deg" else (SHORTEST_MM, LONGEST_MM)
+    )
     if not (prescription.field_value == 0 or low <= prescription.field_value <= high):
-        allowed = f"0, or {low:g} to {high:g} {'degrees' if prescription.field_of_view == 'angle_deg' else 'mm'}"
+        allowed = (
+            f"0, or {low:g} to {high:g}"
+            f" {'degrees' if prescription.field_of_view == 'angle_deg' else 'mm'}"
+        )
         raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", allowed)
     distance = prescription.object_distance_mm
     if not (SHORTEST_MM <= distance <= FARTHEST_MM or distance == math.inf):
@@ -279,7 +357,8 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     return prescription
 
 
-# TOML ------------------------------------------------------------------------------------------------------------------------
+# TOML
+# ------------------------------------------------------------------------------------------------------------------------
 
 Length = Annotated[float, Field(ge=-LONGEST_MM, le=LONGEST_MM)]
 MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
@@ -292,11 +371,21 @@ class GlassTable(Record):
     formula: Annotated[int, Field(ge=1, le=9)] | None = Field(
         None, description="number of the formula at refractiveindex.info: 1 to 5, or 7"
     )
-    coefficients: tuple[AnyNumber, ...] | None = Field(None, description="of the formula, for wavelengths in µm")
-    range_um: tuple[AnyNumber, AnyNumber] | None = Field(None, description="shortest and longest wavelength")
-    n_d: Annotated[float, Field(ge=1, le=10)] | None = Field(None, description="index at 587.56 nm, with v_d")
-    v_d: Annotated[float, Field(ge=1, le=1000)] | None = Field(None, description="Abbe number, with n_d")
-    n: Annotated[float, Field(ge=1, le=10)] | None = Field(None, description="one index for all wavelengths")
+    coefficients: tuple[AnyNumber, ...] | None = Field(
+        None, description="of the formula, for wavelengths in µm"
+    )
+    range_um: tuple[AnyNumber, AnyNumber] | None = Field(
+        None, description="shortest and longest wavelength"
+    )
+    n_d: Annotated[float, Field(ge=1, le=10)] | None = Field(
+        None, description="index at 587.56 nm, with v_d"
+    )
+    v_d: Annotated[float, Field(ge=1, le=1000)] | None = Field(
+        None, description="Abbe number, with n_d"
+    )
+    n: Annotated[float, Field(ge=1, le=10)] | None = Field(
+        None, description="one index for all wavelengths"
+    )
     source: str = Field("", description="of the numbers")
     n_at_wavelengths: tuple[AnyNumber, ...] = Field((), description="for information")
 
@@ -308,12 +397,24 @@ class GlassTable(Record):
         return "dispersion formula" if self.n is None else f"n = {self.n:g}"
 
     def glass(self, name: str, where: str) -> Glass:
-        """Return the glass. Raises PixsimError unless exactly one of the three descriptions is whole."""
-        given = {"formula and coefficients": (self.formula, self.coefficients), "n_d and v_d": (self.n_d, self.v_d), "n": (self.n,)}
+        """Return the glass. Raises PixsimError unless exactly one of the three descriptions is
+        whole.
+        """
+        given = {
+            "formula and coefficients": (self.formula, self.coefficients),
+            "n_d and v_d": (self.n_d, self.v_d),
+            "n": (self.n,),
+        }
         whole = [what for what, values in given.items() if None not in values]
-        begun = [what for what, values in given.items() if any(value is not None for value in values)]
+        begun = [
+            what for what, values in given.items() if any(value is not None for value in values)
+        ]
         if len(whole) != 1 or begun != whole:
-            raise invalid(f"{where}: glass {quoted(name)}", " and ".join(begun) or "neither", f"exactly one of: {'; '.join(given)}")
+            raise invalid(
+                f"{where}: glass {quoted(name)}",
+                " and ".join(begun) or "neither",
+                f"exactly one of: {'; '.join(given)}",
+            )
         if self.n is not None:
             return constant_glass(name, self.n)
         if self.n_d is not None and self.v_d is not None:
@@ -321,7 +422,9 @@ class GlassTable(Record):
         low, high = self.range_um or (0.0, math.inf)
         if not 0 <= low < high:
             raise invalid(
-                f"{where}: range_um of glass {quoted(name)}", f"{low:g} to {high:g}", "two wavelengths in µm, the shorter first"
+                f"{where}: range_um of glass {quoted(name)}",
+                f"{low:g} to {high:g}",
+                "two wavelengths in µm, the shorter first",
             )
         assert self.formula is not None
         assert self.coefficients is not None
@@ -330,7 +433,10 @@ class GlassTable(Record):
         if not any(factors_of(self.formula, numbers)):
             got = "no pair of numbers that are not 0, after c1"
             raise invalid(
-                f"{where}: coefficients of glass {quoted(name)}", got, "c1, then pairs", "A glass of one index is n = 1.5."
+                f"{where}: coefficients of glass {quoted(name)}",
+                got,
+                "c1, then pairs",
+                "A glass of one index is n = 1.5.",
             )
         return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
 
@@ -344,14 +450,21 @@ class SurfaceTable(Record):
     """A surface of a prescription file."""
 
     curvature_per_mm: Length | None = Field(None, description="1/radius")
-    radius_mm: MaybeInfinite | None = Field(None, description="instead of the curvature, or beside it; inf for a plane")
+    radius_mm: MaybeInfinite | None = Field(
+        None, description="instead of the curvature, or beside it; inf for a plane"
+    )
     thickness_mm: Length = Field(
-        description="along the axis to the next vertex, or to the image plane", examples=["thickness_mm = 3.2"]
+        description="along the axis to the next vertex, or to the image plane",
+        examples=["thickness_mm = 3.2"],
     )
     glass: str | AnyNumber | GlassTable = Field("air", description="medium behind the surface")
     conic: Length = Field(0.0, description="k of the conic")
-    asphere: dict[str, AnyNumber] = Field(default_factory=dict, description="A4, A6 …: coefficients by the power of r")
-    semi_diameter_mm: Positive | None = Field(None, description="of the surface, for drawings unless it clips")
+    asphere: dict[str, AnyNumber] = Field(
+        default_factory=dict, description="A4, A6 …: coefficients by the power of r"
+    )
+    semi_diameter_mm: Positive | None = Field(
+        None, description="of the surface, for drawings unless it clips"
+    )
     clips: bool = Field(False, description="whether the semi-diameter stops rays")
     stop: bool = Field(False, description="whether the surface is the stop")
 
@@ -360,7 +473,10 @@ class ApertureTable(Record):
     """Aperture of a prescription file."""
 
     type: Literal["entrance_pupil_diameter", "stop_diameter", "f_number"] = Field(
-        examples=['type = "f_number" with f_number = 5.6, or type = "entrance_pupil_diameter" with value_mm = 10']
+        examples=[
+            'type = "f_number" with f_number = 5.6, or type = "entrance_pupil_diameter" with'
+            " value_mm = 10"
+        ]
     )
     value_mm: Positive | None = None
     f_number: Positive | None = Field(None, description="for information, unless it is the type")
@@ -370,7 +486,9 @@ class FieldsTable(Record):
     """Fields of a prescription file."""
 
     type: Literal["angle_deg"] = "angle_deg"
-    max_deg: Annotated[float, Field(ge=0, le=FIELD_ANGLES_DEG[1])] = Field(examples=["max_deg = 20"])
+    max_deg: Annotated[float, Field(ge=0, le=FIELD_ANGLES_DEG[1])] = Field(
+        examples=["max_deg = 20"]
+    )
     angles_deg: tuple[AnyNumber, ...] = ()
 
 
@@ -395,31 +513,52 @@ class PrescriptionFile(Record):
     units: Literal["mm"] = "mm"
     object_distance_mm: MaybeInfinite = math.inf
     stop_surface: Annotated[int, Field(ge=1, le=MAX_SURFACES)] | None = None
-    aperture: ApertureTable = Field(examples=['[aperture] with type = "f_number" and f_number = 5.6 below it'])
+    aperture: ApertureTable = Field(
+        examples=['[aperture] with type = "f_number" and f_number = 5.6 below it']
+    )
     fields: FieldsTable = Field(examples=["[fields] with max_deg = 20 below it"])
     wavelengths: WavelengthsTable = Field(
-        examples=['[wavelengths] with unit = "nm", values = [486.1, 587.6, 656.3] and primary = 587.6 below it']
+        examples=[
+            '[wavelengths] with unit = "nm", values = [486.1, 587.6, 656.3] and primary = 587.6'
+            " below it"
+        ]
     )
     surface: tuple[SurfaceTable, ...] = Field(
         min_length=1,
         max_length=MAX_SURFACES,
-        examples=['[[surface]] with radius_mm = 61.5, thickness_mm = 6 and glass = "SCHOTT:N-BK7" below it, for each surface'],
+        examples=[
+            '[[surface]] with radius_mm = 61.5, thickness_mm = 6 and glass = "SCHOTT:N-BK7" below'
+            " it, for each surface"
+        ],
     )
     glass: dict[str, GlassTable] = Field(default_factory=dict)
 
 
-HOW_TO_GIVE_TOML = 'Give the numbers of another glass in a table [glass."NAME"]: formula and coefficients, n_d and v_d, or n.'
+HOW_TO_GIVE_TOML = (
+    'Give the numbers of another glass in a table [glass."NAME"]: formula and coefficients, n_d and'
+    " v_d, or n."
+)
 
 
 def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
     table = read_toml(path)
     if options.configuration not in (None, 1):
-        raise invalid("lens.configuration", options.configuration, f"1: '{path}' has one configuration, as every .toml file")
+        raise invalid(
+            "lens.configuration",
+            options.configuration,
+            f"1: '{path}' has one configuration, as every .toml file",
+        )
     of_zmx = ("semi_diameters", "vignetting_factors", "unknown_glass")
-    unused = [name for name in of_zmx if getattr(options, name) != PrescriptionOptions.model_fields[name].default]
+    unused = [
+        name
+        for name in of_zmx
+        if getattr(options, name) != PrescriptionOptions.model_fields[name].default
+    ]
     heads = [
         number
-        for number, line in enumerate(read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1)
+        for number, line in enumerate(
+            read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1
+        )
         if re.match(r"\s*\[\[\s*[\"']?surface[\"']?\s*\]\]", line)
     ]
 
@@ -431,12 +570,18 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path), named=True)])
     except PixsimError as error:  # pydantic counts surfaces from 0
         before = re.escape(f"{path}: ")
-        located = re.sub(rf"(?:{before})?surface\.(\d+)\.?", lambda found: f"{place(int(found[1]))}: ", str(error))
+        located = re.sub(
+            rf"(?:{before})?surface\.(\d+)\.?",
+            lambda found: f"{place(int(found[1]))}: ",
+            str(error),
+        )
         raise PixsimError(located.replace(": : ", ": ")) from None
     stops = {index for index, surface in enumerate(file.surface) if surface.stop}
     if file.stop_surface is not None:
         stops.add(file.stop_surface - 1)
-    stop = _one_stop(stops, f"'{path}'", len(file.surface), "Give its number, from 1, as stop_surface.")
+    stop = _one_stop(
+        stops, f"'{path}'", len(file.surface), "Give its number, from 1, as stop_surface."
+    )
     glasses: list[Glass] = []
     unknown: list[str] = []
     for index, surface in enumerate(file.surface):
@@ -453,7 +598,9 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
     value = file.aperture.f_number if file.aperture.type == "f_number" else file.aperture.value_mm
     if value is None:
         missing = "f_number" if file.aperture.type == "f_number" else "value_mm"
-        raise invalid(f"'{path}': aperture.{missing}", "none", f"a number, for the type {file.aperture.type}")
+        raise invalid(
+            f"'{path}': aperture.{missing}", "none", f"a number, for the type {file.aperture.type}"
+        )
     to_nm = 1e3 if file.wavelengths.unit == "um" else 1.0
     prescription = Prescription(
         name=one_line(file.name or path.stem),
@@ -468,14 +615,21 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         wavelengths_nm=tuple(to_nm * value for value in file.wavelengths.values),
         primary_nm=to_nm * file.wavelengths.primary,
         object_distance_mm=file.object_distance_mm,
-        notes=tuple(Note("not_used", setting=f"lens.{name}", reason="it is of lens files that are not TOML") for name in unused),
+        notes=tuple(
+            Note("not_used", setting=f"lens.{name}", reason="it is of lens files that are not TOML")
+            for name in unused
+        ),
     )
     return _checked(prescription, f"'{path}'", place)
 
 
 def _one_stop(stops: set[int], where: str, count: int, hint: str) -> int:
     if len(stops) != 1 or not max(stops) < count:
-        got = "no surface" if not stops else f"surfaces {', '.join(str(index + 1) for index in sorted(stops))}"
+        got = (
+            "no surface"
+            if not stops
+            else f"surfaces {', '.join(str(index + 1) for index in sorted(stops))}"
+        )
         raise invalid(f"stop of {where}", got, f"one of the surfaces 1 to {count}", hint)
     return stops.pop()
 
@@ -485,23 +639,55 @@ def _toml_surface(table: SurfaceTable, glass: Glass, where: str) -> Surface:
     if radius is not None:
         of_radius = 0.0 if math.isinf(radius) else 1 / radius if radius else math.inf
         if not abs(of_radius) <= LONGEST_MM:
-            raise invalid(f"{where}: radius_mm", f"{radius:g}", f"at least {1 / LONGEST_MM:g} in size; inf for a plane")
-        if curvature is not None and not math.isclose(of_radius, curvature, rel_tol=AGREEMENT, abs_tol=1e-15):
+            raise invalid(
+                f"{where}: radius_mm",
+                f"{radius:g}",
+                f"at least {1 / LONGEST_MM:g} in size; inf for a plane",
+            )
+        if curvature is not None and not math.isclose(
+            of_radius, curvature, rel_tol=AGREEMENT, abs_tol=1e-15
+        ):
             got = f"{radius:.12g}, with curvature_per_mm = {curvature:.12g}"
-            raise invalid(f"{where}: radius_mm", got, "the reciprocal of the curvature", "Leave one of them out.")
+            raise invalid(
+                f"{where}: radius_mm",
+                got,
+                "the reciprocal of the curvature",
+                "Leave one of them out.",
+            )
         curvature = of_radius if curvature is None else curvature
     if curvature is None:
-        raise invalid(f"{where}: curvature_per_mm and radius_mm", "neither", "one of them; radius_mm = inf for a plane")
+        raise invalid(
+            f"{where}: curvature_per_mm and radius_mm",
+            "neither",
+            "one of them; radius_mm = inf for a plane",
+        )
     asphere = []
     for name, value in table.asphere.items():
         if not re.fullmatch(r"A\d{1,2}", name):
-            raise invalid(f"{where}: asphere", f"a term that is {excerpt(name)}", f"A2 to A{MAX_POWER}, by the power of r")
+            raise invalid(
+                f"{where}: asphere",
+                f"a term that is {excerpt(name)}",
+                f"A2 to A{MAX_POWER}, by the power of r",
+            )
         if value:
             asphere.append((int(name[1:]), value))
-    return Surface(curvature, table.thickness_mm, glass, table.conic, tuple(sorted(asphere)), table.semi_diameter_mm, table.clips)
+    return Surface(
+        curvature,
+        table.thickness_mm,
+        glass,
+        table.conic,
+        tuple(sorted(asphere)),
+        table.semi_diameter_mm,
+        table.clips,
+    )
 
 
-def _toml_glass(given: str | float | GlassTable, glasses: Mapping[str, GlassTable], where: str, own: Mapping[str, Glass]) -> Glass:
+def _toml_glass(
+    given: str | float | GlassTable,
+    glasses: Mapping[str, GlassTable],
+    where: str,
+    own: Mapping[str, Glass],
+) -> Glass:
     if isinstance(given, GlassTable):
         return given.glass(given.words, where)
     if not isinstance(given, str):
@@ -513,7 +699,9 @@ def _toml_glass(given: str | float | GlassTable, glasses: Mapping[str, GlassTabl
     if given.lower() == "air":
         return AIR
     if given.upper() == "MIRROR":
-        raise invalid(f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors")
+        raise invalid(
+            f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors"
+        )
     if code := code_glass(given):
         return code
     near = did_you_mean(given, [*filter(_is_plain, own), *catalogue()])
@@ -525,11 +713,30 @@ def _is_plain(full: str) -> bool:
     return all(map(PLAIN_WORD.fullmatch, full.split(":", 1)))
 
 
-# Zemax -----------------------------------------------------------------------------------------------------------------------
+# Zemax
+# -----------------------------------------------------------------------------------------------------------------------
 
-UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "INCHES": 25.4, "M": 1e3, "METER": 1e3, "METERS": 1e3}
-STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1, "XASPHERE": 2, "XOSPHERE": 1}  # of the powers of r of an asphere's terms
-EXTENDED = ("XASPHERE", "XOSPHERE")  # terms in XDAT: their number, the radius that r is taken over, and the terms
+UNITS_MM = {
+    "MM": 1.0,
+    "CM": 10.0,
+    "IN": 25.4,
+    "INCH": 25.4,
+    "INCHES": 25.4,
+    "M": 1e3,
+    "METER": 1e3,
+    "METERS": 1e3,
+}
+STEP = {
+    "STANDARD": 0,
+    "EVENASPH": 2,
+    "ODDASPHE": 1,
+    "XASPHERE": 2,
+    "XOSPHERE": 1,
+}  # of the powers of r of an asphere's terms
+EXTENDED = (
+    "XASPHERE",
+    "XOSPHERE",
+)  # terms in XDAT: their number, the radius that r is taken over, and the terms
 NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
 GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
 TRACED = f"{', '.join(STEP)}, and {NULL} of zeros"
@@ -540,16 +747,27 @@ OTHER_APERTURES = {
     "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDOB": "user obscuration",
     **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
 }  # fmt: skip
-FIELD_KINDS: dict[int, FieldOfView] = {0: "angle_deg", 1: "object_height", 2: "paraxial_image_height", 3: "real_image_height"}
-USUAL_FIELDS, MOST_FIELDS = 12, 200  # of older files, in which the places of unused ones are filled up, and of any
+FIELD_KINDS: dict[int, FieldOfView] = {
+    0: "angle_deg",
+    1: "object_height",
+    2: "paraxial_image_height",
+    3: "real_image_height",
+}
+USUAL_FIELDS, MOST_FIELDS = (
+    12,
+    200,
+)  # of older files, in which the places of unused ones are filled up, and of any
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
-HOW_TO_GIVE_ZMX = "Or give those of this glass in its line, as N-BK7's in GLAS ___BLANK 1 0 1.5168 64.17."
+HOW_TO_GIVE_ZMX = (
+    "Or give those of this glass in its line, as N-BK7's in GLAS ___BLANK 1 0 1.5168 64.17."
+)
 OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
 PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
 MODEL_GLASS, SHIFTED_GLASS = 1, 4  # what a GLAS line says of its glass
 FIXED = ("1", "2")  # flags of a semi-diameter: typed, and picked up from another surface
-# Keywords of the head of a file. Files that others wrote have them anywhere, and surfaces without indentation.
+# Keywords of the head of a file. Files that others wrote have them anywhere, and surfaces without
+# indentation.
 HEAD = frozenset(
     re.findall(
         r"\w+",
@@ -600,7 +818,11 @@ class _Block:
 def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
     head, blocks, operands = _blocks(path)
     if len(blocks) < 3:
-        raise invalid(f"'{path}'", f"{len(blocks)} surfaces (lines SURF)", "an object, at least one surface, and an image plane")
+        raise invalid(
+            f"'{path}'",
+            f"{len(blocks)} surfaces (lines SURF)",
+            "an object, at least one surface, and an image plane",
+        )
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
         got = f"MODE with {excerpt(' '.join(mode.words))}"
         raise invalid(f"'{path}', line {mode.number}", got, "MODE SEQ, sequential surfaces")
@@ -618,32 +840,51 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     object_distance = stated_distance if stated_distance < FAR else math.inf
     _check_image(path, blocks[-1])
     glasses = _zmx_glasses(path, head, blocks[1:-1], options, own, notes)
-    surfaces = [_zmx_surface(block, block.place(path), glass, notes) for block, glass in zip(blocks[1:-1], glasses, strict=True)]
+    surfaces = [
+        _zmx_surface(block, block.place(path), glass, notes)
+        for block, glass in zip(blocks[1:-1], glasses, strict=True)
+    ]
     stops = {index for index, block in enumerate(blocks[1:-1]) if block.first("STOP")}
     stop = _one_stop(stops, f"'{path}'", len(surfaces), "Write a line STOP under its SURF.")
     fixed = _fixed(blocks[1:-1], surfaces, stop)
     if options.semi_diameters == "clip":
-        surfaces = [replace(surface, clips=surface.clips or index in fixed) for index, surface in enumerate(surfaces)]
+        surfaces = [
+            replace(surface, clips=surface.clips or index in fixed)
+            for index, surface in enumerate(surfaces)
+        ]
         fixed = ()
     aperture, value = _zmx_aperture(path, head, surfaces[stop])
     kind, largest = _zmx_field(path, head, stated_distance)
     wavelengths, primary = _zmx_wavelengths(path, head)
     for index in solved:
-        surfaces[index] = replace(surfaces[index], thickness_mm=_focus(surfaces[: index + 1], object_distance, primary))
+        surfaces[index] = replace(
+            surfaces[index], thickness_mm=_focus(surfaces[: index + 1], object_distance, primary)
+        )
     factors = _zmx_vignetting(path, head, notes)
-    if kind == "angle_deg" and math.isfinite(stated_distance) and _zmx_fields(path, head)[0]:  # object heights far away
-        factors = tuple(replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance))) for row in factors)
-    used = (options.vignetting_factors or ("ignore" if any(surface.clips for surface in surfaces) else "use")) == "use"
+    if (
+        kind == "angle_deg" and math.isfinite(stated_distance) and _zmx_fields(path, head)[0]
+    ):  # object heights far away
+        factors = tuple(
+            replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance)))
+            for row in factors
+        )
+    used = (
+        options.vignetting_factors
+        or ("ignore" if any(surface.clips for surface in surfaces) else "use")
+    ) == "use"
     title = next((" ".join(line.words) for line in head.all("NAME") if line.words), path.stem)
     prescription = Prescription(
         one_line(path.stem), one_line(title, 200), f"file '{path.name}'", tuple(surfaces), stop, aperture, value, kind, largest,
         wavelengths, primary, object_distance, factors if used else (), () if used else factors, fixed,
         tuple(Note("lens_as_read", lens=f"lens '{one_line(path.stem)}'", words=note) for note in notes),
     )  # fmt: skip
-    return _checked(prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path))
+    return _checked(
+        prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path)
+    )
 
 
-# Operands of several configurations that are read: a thickness, the aperture, and a field -> its list in newer and older files.
+# Operands of several configurations that are read: a thickness, the aperture, and a field -> its
+# list in newer and older files.
 OF_FIELDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
 SET_HERE = frozenset({"THIC", "APER", *OF_FIELDS})
 # Those that change no ray: comments, weights, coatings, labels.
@@ -668,22 +909,32 @@ OTHER_OPERANDS = frozenset(
         """,
     )
 )
-FOCUS, OTHER_SOLVES = "MAZH", ("TCOM", "TOLE")  # of a thickness: the focus of the axial ray, and sums of several
+FOCUS, OTHER_SOLVES = (
+    "MAZH",
+    ("TCOM", "TOLE"),
+)  # of a thickness: the focus of the axial ray, and sums of several
 
 
 def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     """Return the head of a .zmx file, its surfaces, and the operands of its configurations.
 
-    A keyword of the head belongs there wherever it stands; another one to the surface above, if it is indented or no line is.
+    A keyword of the head belongs there wherever it stands; another one to the surface above, if it
+    is indented or no line is.
     """
     text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
     if len(text) > MAX_LINES:
         raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {MAX_LINES}")
     words_of = [line.split() for line in text]
-    first = next((index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"), None)
+    first = next(
+        (index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"),
+        None,
+    )
     if first is None:
         raise invalid("lens", f"'{path}' without a line SURF", "a sequential Zemax prescription")
-    flat = not any(words and line[0].isspace() for line, words in zip(text[first:], words_of[first:], strict=True))
+    flat = not any(
+        words and line[0].isspace()
+        for line, words in zip(text[first:], words_of[first:], strict=True)
+    )
     head, blocks, operands = _Block(), dict[int, _Block](), list[_Line]()
     block, configurations = None, 0
     for number, (line, words) in enumerate(zip(text, words_of, strict=True), 1):
@@ -691,12 +942,20 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
             continue
         one = _Line(number, words[0].upper(), words[1:])
         if one.keyword == "SURF":
-            at = int(one.words[0]) if one.words and re.fullmatch(r"[0-9]{1,6}", one.words[0]) else -1
+            at = (
+                int(one.words[0]) if one.words and re.fullmatch(r"[0-9]{1,6}", one.words[0]) else -1
+            )
             if at < 0 or at in blocks:
                 what = f"SURF {at} a second time" if at in blocks else "SURF without a number"
-                raise invalid(f"'{path}', line {number}", what, "SURF with the number of each surface, from 0, once")
+                raise invalid(
+                    f"'{path}', line {number}",
+                    what,
+                    "SURF with the number of each surface, from 0, once",
+                )
             if len(blocks) > MAX_SURFACES + 1:
-                raise invalid(f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}")
+                raise invalid(
+                    f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}"
+                )
             block = blocks[at] = _Block(line=number, number=at)
         elif one.keyword == "MNUM":
             head.lines.append(one)
@@ -710,7 +969,11 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     missing = [number for number in range(len(blocks)) if number not in blocks]
     if missing:
         got = f"surfaces {', '.join(map(str, sorted(blocks)[:20]))}"
-        raise invalid(f"'{path}'", got, f"SURF 0 to SURF {len(blocks) - 1}, without a gap: SURF {missing[0]} is missing")
+        raise invalid(
+            f"'{path}'",
+            got,
+            f"SURF 0 to SURF {len(blocks) - 1}, without a gap: SURF {missing[0]} is missing",
+        )
     return head, [blocks[number] for number in range(len(blocks))], operands
 
 
@@ -719,21 +982,33 @@ def _is_count(word: str) -> bool:
 
 
 def _is_operand(line: _Line, configurations: int) -> bool:
-    """Whether a line is an operand: its name, what it acts on, and the number of a configuration."""
+    """Whether a line is an operand: its name, what it acts on, and the number of a
+    configuration.
+    """
     if line.keyword not in SET_HERE | WITHOUT_EFFECT | OTHER_OPERANDS or len(line.words) < 2:
         return False
     return all(map(_is_count, line.words[:2])) and 1 <= int(line.words[1]) <= configurations
 
 
 def _configured(
-    path: Path, head: _Block, blocks: list[_Block], operands: Sequence[_Line], wanted: int | None, notes: list[str]
+    path: Path,
+    head: _Block,
+    blocks: list[_Block],
+    operands: Sequence[_Line],
+    wanted: int | None,
+    notes: list[str],
 ) -> list[int]:
-    """Change the lines of a file to those of a configuration, and return the surfaces (from 0) whose thickness is to be solved.
+    """Change the lines of a file to those of a configuration, and return the surfaces (from 0)
+    whose thickness is to be solved.
 
-    Raises PixsimError if there is no such configuration, or if it changes what pixsim does not read.
+    Raises PixsimError if there is no such configuration, or if it changes what pixsim does not
+    read.
     """
     stated = head.first("MNUM")
-    count, active = (max(1, int(_zmx_number(f"'{path}'", stated, place, 1.0))) if stated else 1 for place in (0, 1))
+    count, active = (
+        max(1, int(_zmx_number(f"'{path}'", stated, place, 1.0))) if stated else 1
+        for place in (0, 1)
+    )
     if wanted is None:
         if count > 1:
             notes.append(f"the file has {count} configurations; read is number {active}, the active one. "
@@ -760,7 +1035,9 @@ def _configured(
             unread.append(f"{keyword} {at} (line {one.number})")
     if unread:
         expected = f"operands {', '.join(sorted(SET_HERE))}"
-        hint = f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
+        hint = (
+            f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
+        )
         raise invalid(f"'{path}': configuration {wanted}", ", ".join(unread), expected, hint)
     solved = []
     for index, block in enumerate(blocks[1:-1]):
@@ -768,8 +1045,16 @@ def _configured(
             where = f"{block.place(path)}, line {line.number}"
             numbers = [_zmx_number(where, line, place, 0.0) for place in (0, 1)]
             if line.keyword != FOCUS or any(numbers):
-                got = f"the solve {line.keyword} {' '.join(f'{number:g}' for number in numbers)} of a thickness"
-                raise invalid(where, got, f"{FOCUS} 0 0, the paraxial focus", "Make the configuration the active one.")
+                got = (
+                    f"the solve {line.keyword} {' '.join(f'{number:g}' for number in numbers)} of a"
+                    " thickness"
+                )
+                raise invalid(
+                    where,
+                    got,
+                    f"{FOCUS} 0 0, the paraxial focus",
+                    "Make the configuration the active one.",
+                )
             solved.append(index)
     return solved
 
@@ -792,7 +1077,11 @@ def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str
     else:
         stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
         if stated is None:
-            raise invalid(f"{where}: {keyword}", "an aperture that floats by the size of the stop (FLOA)", "ENPD, FNUM or OBNA")
+            raise invalid(
+                f"{where}: {keyword}",
+                "an aperture that floats by the size of the stop (FLOA)",
+                "ENPD, FNUM or OBNA",
+            )
         head.put(stated, value)
 
 
@@ -810,7 +1099,9 @@ def _focus(surfaces: Sequence[Surface], object_distance: float, primary_nm: floa
 
 
 def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None = None) -> float:
-    """Return a number of a line, by its place behind the keyword. Raises PixsimError if it is no finite number."""
+    """Return a number of a line, by its place behind the keyword. Raises PixsimError if it is no
+    finite number.
+    """
     if place >= len(line.words) and default is not None:
         return default
     text = line.words[place] if place < len(line.words) else ""
@@ -819,7 +1110,11 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise invalid(f"{where}, line {line.number}: {line.keyword}", excerpt(text), "a finite number, with a decimal point")
+        raise invalid(
+            f"{where}, line {line.number}: {line.keyword}",
+            excerpt(text),
+            "a finite number, with a decimal point",
+        )
     return value
 
 
@@ -829,18 +1124,31 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
     if (glass := block.first("GLAS")) and glass.words and glass.words[0].upper() != "AIR":
         at = f"{where}, line {glass.number}: GLAS"
         got = f"an object in the medium {_medium_words(at, glass)}"
-        raise invalid(at, got, "an object in air", "Delete the line to have the lens in air, which is another lens.")
+        raise invalid(
+            at,
+            got,
+            "an object in air",
+            "Delete the line to have the lens in air, which is another lens.",
+        )
     curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
     if _kind(block) != "STANDARD" or curved:
-        got = f"an object of the type {names_in([_kind(block)])[0]}{' that is curved' if curved else ''}"
+        got = (
+            "an object of the type"
+            f" {names_in([_kind(block)])[0]}{' that is curved' if curved else ''}"
+        )
         raise invalid(where, got, "a plane object, STANDARD")
     line = block.first("DISZ")
     if line is None or not line.words or line.words[0].upper() == "INFINITY":
         return math.inf
     distance = _zmx_number(where, line)
     if distance <= 0:
-        hint = "Write DISZ INFINITY under SURF 0, or a distance above 0. The camera's object distance sets the focus."
-        raise invalid(where, f"an object at {distance:g}", "a real object, in front of the lens", hint)
+        hint = (
+            "Write DISZ INFINITY under SURF 0, or a distance above 0. The camera's object distance"
+            " sets the focus."
+        )
+        raise invalid(
+            where, f"an object at {distance:g}", "a real object, in front of the lens", hint
+        )
     telecentric = head.first("FTYP")
     if distance < FAR and telecentric and _zmx_number(f"'{path}'", telecentric, 1, 0.0):
         where = f"'{path}', line {telecentric.number}: FTYP"
@@ -858,11 +1166,19 @@ def _check_image(path: Path, block: _Block) -> None:
     where = block.place(path)
     kind = block.first("TYPE")
     if (curvature := block.first("CURV")) and _zmx_number(where, curvature):
-        raise invalid(where, f"an image of curvature {float(curvature.words[0]):g}", "a plane image")
+        raise invalid(
+            where, f"an image of curvature {float(curvature.words[0]):g}", "a plane image"
+        )
     if kind and kind.words and kind.words[0].upper() != "STANDARD":
-        raise invalid(where, f"an image of the type {quoted(' '.join(kind.words))}", "a plane image, STANDARD")
+        raise invalid(
+            where, f"an image of the type {quoted(' '.join(kind.words))}", "a plane image, STANDARD"
+        )
     if (glass := block.first("GLAS")) and glass.words:
-        raise invalid(where, f"the glass {quoted(glass.words[0])} behind the image plane", "an image plane in air")
+        raise invalid(
+            where,
+            f"the glass {quoted(glass.words[0])} behind the image plane",
+            "an image plane in air",
+        )
 
 
 def _kind(block: _Block) -> str:
@@ -881,7 +1197,14 @@ def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
 
 
 def _glass_name(block: _Block) -> str:
-    return next((line.words[0].upper() for line in block.all("GLAS") if line.words and line.words[0].upper() != "AIR"), "")
+    return next(
+        (
+            line.words[0].upper()
+            for line in block.all("GLAS")
+            if line.words and line.words[0].upper() != "AIR"
+        ),
+        "",
+    )
 
 
 def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
@@ -892,14 +1215,25 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
     kind = _kind(block)
     if kind == NULL:
         names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
-        terms = [(_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")]
-        moved = [f"{names[int(number) - 1]} {value:g}" for number, value in terms if 1 <= number <= len(names) and value]
+        terms = [
+            (_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")
+        ]
+        moved = [
+            f"{names[int(number) - 1]} {value:g}"
+            for number, value in terms
+            if 1 <= number <= len(names) and value
+        ]
         if (line := block.first("CURV")) and _zmx_number(where, line):
             moved.append("with a curvature")
         if _glass_name(block) not in ("", medium):
             moved.append("with a glass of its own")
         if moved:
-            yield invalid(where, f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED)
+            yield invalid(
+                where,
+                f"{NULL}, a tilted or decentred axis ({', '.join(moved)})",
+                TRACED,
+                HOW_TRACED,
+            )
     elif kind not in STEP:
         what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
         yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, HOW_TRACED)
@@ -908,24 +1242,49 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
             expected = "refracting surfaces: pixsim traces no mirrors"
             yield invalid(f"{where}, line {glass.number}: GLAS", "'MIRROR', a mirror", expected)
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
-        yield invalid(where, "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor.")
+        yield invalid(
+            where,
+            "a surface that Zemax ignores (IGNR)",
+            "surfaces in use",
+            "Delete it in the lens data editor.",
+        )
     for tilt in block.all("SCBD"):
         if any(_is_number(word) and float(word) for word in tilt.words[1:]):
-            yield invalid(f"{where}, line {tilt.number}", "a tilted or decentred surface (SCBD)", "surfaces on the axis")
+            yield invalid(
+                f"{where}, line {tilt.number}",
+                "a tilted or decentred surface (SCBD)",
+                "surfaces on the axis",
+            )
     for other in block.all(*OTHER_APERTURES):
         yield invalid(
-            f"{where}, line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP"
+            f"{where}, line {other.number}",
+            f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}",
+            "discs: CLAP or FLAP",
         )
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
-            yield invalid(f"{where}, line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis")
+            yield invalid(
+                f"{where}, line {decentre.number}",
+                "a decentred aperture (OBDC)",
+                "apertures on the axis",
+            )
     for aperture in block.all("CLAP", "FLAP"):
         if _zmx_number(where, aperture, 0, 0.0):
-            yield invalid(f"{where}, line {aperture.number}", f"{aperture.keyword} with a hole inside", "full discs, from radius 0")
+            yield invalid(
+                f"{where}, line {aperture.number}",
+                f"{aperture.keyword} with a hole inside",
+                "full discs, from radius 0",
+            )
     if kind in EXTENDED:
-        stated, extra = ([term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)] for name in ("PARM", "XDAT"))
+        stated, extra = (
+            [term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)]
+            for name in ("PARM", "XDAT")
+        )
         if stated or not extra:
-            got = f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which programs read in several ways"
+            got = (
+                f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which"
+                " programs read in several ways"
+            )
             expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
             yield invalid(where, got, expected, "Save the lens again in OpticStudio.")
 
@@ -941,21 +1300,33 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
     """Return a surface in the unit of the file."""
     kind = _kind(block)
     curvature, thickness, conic = (
-        _zmx_number(where, line) if (line := block.first(keyword)) else 0.0 for keyword in ("CURV", "DISZ", "CONI")
+        _zmx_number(where, line) if (line := block.first(keyword)) else 0.0
+        for keyword in ("CURV", "DISZ", "CONI")
     )
     if kind == NULL:
         return Surface(0.0, thickness, glass)
     step, asphere = STEP[kind], []
     if kind in EXTENDED:
-        extra = {int(_zmx_number(where, line)): _zmx_number(where, line, 1) for line in block.all("XDAT")}
+        extra = {
+            int(_zmx_number(where, line)): _zmx_number(where, line, 1) for line in block.all("XDAT")
+        }
         count, radius = int(extra.get(1, 0.0)), extra.get(2, 0.0)
         if not radius > 0:
-            raise invalid(f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0")
+            raise invalid(
+                f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0"
+            )
         terms = {number - 2: value for number, value in extra.items() if number > 2 and value}
         if beyond := [number for number in terms if number > count]:
             where = where.partition(", ")[2]
-            notes.append(f"{where}: XDAT 1 states {count} terms; {len(beyond)} beyond are not used, as in OpticStudio")
-        asphere = [(step * number, _over_power(value, radius, step * number)) for number, value in terms.items() if number <= count]
+            notes.append(
+                f"{where}: XDAT 1 states {count} terms; {len(beyond)} beyond are not used, as in"
+                " OpticStudio"
+            )
+        asphere = [
+            (step * number, _over_power(value, radius, step * number))
+            for number, value in terms.items()
+            if number <= count
+        ]
     elif step:
         for term in block.all("PARM"):
             index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
@@ -965,7 +1336,15 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
     semi = next((_zmx_number(where, line) for line in block.all("DIAM")), 0.0)
     for aperture in apertures:
         semi = _zmx_number(where, aperture, 1, semi)
-    return Surface(curvature, thickness, glass, conic, tuple(sorted(asphere)), semi or None, bool(apertures and semi))
+    return Surface(
+        curvature,
+        thickness,
+        glass,
+        conic,
+        tuple(sorted(asphere)),
+        semi or None,
+        bool(apertures and semi),
+    )
 
 
 def _over_power(value: float, radius: float, power: int) -> float:
@@ -977,20 +1356,35 @@ def _over_power(value: float, radius: float, power: int) -> float:
 
 
 def _fixed(blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int) -> tuple[int, ...]:
-    """Return the refracting surfaces, but the stop, whose semi-diameter is fixed without an aperture."""
+    """Return the refracting surfaces, but the stop, whose semi-diameter is fixed without an
+    aperture.
+    """
     found, before = [], AIR
     for index, (block, surface) in enumerate(zip(blocks, surfaces, strict=True)):
         fixed = any(line.words[1:2] in ([flag] for flag in FIXED) for line in block.all("DIAM"))
-        if fixed and surface.semi_diameter_mm and surface.glass != before and index != stop and not surface.clips:
+        if (
+            fixed
+            and surface.semi_diameter_mm
+            and surface.glass != before
+            and index != stop
+            and not surface.clips
+        ):
             found.append(index)
         before = surface.glass
     return tuple(found)
 
 
 def _zmx_glasses(
-    path: Path, head: _Block, blocks: Sequence[_Block], options: PrescriptionOptions, own: Mapping[str, Glass], notes: list[str]
+    path: Path,
+    head: _Block,
+    blocks: Sequence[_Block],
+    options: PrescriptionOptions,
+    own: Mapping[str, Glass],
+    notes: list[str],
 ) -> list[Glass]:
-    """Return the medium behind each surface. Raises PixsimError that names all glasses that are not known."""
+    """Return the medium behind each surface. Raises PixsimError that names all glasses that are not
+    known.
+    """
     makers = [word for line in head.all("GCAT") for word in line.words]
     glasses: list[Glass] = []
     unknown: list[str] = []
@@ -1004,7 +1398,9 @@ def _zmx_glasses(
             glasses.append(AIR)
             continue
         try:
-            glasses.append(_zmx_glass(line, f"{block.place(path)}, line {line.number}: GLAS", makers, own))
+            glasses.append(
+                _zmx_glass(line, f"{block.place(path)}, line {line.number}: GLAS", makers, own)
+            )
         except PixsimError as error:
             numbers = _own_numbers(line)
             if options.unknown_glass == "model" and numbers:
@@ -1015,7 +1411,10 @@ def _zmx_glasses(
                 unknown.append(f"{error} {_ready(line)}")
                 glasses.append(AIR)
     if modelled:
-        notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
+        notes.append(
+            "glasses that no catalogue has are models of the n_d and V_d in their lines:"
+            f" {', '.join(modelled)}"
+        )
     if unknown:
         raise PixsimError("\n".join([*unknown, OWN_CATALOGUE]))
     return glasses
@@ -1027,14 +1426,21 @@ def _own_numbers(line: _Line) -> tuple[float, float] | None:
     if len(words) < 2 or not all(map(_is_number, words)):
         return None
     n_d, v_d = map(float, words)
-    return (n_d, v_d) if 1 < n_d <= 10 and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1] and (n_d, v_d) != PLACEHOLDER else None
+    return (
+        (n_d, v_d)
+        if 1 < n_d <= 10 and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1] and (n_d, v_d) != PLACEHOLDER
+        else None
+    )
 
 
 def _ready(line: _Line) -> str:
     """Return how to take the numbers that a GLAS line states."""
     if numbers := _own_numbers(line):
         ready = f"GLAS ___BLANK 1 0 {numbers[0]:g} {numbers[1]:g}"
-        return f'Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass = "model".'
+        return (
+            f"Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass ="
+            ' "model".'
+        )
     return f"Its line states no n_d and V_d of its own. {HOW_TO_GIVE_ZMX}"
 
 
@@ -1044,8 +1450,16 @@ def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Gl
         n_d, v_d = _zmx_number(at, line, 3), _zmx_number(at, line, 4)
         low, high = ABBE_NUMBERS
         if not 1 <= n_d <= 10 or not (v_d == 0 or low <= v_d <= high):
-            raise invalid(at, f"n_d = {n_d:g}, V_d = {v_d:g}", f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}")
-        return abbe_glass(model_name(n_d, v_d), n_d, v_d) if v_d else constant_glass(f"n = {n_d:g}", n_d)
+            raise invalid(
+                at,
+                f"n_d = {n_d:g}, V_d = {v_d:g}",
+                f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}",
+            )
+        return (
+            abbe_glass(model_name(n_d, v_d), n_d, v_d)
+            if v_d
+            else constant_glass(f"n = {n_d:g}", n_d)
+        )
     if glass := code_glass(name):
         return glass
     glass = find_glass(name, at, makers, own=own, numbers=_own_numbers(line))
@@ -1059,17 +1473,28 @@ def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, fl
     if line := head.first("ENPD"):
         return "entrance_pupil_diameter", _zmx_number(where, line)
     if line := head.first("FNUM"):
-        return "working_f_number" if _zmx_number(where, line, 1, 0.0) else "f_number", _zmx_number(where, line)
+        return "working_f_number" if _zmx_number(where, line, 1, 0.0) else "f_number", _zmx_number(
+            where, line
+        )
     if line := head.first("OBNA"):
         if _zmx_number(where, line, 1, 0.0):
             got = "OBNA of an angle"
-            raise invalid(f"{where}, line {line.number}", got, "OBNA with 0: the numerical aperture, or ENPD or FNUM")
+            raise invalid(
+                f"{where}, line {line.number}",
+                got,
+                "OBNA with 0: the numerical aperture, or ENPD or FNUM",
+            )
         return "object_numerical_aperture", _zmx_number(where, line)
     if head.first("FLOA"):
         if stop.semi_diameter_mm is None:
-            raise invalid(f"aperture of {where}", "FLOA, and no DIAM of the stop", "a stop with a size")
+            raise invalid(
+                f"aperture of {where}", "FLOA, and no DIAM of the stop", "a stop with a size"
+            )
         return "stop_diameter", 2 * stop.semi_diameter_mm
-    expected = "ENPD (entrance pupil), FNUM (f-number), OBNA (numerical aperture) or FLOA (size of the stop)"
+    expected = (
+        "ENPD (entrance pupil), FNUM (f-number), OBNA (numerical aperture) or FLOA (size of the"
+        " stop)"
+    )
     raise invalid(f"aperture of {where}", "none", expected)
 
 
@@ -1097,22 +1522,34 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
     where = f"'{path}', line {line.number if line else 0}: FTYP"
     if kind not in FIELD_KINDS:
         if largest:
-            raise invalid(where, kind, "0 (angles), 1 (object heights), 2 or 3 (paraxial or real image heights)")
+            raise invalid(
+                where,
+                kind,
+                "0 (angles), 1 (object heights), 2 or 3 (paraxial or real image heights)",
+            )
         kind = 0
     if FIELD_KINDS[kind] == "object_height" and object_distance >= FAR:
         if largest and math.isinf(object_distance):
-            raise invalid(where, "object heights of an object at infinity", "angles (FTYP 0), or a finite DISZ under SURF 0")
+            raise invalid(
+                where,
+                "object heights of an object at infinity",
+                "angles (FTYP 0), or a finite DISZ under SURF 0",
+            )
         return "angle_deg", math.degrees(math.atan2(largest, object_distance))
     return FIELD_KINDS[kind], largest
 
 
 def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignetting, ...]:
-    """Return what light of each field fills of the pupil, by rising fields; empty if no field has factors."""
+    """Return what light of each field fills of the pupil, by rising fields; empty if no field has
+    factors.
+    """
     kind, fields, _ = _zmx_fields(path, head)
     factors = list(zip(*(_list(path, head, keyword) for keyword in FACTORS), strict=True))
     rows: dict[float, Vignetting] = {}
     unused = []
-    for number, ((x, y), (dx, dy, cx, cy, turned)) in enumerate(zip(fields, factors, strict=False), 1):
+    for number, ((x, y), (dx, dy, cx, cy, turned)) in enumerate(
+        zip(fields, factors, strict=False), 1
+    ):
         size = math.hypot(x, y)
         towards = (x / size, y / size) if size else (0.0, 1.0)
         low, high = COMPRESSIONS
@@ -1123,15 +1560,25 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
         along = dx * towards[0] + dy * towards[1]
         off_axis = abs(dx * towards[1] - dy * towards[0]) > FACTORS_ZERO
         round_ = abs(cx - cy) <= FACTORS_ZERO
-        if off_axis or (not round_ and (turned or (size and 0.0 not in (x, y)))) or (not size and (along or not round_)):
+        if (
+            off_axis
+            or (not round_ and (turned or (size and 0.0 not in (x, y))))
+            or (not size and (along or not round_))
+        ):
             unused.append(number)  # an ellipse that is not symmetric to the plane of the field
             continue
         semi = (1 - cx, 1 - cy) if not x else (1 - cy, 1 - cx)
         # A higher object sends its light down.
-        rows.setdefault(size, Vignetting(size, -along if FIELD_KINDS.get(kind) == "object_height" else along, *semi))
+        rows.setdefault(
+            size,
+            Vignetting(size, -along if FIELD_KINDS.get(kind) == "object_height" else along, *semi),
+        )
     if unused:
         what = ", ".join(map(str, unused))
-        notes.append(f"vignetting factors of the fields {what} are not used: they are not symmetric to the plane of their field")
+        notes.append(
+            f"vignetting factors of the fields {what} are not used: they are not symmetric to the"
+            " plane of their field"
+        )
     found = tuple(rows[size] for size in sorted(rows))
     return found if any(row != Vignetting(row.field_value) for row in found) else ()
 
@@ -1140,7 +1587,9 @@ FACTORS_ZERO = 1e-9
 
 
 def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float]:
-    """Return the wavelengths in nm and the primary one. Newer files fill up to 24 with .55; the count is in FTYP."""
+    """Return the wavelengths in nm and the primary one. Newer files fill up to 24 with .55; the
+    count is in FTYP.
+    """
     where = f"'{path}'"
     lines = list(head.all("WAVM"))
     if all(line.words and _is_count(line.words[0]) for line in lines):

@@ -1,7 +1,8 @@
 """Pupils: the directions from which light reaches a point of the sensor.
 
-A direction is the pair of its cosines along x (columns) and y (rows), s = sin θ (cos φ, sin φ), in air; its angle to the axis
-is θ. An area of direction cosines is a projected solid angle, so a scene of uniform radiance L gives E = L · area.
+A direction is the pair of its cosines along x (columns) and y (rows), s = sin θ (cos φ, sin φ), in
+air; its angle to the axis is θ. An area of direction cosines is a projected solid angle, so a scene
+of uniform radiance L gives E = L · area.
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ class Directions:
 
 @dataclass(frozen=True)
 class Pupil:
-    """Ellipses c + r cos φ + t sin φ of directions, one for each point of the sensor, of uniform weight in direction cosines.
+    """Ellipses c + r cos φ + t sin φ of directions, one for each point of the sensor, of uniform
+    weight in direction cosines.
 
     centre, radial, tangential : (..., 2) of one shape: c, and the vectors r and t of the semi-axes
-    of_tangents : the ellipse is one of tangents, tan θ (cos φ, sin φ), as a disc in a plane parallel to the sensor is seen;
-        otherwise of direction cosines
+    of_tangents : the ellipse is one of tangents, tan θ (cos φ, sin φ), as a disc in a plane
+        parallel to the sensor is seen; otherwise of direction cosines
     """
 
     centre: Array
@@ -60,7 +62,10 @@ class Pupil:
     @property
     def widest(self) -> float:
         """Upper limit of the semi-axes in direction cosines."""
-        lengths = [np.hypot(part[..., 0], part[..., 1]).max(initial=0.0) for part in (self.radial, self.tangential)]
+        lengths = [
+            np.hypot(part[..., 0], part[..., 1]).max(initial=0.0)
+            for part in (self.radial, self.tangential)
+        ]
         return float(max(lengths))
 
     @property
@@ -72,10 +77,17 @@ class Pupil:
         return np.asarray(np.abs(_cross(s, slope).mean(axis=-1)) * np.pi)
 
     def boundary(self, angle: Array) -> tuple[Array, Array]:
-        """Return the direction cosines at angles φ, (..., φ), and their derivatives by φ, both (..., φ, 2)."""
+        """Return the direction cosines at angles φ, (..., φ), and their derivatives by φ, both
+        (..., φ, 2).
+        """
         cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
-        centre, radial, tangential = (part[..., None, :] for part in (self.centre, self.radial, self.tangential))
-        point, slope = centre + radial * cosine + tangential * sine, tangential * cosine - radial * sine
+        centre, radial, tangential = (
+            part[..., None, :] for part in (self.centre, self.radial, self.tangential)
+        )
+        point, slope = (
+            centre + radial * cosine + tangential * sine,
+            tangential * cosine - radial * sine,
+        )
         if not self.of_tangents:
             return point, slope
         secant2 = 1 + np.square(point).sum(axis=-1, keepdims=True)
@@ -83,14 +95,22 @@ class Pupil:
         return point / np.sqrt(secant2), (slope - point * along / secant2) / np.sqrt(secant2)
 
     def _cosines(self, point: Array) -> Array:
-        return point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True)) if self.of_tangents else point
+        return (
+            point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True))
+            if self.of_tangents
+            else point
+        )
 
     def directions(self, rings: int, spokes: int) -> Directions:
-        """Return quadrature nodes, (..., rings · spokes): Gauss-Legendre in radius², equal steps in φ."""
+        """Return quadrature nodes, (..., rings · spokes): Gauss-Legendre in radius², equal steps in
+        φ.
+        """
         node, share = _gauss_nodes(rings)
         radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(spokes) * (2 * np.pi / spokes)
         x, y = (radius * turned for turned in (np.cos(angle), np.sin(angle)))
-        centre, radial, tangential = (part[..., None, :] for part in (self.centre, self.radial, self.tangential))
+        centre, radial, tangential = (
+            part[..., None, :] for part in (self.centre, self.radial, self.tangential)
+        )
         point = centre + radial * x.ravel()[:, None] + tangential * y.ravel()[:, None]
         weight = np.broadcast_to(np.repeat(share / (2 * spokes), spokes), point.shape[:-1])
         if self.of_tangents:  # cos⁴ per area of tangents
@@ -99,11 +119,15 @@ class Pupil:
 
     def at(self, points: NDArray[np.intp] | slice) -> Pupil:
         """Return some of the pupils, (k,) of (n,)."""
-        return Pupil(self.centre[points], self.radial[points], self.tangential[points], self.of_tangents)
+        return Pupil(
+            self.centre[points], self.radial[points], self.tangential[points], self.of_tangents
+        )
 
     def flat(self) -> Pupil:
         """Return the pupils in one line, (n,)."""
-        centre, radial, tangential = (part.reshape(-1, 2) for part in (self.centre, self.radial, self.tangential))
+        centre, radial, tangential = (
+            part.reshape(-1, 2) for part in (self.centre, self.radial, self.tangential)
+        )
         return Pupil(centre, radial, tangential, self.of_tangents)
 
 
@@ -113,16 +137,22 @@ def _cross(one: Array, other: Array) -> Array:
 
 @lru_cache(maxsize=128)
 def _gauss_nodes(count: int) -> tuple[Array, Array]:
-    """Return the nodes of Gauss-Legendre quadrature from -1 to 1 and their weights; finding them takes longer than using them."""
+    """Return the nodes of Gauss-Legendre quadrature from -1 to 1 and their weights; finding them
+    takes longer than using them.
+    """
     return np.polynomial.legendre.leggauss(count)
 
 
 def numerical_aperture(f_number: float) -> float:
-    """Return NA = sin atan(1/2N), the sine of half the opening angle of a lens in air; 0 for a pinhole."""
+    """Return NA = sin atan(1/2N), the sine of half the opening angle of a lens in air; 0 for a
+    pinhole.
+    """
     return 1 / math.hypot(1.0, 2 * f_number)
 
 
-def disc_pupil(numerical_aperture: UnitIntervals, chief_ray_deg: Finites = 0.0, azimuth_deg: Finites = 0.0) -> Pupil:
+def disc_pupil(
+    numerical_aperture: UnitIntervals, chief_ray_deg: Finites = 0.0, azimuth_deg: Finites = 0.0
+) -> Pupil:
     """Return discs of direction cosines around chief rays, (...) as the arguments broadcast.
 
     numerical_aperture : of the lens on the sensor side, sin α
@@ -135,12 +165,29 @@ def disc_pupil(numerical_aperture: UnitIntervals, chief_ray_deg: Finites = 0.0, 
         *(np.asarray(value, float) for value in (numerical_aperture, chief_ray_deg, azimuth_deg))
     )
     if not np.all(np.abs(chief) < 90):
-        raise invalid("chief_ray_deg", f"{chief.flat[np.argmax(np.abs(chief))]:g}", "above -90 and below 90 degrees")
+        raise invalid(
+            "chief_ray_deg",
+            f"{chief.flat[np.argmax(np.abs(chief))]:g}",
+            "above -90 and below 90 degrees",
+        )
     turn = np.radians(azimuth)
-    outward, sideways = np.stack([np.cos(turn), np.sin(turn)], -1), np.stack([-np.sin(turn), np.cos(turn)], -1)
+    outward, sideways = (
+        np.stack([np.cos(turn), np.sin(turn)], -1),
+        np.stack([-np.sin(turn), np.cos(turn)], -1),
+    )
     sine = np.sin(np.radians(chief))
     farthest = np.abs(sine) + aperture
     if not np.all(farthest < 1):
-        got = f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus numerical aperture)"
-        raise invalid("pupil", got, "below 1, the horizon", "Take a larger f_number or a smaller chief_ray_deg.")
-    return Pupil(sine[..., None] * outward, aperture[..., None] * outward, aperture[..., None] * sideways)
+        got = (
+            f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus"
+            " numerical aperture)"
+        )
+        raise invalid(
+            "pupil",
+            got,
+            "below 1, the horizon",
+            "Take a larger f_number or a smaller chief_ray_deg.",
+        )
+    return Pupil(
+        sine[..., None] * outward, aperture[..., None] * outward, aperture[..., None] * sideways
+    )

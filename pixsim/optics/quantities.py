@@ -9,11 +9,15 @@ from pydantic import Field
 from pixsim.base.bounds import POSITIVE_OR_INFINITE, SMALLEST, Bounds
 
 FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
-FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
+FNumber = Annotated[
+    float, Field(ge=1e-6, le=1e6)
+]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
 DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
 Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
-OutsideLight = Annotated[float, Field(ge=0, le=1e6)]  # of that from within the field: from none to the sun beside a dark picture
+OutsideLight = Annotated[
+    float, Field(ge=0, le=1e6)
+]  # of that from within the field: from none to the sun beside a dark picture
 # Of functions alone.
 FNumberOrPinhole = Annotated[float, POSITIVE_OR_INFINITE]
 AnyDistance = Annotated[float, POSITIVE_OR_INFINITE]

@@ -1,8 +1,9 @@
 """Real rays through centred surfaces, and paraxial ones: vectorised, in float64.
 
-A ray is a point (x, y, z) with direction cosines (l, m, n), n > 0, relative to the vertex of the surface that it has met last.
-Rays of a batch may have any shape (...). A ray that misses a surface, or is totally reflected, is NaN from there on.
-The formulas are those of G. H. Spencer and M. V. R. K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
+A ray is a point (x, y, z) with direction cosines (l, m, n), n > 0, relative to the vertex of the
+surface that it has met last. Rays of a batch may have any shape (...). A ray that misses a surface,
+or is totally reflected, is NaN from there on. The formulas are those of G. H. Spencer and M. V. R.
+K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from pixsim.optics.glass import AIR
 from pixsim.optics.prescription import Surface
 
 NEWTON_STEPS = 30  # an aspheric surface takes 3 to 5
-CONVERGED = 2e-8  # last step along a ray over its height, or 1 mm: what is left is its square, times the curvature
+# last step along a ray over its height, or 1 mm: what is left is its square, times the curvature
+CONVERGED = 2e-8
 EDGE = 1e-12  # relative: a ray on the edge of a clear aperture passes
 
 
@@ -35,7 +37,7 @@ class Rays:
     x: Array
     y: Array
     z: Array
-    l: Array  # noqa: E741 the field's letter
+    l: Array  # noqa: E741 the letter of the field
     m: Array
     n: Array
     path_mm: Array
@@ -43,13 +45,16 @@ class Rays:
 
 
 def rays_from(x: Array, y: Array, z: Array, l: Array, m: Array, n: Array) -> Rays:  # noqa: E741
-    """Return rays through points (...) in mm along direction cosines (...), which broadcast together."""
+    """Return rays through points (...) in mm along direction cosines (...), which broadcast
+    together.
+    """
     x, y, z, l, m, n = np.broadcast_arrays(x, y, z, l, m, n)  # noqa: E741
     return Rays(x, y, z, l, m, n, np.zeros(x.shape), np.ones(x.shape, bool))
 
 
 def turned_round(surfaces: Sequence[Surface]) -> list[Surface]:
-    """Return the surfaces as light meets them that travels back from the image; the last thickness is 0.
+    """Return the surfaces as light meets them that travels back from the image; the last thickness
+    is 0.
 
     The glass of each is the medium that follows on the way back, with air in front of the lens.
     """
@@ -67,7 +72,9 @@ def turned_round(surfaces: Sequence[Surface]) -> list[Surface]:
     ]
 
 
-def trace(rays: Rays, surfaces: Sequence[Surface], indices: Sequence[float | Array]) -> Iterator[Rays]:
+def trace(
+    rays: Rays, surfaces: Sequence[Surface], indices: Sequence[float | Array]
+) -> Iterator[Rays]:
     """Trace rays, and yield them behind each surface in turn.
 
     rays : relative to the vertex of the first surface
@@ -77,12 +84,16 @@ def trace(rays: Rays, surfaces: Sequence[Surface], indices: Sequence[float | Arr
         for number, surface in enumerate(surfaces):
             if number:
                 rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
-            rays = refracted(met(rays, surface, indices[number]), surface, indices[number], indices[number + 1])
+            rays = refracted(
+                met(rays, surface, indices[number]), surface, indices[number], indices[number + 1]
+            )
             yield rays
 
 
 def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
-    """Return rays at a surface, in front of it: where its conic is met in closed form, then Newton's steps to its asphere."""
+    """Return rays at a surface, in front of it: where its conic is met in closed form, then
+    Newton's steps to its asphere.
+    """
     c, k = surface.curvature_per_mm, surface.conic
     ray_l, ray_m, ray_n = rays.l, rays.m, rays.n
     t = -rays.z / ray_n  # to the plane of the vertex, so that what follows is small
@@ -108,8 +119,18 @@ def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
     return Rays(x, y, z, ray_l, ray_m, ray_n, path, passed)
 
 
-def _aspheric_step(surface: Surface, x: Array, y: Array, l: Array, m: Array, n: Array, start: Array) -> Array:  # noqa: E741
-    """Return the way from the plane of the vertex to the surface along rays, from the way to its conic."""
+def _aspheric_step(
+    surface: Surface,
+    x: Array,
+    y: Array,
+    l: Array,  # noqa: E741
+    m: Array,
+    n: Array,
+    start: Array,
+) -> Array:
+    """Return the way from the plane of the vertex to the surface along rays, from the way to its
+    conic.
+    """
     step = np.where(np.isfinite(start), start, 0.0)
     moving: NDArray[np.bool_] | bool = True
     for _ in range(NEWTON_STEPS):
@@ -125,7 +146,8 @@ def _aspheric_step(surface: Surface, x: Array, y: Array, l: Array, m: Array, n: 
 
 
 def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
-    """Return the sag z in mm and its slope dz/dr over r in 1/mm at squared radii r² (...) in mm², in their shape.
+    """Return the sag z in mm and its slope dz/dr over r in 1/mm at squared radii r² (...) in mm²,
+    in their shape.
 
     NaN beyond the end of the conic.
     """
@@ -187,11 +209,16 @@ def at_plane(rays: Rays, z_mm: float, index: float | Array) -> Rays:
     with np.errstate(all="ignore"):
         t = (z_mm - rays.z) / rays.n
         x, y = rays.x + t * rays.l, rays.y + t * rays.m
-        return Rays(x, y, np.zeros_like(t), rays.l, rays.m, rays.n, rays.path_mm + index * t, rays.passed)
+        return Rays(
+            x, y, np.zeros_like(t), rays.l, rays.m, rays.n, rays.path_mm + index * t, rays.passed
+        )
 
 
-def paraxial(surfaces: Sequence[Surface], indices: Sequence[float | Array], height: Array, angle: Array) -> tuple[Array, Array]:
-    """Trace paraxial rays from the vertex of the first surface to that of the last; return height and n·angle behind it.
+def paraxial(
+    surfaces: Sequence[Surface], indices: Sequence[float | Array], height: Array, angle: Array
+) -> tuple[Array, Array]:
+    """Trace paraxial rays from the vertex of the first surface to that of the last; return height
+    and n·angle behind it.
 
     height : at the first vertex, (...), in mm
     angle : index times slope in front of it, (...), a number
@@ -199,5 +226,7 @@ def paraxial(surfaces: Sequence[Surface], indices: Sequence[float | Array], heig
     for number, surface in enumerate(surfaces):
         if number:
             height = height + surfaces[number - 1].thickness_mm / indices[number] * angle
-        angle = angle - height * surface.paraxial_curvature_per_mm * (indices[number + 1] - indices[number])
+        angle = angle - height * surface.paraxial_curvature_per_mm * (
+            indices[number + 1] - indices[number]
+        )
     return height, angle

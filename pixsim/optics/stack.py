@@ -1,23 +1,32 @@
-"""The stack between the pixel's surface and its photodiode: which photodiode collects the light of which direction.
+"""The stack between the pixel's surface and its photodiode: which photodiode collects the light of
+which direction.
 
-A square photodiode of side w lies centred in a pixel of pitch p, at a depth h in a medium of index n. At the surface there is
-either a microlens over the whole pixel, focused on the photodiode's plane, or an opening of side w in a dark layer. A ray of
-direction cosines s in air has the tangents t = s/√(n² - s²) in the medium (`refraction` exact), or s/n (paraxial). It lands at
-x = h t - shift from the centre of its pixel's photodiode, where the shift is that of the lens or opening towards the axis.
+A square photodiode of side w lies centred in a pixel of pitch p, at a depth h in a medium of index
+n. At the surface there is either a microlens over the whole pixel, focused on the photodiode's
+plane, or an opening of side w in a dark layer. A ray of direction cosines s in air has the tangents
+t = s/√(n² - s²) in the medium (`refraction` exact), or s/n (paraxial). It lands at x = h t - shift
+from the centre of its pixel's photodiode, where the shift is that of the lens or opening towards
+the axis.
 
-* microlens: the landing point depends on the direction only, so a photodiode collects the part of the pupil that lands on it.
-* bare: light fills the opening evenly, which is displaced by x. The photodiode k pixels away along x and l along y collects
-  (w - |x - k p|)₊ (w - |y - l p|)₊/p² of the light that falls on the pixel. There are no walls, and no diffraction.
-* diffraction of the microlens: a plane wave makes a spot sinc²(x/x_d) sinc²(y/x_d), x_d = λ h/(n p), around its landing point.
+* microlens: the landing point depends on the direction only, so a photodiode collects the part of
+  the pupil that lands on it.
+* bare: light fills the opening evenly, which is displaced by x. The photodiode k pixels away along
+  x and l along y collects
+  (w - |x - k p|)₊ (w - |y - l p|)₊/p² of the light that falls on the pixel. There are no walls, and
+  no diffraction.
+* diffraction of the microlens: a plane wave makes a spot sinc²(x/x_d) sinc²(y/x_d), x_d = λ h/(n
+  p), around its landing point.
   The photodiode collects E(u)² of a spot at its centre, and the pupil's waves add up incoherently.
 
-What misses all photodiodes of the 5 × 5 pixels around is lost; Fresnel losses, absorption and filters are not part of it.
+What misses all photodiodes of the 5 × 5 pixels around is lost; Fresnel losses, absorption and
+filters are not part of it.
 
-Without diffraction, a pupil's share is an area integral that Green's theorem turns into one along the pupil's boundary,
-∬ f(x) g(y) ρ dx dy = ∮ g(y) [∫ f(x) ρ dx] dy, with the inner integral in closed form. The boundary is cut where it crosses the
-photodiodes' edges, and Gauss-Legendre nodes between the cuts are exact to rounding. With diffraction all is smooth, and nodes
-within the pupil are exact. The scalar model of diffraction is too low by .004 at a Fresnel number of 3.6 and by .03 at .9,
-against the Rayleigh-Sommerfeld integral; below 1 it is doubtful.
+Without diffraction, a pupil's share is an area integral that Green's theorem turns into one along
+the pupil's boundary, ∬ f(x) g(y) ρ dx dy = ∮ g(y) [∫ f(x) ρ dx] dy, with the inner integral in
+closed form. The boundary is cut where it crosses the photodiodes' edges, and Gauss-Legendre nodes
+between the cuts are exact to rounding. With diffraction all is smooth, and nodes within the pupil
+are exact. The scalar model of diffraction is too low by .004 at a Fresnel number of 3.6 and by .03
+at .9, against the Rayleigh-Sommerfeld integral; below 1 it is doubtful.
 """
 
 from __future__ import annotations
@@ -36,8 +45,12 @@ from pixsim.base.errors import invalid
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.quantities import FNumberOrPinhole
 
-LOWEST_LENS = 1 / math.sqrt(math.pi)  # height over pitch at which a microlens reaches the bound of étendue
-NARROWEST = 1e-8  # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all rounding
+LOWEST_LENS = 1 / math.sqrt(
+    math.pi
+)  # height over pitch at which a microlens reaches the bound of étendue
+# semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all
+# rounding
+NARROWEST = 1e-8
 BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 TABLE_STEPS = 64  # of the width of a spot
 MAX_TURN = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
@@ -50,13 +63,16 @@ class Stack:
     """A pixel's stack.
 
     pitch_um : of the pixels
-    photodiode_side_um : of the square photodiode, and of the opening above it if there is no microlens
+    photodiode_side_um : of the square photodiode, and of the opening above it if there is no
+        microlens
     height_um : from the lens or opening down to the photodiode
     index : of the medium between, at least 1
     microlens : whether a lens covers the pixel
-    shift_um : (x, y) of the lens or opening against the photodiode, towards the axis, at most half of the pitch; "optimal"
-        follows the field, so that chief rays land on the centres of photodiodes
-    refraction : "exact", or "paraxial" (tangents are sines over the index, so that spots are too near the axis)
+    shift_um : (x, y) of the lens or opening against the photodiode, towards the axis, at most half
+        of the pitch; "optimal" follows the field, so that chief rays land on the centres of
+        photodiodes
+    refraction : "exact", or "paraxial" (tangents are sines over the index, so that spots are too
+        near the axis)
     """
 
     pitch_um: float
@@ -68,21 +84,32 @@ class Stack:
     refraction: Literal["exact", "paraxial"] = "exact"
 
     def __post_init__(self) -> None:
-        """Raise PixsimError if lengths do not fit each other, or if a microlens would break the limit of étendue."""
+        """Raise PixsimError if lengths do not fit each other, or if a microlens would break the
+        limit of étendue.
+        """
         if self.photodiode_side_um > self.pitch_um:
             expected = f"at most the pitch, pitch_um = {self.pitch_um:g}"
-            raise invalid("photodiode_side_um", f"{self.photodiode_side_um:g}", expected, "A photodiode lies within its pixel.")
+            raise invalid(
+                "photodiode_side_um",
+                f"{self.photodiode_side_um:g}",
+                expected,
+                "A photodiode lies within its pixel.",
+            )
         if self.shift_um != "optimal" and not max(map(abs, self.shift_um)) <= self.pitch_um / 2:
             expected = f"at most half of pitch_um = {self.pitch_um:g} along x and y"
-            hint = "A lens or opening that is displaced further is the neighbour's; 'optimal' follows the field."
+            hint = (
+                "A lens or opening that is displaced further is the neighbour's; 'optimal' follows"
+                " the field."
+            )
             raise invalid("shift_um", self.shift_um, expected, hint)
         if self.microlens and not self.height_um >= LOWEST_LENS * self.pitch_um:
             expected = (
-                f"at least p/√π = {LOWEST_LENS * self.pitch_um:.6g} under a microlens on a pixel of pitch_um = {self.pitch_um:g}"
+                f"at least p/√π = {LOWEST_LENS * self.pitch_um:.6g} under a microlens on a pixel of"
+                f" pitch_um = {self.pitch_um:g}"
             )
             hint = (
-                "An ideal lens so near to its photodiode would collect more than étendue allows, fill factor · n²/NA². Take a "
-                "higher stack, or no microlens."
+                "An ideal lens so near to its photodiode would collect more than étendue allows,"
+                " fill factor · n²/NA². Take a higher stack, or no microlens."
             )
             raise invalid("height_um", f"{self.height_um:g}", expected, hint)
 
@@ -93,10 +120,11 @@ class Stack:
 
     @property
     def lossless_f_number(self) -> float:
-        """F-number from which on no light on axis misses the photodiode under a microlens; 0 if any lens is slow enough.
+        """F-number from which on no light on axis misses the photodiode under a microlens; 0 if any
+        lens is slow enough.
 
-        √((h/nw)² - 1/4) in paraxial refraction and √((h/nw)² + 1/(4n²) - 1/4) in exact refraction: there the marginal ray,
-        NA = sin atan(1/2N), lands at w/2. Diffraction is not part of it.
+        √((h/nw)² - 1/4) in paraxial refraction and √((h/nw)² + 1/(4n²) - 1/4) in exact refraction:
+        there the marginal ray, NA = sin atan(1/2N), lands at w/2. Diffraction is not part of it.
         """
         square = (self.height_um / (self.index * self.photodiode_side_um)) ** 2 - 0.25
         if self.refraction == "exact":
@@ -108,13 +136,19 @@ class Stack:
 
         Below 1 the scalar model of diffraction, without the neighbours' lenses, is doubtful.
         """
-        return np.asarray(self.index * self.pitch_um**2 / (4e-3 * self.height_um * np.asarray(wavelength_nm, float)))
+        return np.asarray(
+            self.index
+            * self.pitch_um**2
+            / (4e-3 * self.height_um * np.asarray(wavelength_nm, float))
+        )
 
     def tangents(self, cosines: Array) -> Array:
         """Return the tangents in the medium of directions in air, both (..., 2)."""
         if self.refraction == "paraxial":
             return np.asarray(cosines / self.index)
-        return np.asarray(cosines / np.sqrt(self.index**2 - np.square(cosines).sum(axis=-1, keepdims=True)))
+        return np.asarray(
+            cosines / np.sqrt(self.index**2 - np.square(cosines).sum(axis=-1, keepdims=True))
+        )
 
     def shifts_um(self, chief_cosines: Array) -> Array:
         """Return the shift (x, y) of the lens or opening for chief rays, both (..., 2)."""
@@ -124,7 +158,10 @@ class Stack:
 
     def landing_um(self, rays: Directions) -> Array:
         """Return where rays land, from the centre of their pixel's photodiode, (..., rays, 2)."""
-        return np.asarray(self.height_um * self.tangents(rays.cosines) - self.shifts_um(rays.chief_cosines)[..., None, :])
+        return np.asarray(
+            self.height_um * self.tangents(rays.cosines)
+            - self.shifts_um(rays.chief_cosines)[..., None, :]
+        )
 
 
 def stack_collection(
@@ -140,23 +177,31 @@ def stack_collection(
     shift_um: tuple[float, float] = (0.0, 0.0),
     refraction: Literal["exact", "paraxial"] = "exact",
 ) -> Array:
-    """Return the share of the light on a pixel that its own photodiode and its neighbours' collect, (3, 3) [dy + 1, dx + 1].
+    """Return the share of the light on a pixel that its own photodiode and its neighbours' collect,
+    (3, 3) [dy + 1, dx + 1].
 
-    It is geometric, without diffraction; what is missing to 1 is lost or lands further away. The phase space behind it is that
-    of P. B. Catrysse and B. A. Wandell, J. Opt. Soc. Am. A 19 (2002) 1610.
+    It is geometric, without diffraction; what is missing to 1 is lost or lands further away. The
+    phase space behind it is that of P. B. Catrysse and B. A. Wandell, J. Opt. Soc. Am. A 19 (2002)
+    1610.
 
     pitch_um : of the pixels
-    photodiode_side_um : of the square photodiode, centred in its pixel; without a microlens also of the opening above it
+    photodiode_side_um : of the square photodiode, centred in its pixel; without a microlens also of
+        the opening above it
     height_um : from the lens or opening down to the photodiode
     index : refractive index of the medium between, 1 for air
-    f_number : N; the pupil is a disc of radius NA = sin atan(1/2N) in direction cosines in air, of uniform weight
-    chief_ray_deg, azimuth_deg : of the centre of that disc: angle to the axis, and direction from +x (columns) to +y (rows)
-    microlens : an ideal lens over the whole pitch, focused on the photodiode's plane; otherwise a bare opening
-    shift_um : (x, y) of the lens or opening against the photodiode; light lands at x = h s/√(n² - s²) - shift
+    f_number : N; the pupil is a disc of radius NA = sin atan(1/2N) in direction cosines in air, of
+        uniform weight
+    chief_ray_deg, azimuth_deg : of the centre of that disc: angle to the axis, and direction from
+        +x (columns) to +y (rows)
+    microlens : an ideal lens over the whole pitch, focused on the photodiode's plane; otherwise a
+        bare opening
+    shift_um : (x, y) of the lens or opening against the photodiode; light lands at x = h s/√(n² -
+        s²) - shift
     refraction : "exact", or "paraxial", x = h s/n - shift
 
-    Raises PixsimError if the photodiode is wider than the pitch, the shift exceeds half of it, the index is below 1, the pupil
-    reaches the horizon, or if a microlens is so low that it would collect more than étendue allows.
+    Raises PixsimError if the photodiode is wider than the pitch, the shift exceeds half of it, the
+    index is below 1, the pupil reaches the horizon, or if a microlens is so low that it would
+    collect more than étendue allows.
 
     >>> stack_collection(6.5, 3.56, 8.0, 1.5, f_number=1.4, refraction="paraxial").round(6)[1, 1].item()
     0.998383
@@ -166,18 +211,26 @@ def stack_collection(
     return collected_shares(stack, pupil)[1:-1, 1:-1]
 
 
-def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives | None = None) -> Array:
-    """Return the shares of the light on a pixel that photodiodes of 5 × 5 pixels collect, (..., 5, 5) [dy + 2, dx + 2].
+def collected_shares(
+    stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives | None = None
+) -> Array:
+    """Return the shares of the light on a pixel that photodiodes of 5 × 5 pixels collect, (..., 5,
+    5) [dy + 2, dx + 2].
 
     pupil : of the points (...) of the sensor
-    wavelength_nm : (B,), for diffraction under the microlens, which gives (..., B, 5, 5); None: geometric
+    wavelength_nm : (B,), for diffraction under the microlens, which gives (..., B, 5, 5); None:
+        geometric
 
     What is missing to 1 is lost. A bare pixel has the same shares at each wavelength.
 
     Raises PixsimError if a wavelength is not positive.
     """
     if wavelength_nm is None or not stack.microlens:
-        shares = _shares_of_pupil(stack, pupil) if isinstance(pupil, Pupil) else _shares_of_rays(stack, pupil)
+        shares = (
+            _shares_of_pupil(stack, pupil)
+            if isinstance(pupil, Pupil)
+            else _shares_of_rays(stack, pupil)
+        )
         if wavelength_nm is None:
             return shares
         return np.repeat(shares[..., None, :, :], np.size(wavelength_nm), axis=-3)
@@ -185,36 +238,53 @@ def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Pos
 
 
 def aperture_mtf(
-    stack: Stack, pupil: Pupil | Directions, frequency_x_cy_per_mm: Finites, frequency_y_cy_per_mm: Finites = 0.0
+    stack: Stack,
+    pupil: Pupil | Directions,
+    frequency_x_cy_per_mm: Finites,
+    frequency_y_cy_per_mm: Finites = 0.0,
 ) -> Array:
-    """Return the MTF of a pixel's aperture as light of a pupil meets it, (..., f), 1 at frequency 0.
+    """Return the MTF of a pixel's aperture as light of a pupil meets it, (..., f), 1 at frequency
+    0.
 
-    Under a microlens the aperture is the whole pitch, sinc(p f_x) sinc(p f_y). A bare pixel's is the overlap of its opening with
-    its photodiode, displaced against each other by where a ray lands: sides w - |x| and w - |y|, centred at -x/2 and -y/2. The
-    rays' apertures add up, with an error below 5e-4. Light that lands on neighbours is not part of it.
+    Under a microlens the aperture is the whole pitch, sinc(p f_x) sinc(p f_y). A bare pixel's is
+    the overlap of its opening with its photodiode, displaced against each other by where a ray
+    lands: sides w - |x| and w - |y|, centred at -x/2 and -y/2. The rays' apertures add up, with an
+    error below 5e-4. Light that lands on neighbours is not part of it.
 
     pupil : of the points (...) of the sensor
     frequency_x_cy_per_mm, frequency_y_cy_per_mm : broadcast together, flattened to (f,)
 
     Raises PixsimError if no light of a pupil reaches the photodiode.
     """
-    fx, fy = (1e-3 * f.ravel() for f in np.broadcast_arrays(*map(np.asarray, (frequency_x_cy_per_mm, frequency_y_cy_per_mm))))
+    fx, fy = (
+        1e-3 * f.ravel()
+        for f in np.broadcast_arrays(
+            *map(np.asarray, (frequency_x_cy_per_mm, frequency_y_cy_per_mm))
+        )
+    )
     if stack.microlens:
         mtf = np.abs(np.sinc(fx * stack.pitch_um) * np.sinc(fy * stack.pitch_um))
         return np.asarray(np.broadcast_to(mtf, (*pupil.chief_cosines.shape[:-1], mtf.size)))
     side, centre, weight = _overlaps(stack, pupil)
     otf = [
-        (weight * np.sinc(u * side[..., 0]) * np.sinc(v * side[..., 1]) * np.exp(2j * np.pi * (centre @ (u, v)))).sum(axis=-1)
+        (
+            weight
+            * np.sinc(u * side[..., 0])
+            * np.sinc(v * side[..., 1])
+            * np.exp(2j * np.pi * (centre @ (u, v)))
+        ).sum(axis=-1)
         for u, v in zip(fx, fy, strict=True)
     ]
     return np.abs(np.stack(otf, axis=-1))
 
 
 def aperture_side_um(stack: Stack, pupil: Pupil | Directions) -> Array:
-    """Return the sides (x, y) of the box whose MTF falls as that of `aperture_mtf` at low frequencies, (..., 2).
+    """Return the sides (x, y) of the box whose MTF falls as that of `aperture_mtf` at low
+    frequencies, (..., 2).
 
-    √12 times the standard deviation of where on the pixel light enters that the photodiode collects: the pitch under a microlens.
-    At the Nyquist frequency of the pixels the box's MTF is that of the aperture to .002 up to f/1.4 in usual stacks.
+    √12 times the standard deviation of where on the pixel light enters that the photodiode
+    collects: the pitch under a microlens. At the Nyquist frequency of the pixels the box's MTF is
+    that of the aperture to .002 up to f/1.4 in usual stacks.
 
     pupil : of the points (...) of the sensor
 
@@ -228,7 +298,8 @@ def aperture_side_um(stack: Stack, pupil: Pupil | Directions) -> Array:
 
 
 def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Array]:
-    """Return the overlap of a bare pixel's opening and photodiode for rays of a pupil: sides and centres (..., rays, 2), weights.
+    """Return the overlap of a bare pixel's opening and photodiode for rays of a pupil: sides and
+    centres (..., rays, 2), weights.
 
     The weights (..., rays) are the parts of the collected light, with a sum of 1.
     """
@@ -238,12 +309,17 @@ def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Ar
     weight = rays.shares * side[..., 0] * side[..., 1]
     collected = weight.sum(axis=-1, keepdims=True)
     if not np.all(collected > 0):
-        raise invalid("pupil", "light that does not reach the photodiode at all", "a smaller angle, a shift or a lower stack")
+        raise invalid(
+            "pupil",
+            "light that does not reach the photodiode at all",
+            "a smaller angle, a shift or a lower stack",
+        )
     return side, -landing / 2, weight / collected
 
 
 def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives) -> list[str]:
-    """Return a sentence for each limit of the model that a stack exceeds, with the number and what changes it.
+    """Return a sentence for each limit of the model that a stack exceeds, with the number and what
+    changes it.
 
     wavelength_nm : longest and others of the light, in any order
     """
@@ -253,14 +329,15 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
     if stack.microlens and fresnel < 1:
         pitch_um, height_um = stack.pitch_um / math.sqrt(fresnel), stack.height_um * fresnel
         found.append(
-            f"the microlens has a Fresnel number of {fresnel:.2f} at {longest_nm:.0f} nm, below 1, where the scalar model of its "
-            f"diffraction is doubtful; it is 1 at a pitch of {pitch_um:.3g} µm, or with a height of {height_um:.3g} µm"
+            f"the microlens has a Fresnel number of {fresnel:.2f} at {longest_nm:.0f} nm, below 1,"
+            " where the scalar model of its diffraction is doubtful; it is 1 at a pitch of"
+            f" {pitch_um:.3g} µm, or with a height of {height_um:.3g} µm"
         )
     farthest_um = float(np.abs(stack.shifts_um(pupil.chief_cosines)).max(initial=0.0))
     if farthest_um > stack.pitch_um / 2:
         found.append(
-            f"the optimal shift reaches {farthest_um:.3g} µm, more than half of the pitch of {stack.pitch_um:g} µm: take "
-            "a lens with a smaller chief ray angle, or a lower stack"
+            f"the optimal shift reaches {farthest_um:.3g} µm, more than half of the pitch of"
+            f" {stack.pitch_um:g} µm: take a lens with a smaller chief ray angle, or a lower stack"
         )
     return found
 
@@ -268,12 +345,16 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
 OFFSETS = np.arange(-2.0, 3.0)  # of the photodiodes that collect light, in pixels
 
 
-# --- shares of a pupil, by its boundary ---------------------------------------------------------------------------------
+# --- shares of a pupil, by its boundary
+# ---------------------------------------------------------------------------------
 
 STEPS = 32  # of the boundary; within one, a coordinate turns at most once
 PIECES = 8  # at least, of a boundary
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
-NEWTON_STEPS, WITHIN = 60, 1e-14  # 4 to 6 steps are needed, more where the boundary only touches an edge; radians
+NEWTON_STEPS, WITHIN = (
+    60,
+    1e-14,
+)  # 4 to 6 steps are needed, more where the boundary only touches an edge; radians
 POINTS = 256  # of the sensor at a time, for memory
 
 
@@ -281,25 +362,43 @@ def _shares_of_pupil(stack: Stack, pupil: Pupil) -> Array:
     """Return the geometric shares of pupils (...), (..., 5, 5)."""
     chief = pupil.chief_cosines
     if pupil.widest < NARROWEST:
-        return _shares_of_rays(stack, Directions(chief[..., None, :], np.ones((*chief.shape[:-1], 1)), chief))
+        return _shares_of_rays(
+            stack, Directions(chief[..., None, :], np.ones((*chief.shape[:-1], 1)), chief)
+        )
     shape, flat = chief.shape[:-1], pupil.flat()
-    parts = [_shares_of_line(stack, flat.at(slice(first, first + POINTS))) for first in range(0, len(flat.centre), POINTS)]
-    return np.concatenate([np.empty((0, OFFSETS.size, OFFSETS.size)), *parts]).reshape(*shape, OFFSETS.size, OFFSETS.size)
+    parts = [
+        _shares_of_line(stack, flat.at(slice(first, first + POINTS)))
+        for first in range(0, len(flat.centre), POINTS)
+    ]
+    return np.concatenate([np.empty((0, OFFSETS.size, OFFSETS.size)), *parts]).reshape(
+        *shape, OFFSETS.size, OFFSETS.size
+    )
 
 
 def _shares_of_line(stack: Stack, pupil: Pupil) -> Array:
-    """Return the geometric shares of pupils (n,), (n, 5, 5), in units of the height: lengths are tangents in the medium."""
+    """Return the geometric shares of pupils (n,), (n, 5, 5), in units of the height: lengths are
+    tangents in the medium.
+    """
     pitch, side = stack.pitch_um / stack.height_um, stack.photodiode_side_um / stack.height_um
     chief = stack.tangents(pupil.chief_cosines)
-    centre = stack.shifts_um(pupil.chief_cosines)[..., None] / stack.height_um + pitch * OFFSETS  # (n, 2, 5)
+    centre = (
+        stack.shifts_um(pupil.chief_cosines)[..., None] / stack.height_um + pitch * OFFSETS
+    )  # (n, 2, 5)
     half = side / 2 if stack.microlens else side
-    edges = [centre - half, centre + half] if stack.microlens else [centre - half, centre, centre + half]
+    edges = (
+        [centre - half, centre + half]
+        if stack.microlens
+        else [centre - half, centre, centre + half]
+    )
     point, low, high = _pieces(stack, pupil, np.concatenate(edges, axis=-1))
     angle = low[:, None] + (high - low)[:, None] * (1 + NODES) / 2
     at, slope = _boundary(stack, pupil.at(point), angle)
     x, y = at[..., 0], at[..., 1]
     rise = slope[..., 1] * WEIGHTS * (high - low)[:, None] / 2  # dy
-    exact, start = stack.refraction == "exact", chief[point, :1]  # any constant lower limit of the integrals along x
+    exact, start = (
+        stack.refraction == "exact",
+        chief[point, :1],
+    )  # any constant lower limit of the integrals along x
     area = (rise * _moment(start, x, y, 0, exact)).sum(axis=-1)
     x, y, start = x[..., None], y[..., None], start[..., None]
     middle, across = centre[point, None, 0], np.abs(y - centre[point, None, 1])
@@ -316,13 +415,17 @@ def _shares_of_line(stack: Stack, pupil: Pupil) -> Array:
         along /= pitch
     shares = np.swapaxes(inside * rise[..., None], 1, 2) @ along
     starts = np.flatnonzero(np.diff(point, prepend=-1))
-    return np.asarray(np.add.reduceat(shares, starts) / np.add.reduceat(area, starts)[:, None, None])
+    return np.asarray(
+        np.add.reduceat(shares, starts) / np.add.reduceat(area, starts)[:, None, None]
+    )
 
 
 def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Array:
-    """Return ∫ x^power ρ dx from `start` to `end` at y, (...), with ρ = 1, or 1/(1 + x² + y²)² in exact refraction.
+    """Return ∫ x^power ρ dx from `start` to `end` at y, (...), with ρ = 1, or 1/(1 + x² + y²)² in
+    exact refraction.
 
-    ρ is the area of direction cosines over that of tangents, divided by n². The differences are written without cancellation.
+    ρ is the area of direction cosines over that of tangents, divided by n². The differences are
+    written without cancellation.
     """
     if not exact:
         return (end - start) * ((end + start) / 2 if power else 1.0)
@@ -336,12 +439,16 @@ def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Arra
     else:
         distance = np.sqrt(square)
         turned = np.arctan2((end - start) * distance, square + start * end)
-        result[some] = ((end - start) * (square - start * end) / from_axis2 + turned / distance) / (2 * square)
+        result[some] = ((end - start) * (square - start * end) / from_axis2 + turned / distance) / (
+            2 * square
+        )
     return result
 
 
 def _boundary(stack: Stack, pupil: Pupil, angle: Array) -> tuple[Array, Array]:
-    """Return the tangents in the medium of the boundary of pupils (n,) at angles (n, k), and their derivatives, (n, k, 2)."""
+    """Return the tangents in the medium of the boundary of pupils (n,) at angles (n, k), and their
+    derivatives, (n, k, 2).
+    """
     cosines, slope = pupil.boundary(angle)
     if stack.refraction == "paraxial":
         return cosines / stack.index, slope / stack.index
@@ -351,14 +458,17 @@ def _boundary(stack: Stack, pupil: Pupil, angle: Array) -> tuple[Array, Array]:
 
 
 def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return pieces of the boundaries of pupils (n,) that cross no edge: index of the pupil, and first and last angle, (k,).
+    """Return pieces of the boundaries of pupils (n,) that cross no edge: index of the pupil, and
+    first and last angle, (k,).
 
     edges : (n, 2, edges), of x and of y
     """
     count = len(pupil.centre)
     line, axis = np.repeat(np.arange(count), 2), np.tile([0, 1], count)  # x and y of each boundary
     nodes = np.linspace(0, 2 * np.pi, STEPS + 1)
-    at, slope = _coordinate(stack, pupil.at(line), axis, np.broadcast_to(nodes, (line.size, nodes.size)))
+    at, slope = _coordinate(
+        stack, pupil.at(line), axis, np.broadcast_to(nodes, (line.size, nodes.size))
+    )
     at[:, -1], slope[:, -1] = at[:, 0], slope[:, 0]
     turn = _turns(stack, pupil.at(line), axis, nodes, slope)
     angle, value = np.empty((2, line.size, 2 * STEPS + 1))
@@ -377,17 +487,23 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     return point[pieces], cut[pieces], cut[pieces + 1]
 
 
-def _coordinate(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], angle: Array) -> tuple[Array, Array]:
-    """Return x or y (`axis`, (n,)) of the boundary of pupils (n,) at angles (n, k), and its derivative, (n, k)."""
+def _coordinate(
+    stack: Stack, pupil: Pupil, axis: NDArray[np.intp], angle: Array
+) -> tuple[Array, Array]:
+    """Return x or y (`axis`, (n,)) of the boundary of pupils (n,) at angles (n, k), and its
+    derivative, (n, k).
+    """
     at, slope = _boundary(stack, pupil, angle)
     pupils = np.arange(axis.size)
     return at[pupils, :, axis], slope[pupils, :, axis]
 
 
 def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slope: Array) -> Array:
-    """Return the angle within each step at which a coordinate turns, or else any, (n, STEPS), from its slope at the nodes.
+    """Return the angle within each step at which a coordinate turns, or else any, (n, STEPS), from
+    its slope at the nodes.
 
-    Two steps of the false position err by 1e-6. An edge that crosses twice within that error cuts off 1e-18 of the pupil.
+    Two steps of the false position err by 1e-6. An edge that crosses twice within that error cuts
+    off 1e-18 of the pupil.
     """
     low, high = (np.broadcast_to(side, (axis.size, STEPS)) for side in (nodes[:-1], nodes[1:]))
     before, after = slope[:, :-1], slope[:, 1:]
@@ -407,9 +523,15 @@ def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slo
 
 
 def _crossings(
-    stack: Stack, pupil: Pupil, axis: NDArray[np.intp], bracket: tuple[Array, Array], edge: Array, rises: NDArray[np.bool]
+    stack: Stack,
+    pupil: Pupil,
+    axis: NDArray[np.intp],
+    bracket: tuple[Array, Array],
+    edge: Array,
+    rises: NDArray[np.bool],
 ) -> Array:
-    """Return the angles (n,) within brackets at which coordinates are those of edges, by Newton's method.
+    """Return the angles (n,) within brackets at which coordinates are those of edges, by Newton's
+    method.
 
     rises : whether the coordinate is above the edge at the end of the bracket
     """
@@ -429,22 +551,33 @@ def _crossings(
     return angle
 
 
-# --- shares of rays, with or without diffraction ------------------------------------------------------------------------
+# --- shares of rays, with or without diffraction
+# ------------------------------------------------------------------------
 
 
 def _shares_of_rays(stack: Stack, rays: Directions) -> Array:
     """Return the geometric shares of rays, (..., 5, 5)."""
-    landing, centre, half = stack.landing_um(rays)[..., None], stack.pitch_um * OFFSETS, stack.photodiode_side_um / 2
+    landing, centre, half = (
+        stack.landing_um(rays)[..., None],
+        stack.pitch_um * OFFSETS,
+        stack.photodiode_side_um / 2,
+    )
     if not stack.microlens:
-        return _mean_of_products(rays.shares, np.maximum(2 * half - np.abs(landing - centre), 0.0) / stack.pitch_um)
+        return _mean_of_products(
+            rays.shares, np.maximum(2 * half - np.abs(landing - centre), 0.0) / stack.pitch_um
+        )
     low, high = centre - half, centre + half
     # A ray on an edge is half inside, and photodiodes that touch share it.
-    inside = ((landing >= low) & (landing < high)) * 0.5 + ((landing > low) & (landing <= high)) * 0.5
+    inside = ((landing >= low) & (landing < high)) * 0.5 + (
+        (landing > low) & (landing <= high)
+    ) * 0.5
     return _mean_of_products(rays.shares, inside)
 
 
 def _mean_of_products(weight: Array, along: Array) -> Array:
-    """Return the means (..., 5, 5) over rays, of weights (..., rays) with sum 1, of shares along x and y, (..., rays, 2, 5)."""
+    """Return the means (..., 5, 5) over rays, of weights (..., rays) with sum 1, of shares along x
+    and y, (..., rays, 2, 5).
+    """
     return np.asarray(np.swapaxes(along[..., 1, :] * weight[..., None], -1, -2) @ along[..., 0, :])
 
 
@@ -453,27 +586,43 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
     shape = pupil.chief_cosines.shape[:-1]
     result = np.empty((math.prod(shape), wavelength_nm.size, OFFSETS.size, OFFSETS.size))
     for band, nm in enumerate(wavelength_nm):
-        rays = pupil.directions(*nodes_for(stack, pupil.widest, nm)) if isinstance(pupil, Pupil) else pupil
+        rays = (
+            pupil.directions(*nodes_for(stack, pupil.widest, nm))
+            if isinstance(pupil, Pupil)
+            else pupil
+        )
         spot_um = 1e-3 * nm * stack.height_um / (stack.index * stack.pitch_um)
         farthest = 3 * stack.pitch_um / spot_um + FAR_SPOTS
-        landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(len(result), -1, 2)
+        landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(
+            len(result), -1, 2
+        )
         weight = rays.shares.reshape(len(result), -1)
         low, high = float(landing.min(initial=0.0)), float(landing.max(initial=0.0))
         pitch, side = stack.pitch_um / spot_um, stack.photodiode_side_um / spot_um
-        table = _spot_table(low, high, pitch, side) if (high - low) * TABLE_STEPS < landing.size else None
+        table = (
+            _spot_table(low, high, pitch, side)
+            if (high - low) * TABLE_STEPS < landing.size
+            else None
+        )
         points = max(1, MAX_RAYS // weight.shape[1])
         for first in range(0, len(result), points):
             part = slice(first, first + points)
             places = landing[part]
-            collected = _of_spots(places, pitch, side) if table is None else _collected_of_spots(places - low, *table)
+            collected = (
+                _of_spots(places, pitch, side)
+                if table is None
+                else _collected_of_spots(places - low, *table)
+            )
             result[part, band] = _mean_of_products(weight[part], collected)
     return result.reshape(*shape, *result.shape[1:])
 
 
 def _spot_table(low: float, high: float, pitch: float, side: float) -> tuple[Array, Array]:
-    """Return the part of spots that the photodiodes collect along one axis, and its slope, (places, 5) each.
+    """Return the part of spots that the photodiodes collect along one axis, and its slope, (places,
+    5) each.
 
-    low, high : the first and the last place of the spots' centres; all lengths are in units of the spot's
+    low, high : the first and the last place of the spots' centres; all lengths are in units of the
+        spot's
     """
     x = low + np.arange(int((high - low) * TABLE_STEPS) + 2) / TABLE_STEPS
     first, last = (pitch * OFFSETS - x[:, None] + edge for edge in (-side / 2, side / 2))
@@ -481,13 +630,16 @@ def _spot_table(low: float, high: float, pitch: float, side: float) -> tuple[Arr
 
 
 def _of_spots(x: Array, pitch: float, side: float) -> Array:
-    """Return the part of spots with centres at x (...) that the photodiodes collect along one axis, (..., 5)."""
+    """Return the part of spots with centres at x (...) that the photodiodes collect along one axis,
+    (..., 5).
+    """
     first, last = (pitch * OFFSETS - x[..., None] + edge for edge in (-side / 2, side / 2))
     return spot_integral(last) - spot_integral(first)
 
 
 def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
-    """Return the part of spots that the photodiodes collect along one axis, (..., 5), from a table that begins at landing 0.
+    """Return the part of spots that the photodiodes collect along one axis, (..., 5), from a table
+    that begins at landing 0.
 
     It is interpolated by cubic Hermite polynomials, with an error of 2e-8.
     """
@@ -504,8 +656,9 @@ def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
 def nodes_for(stack: Stack, widest: float, wavelength_nm: float) -> tuple[int, int]:
     """Return the rings and spokes of a pupil that resolve the spot, for an error below 1e-7.
 
-    A share is band-limited: over the pupil's radius its phase turns by at most 2π NA p/λ along x and as much along y. Where it
-    turns more than `MAX_TURN` the spot is so narrow that most rays are wholly in or out; the error is 1e-6 for pixels of 100 µm.
+    A share is band-limited: over the pupil's radius its phase turns by at most 2π NA p/λ along x
+    and as much along y. Where it turns more than `MAX_TURN` the spot is so narrow that most rays
+    are wholly in or out; the error is 1e-6 for pixels of 100 µm.
     """
     turn = min(2 * math.pi * widest * stack.pitch_um / (1e-3 * wavelength_nm), MAX_TURN)
     return math.ceil(0.3 * turn) + 4, math.ceil(1.4 * turn) + 8

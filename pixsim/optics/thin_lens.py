@@ -18,8 +18,11 @@ from pixsim.optics.quantities import FNumberOrPinhole
 FNumbers = Annotated[ArrayLike, POSITIVE_OR_INFINITE]  # infinite for a pinhole
 
 
-def irradiance_factor(f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0) -> Array:
-    """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
+def irradiance_factor(
+    f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0
+) -> Array:
+    """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin
+    lens.
 
     Foote's disc source (Sci. Papers Bur. Stand. 12, 583, 1915) in a form without cancellation: with
     A = tan²α = 1/(4N²(1+|m|)²) and T = tan²θ, P = 1-A+T, Q = √(P²+4A): E/L = 2πA/(Q(Q+P)).
@@ -41,12 +44,20 @@ def irradiance_factor(f_number: FNumbers, tan_field: Numbers, magnification: Fin
     f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
         raise invalid("tan_field", "nan", "a number, or infinity for light parallel to the sensor")
-    check_broadcast(f_number=f_number.shape, tan_field=tan_field.shape, magnification=np.shape(magnification))
-    # Dividing before squaring avoids overflow at extreme f-numbers. Grazing light may overflow: its irradiance is 0.
+    check_broadcast(
+        f_number=f_number.shape, tan_field=tan_field.shape, magnification=np.shape(magnification)
+    )
+    # Dividing before squaring avoids overflow at extreme f-numbers. Grazing light may overflow: its
+    # irradiance is 0.
     with np.errstate(divide="ignore", over="ignore"):
         tan_alpha = 0.5 / (f_number * (1 + np.abs(magnification)))
         if not np.all(tan_alpha <= 1):
-            raise invalid("f_number", brief(f_number), "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
+            raise invalid(
+                "f_number",
+                brief(f_number),
+                "N (1 + |m|) ≥ 0.5",
+                "A thin lens in air cannot be faster than f/0.5.",
+            )
         a = tan_alpha**2
         t = tan_field**2
         p = (1 - a) + t
@@ -58,11 +69,15 @@ FALL_OFF_STEPS = 512  # linear in between: 1e-5 of a fall-off to a third
 
 
 @lru_cache(maxsize=16)
-def dense_fall_off(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return image heights in mm, and the relative illumination between the rows of a table, close enough for straight lines.
+def dense_fall_off(
+    rows: tuple[tuple[float, ...], ...],
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return image heights in mm, and the relative illumination between the rows of a table, close
+    enough for straight lines.
 
-    Illumination is an even function of the height: a monotone cubic (F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5
-    (1984) 300) through the rows against its square, which holds their values.
+    Illumination is an even function of the height: a monotone cubic (F. N. Fritsch and J. Butland,
+    SIAM J. Sci. Stat. Comput. 5 (1984) 300) through the rows against its square, which holds their
+    values.
 
     rows : image height in mm and illumination, 1 on the axis, which is the first
     """
@@ -70,7 +85,9 @@ def dense_fall_off(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ..
 
     height_mm, relative = np.array(rows, float).T
     dense = np.union1d(height_mm, np.linspace(0.0, height_mm[-1], FALL_OFF_STEPS + 1))
-    return tuple(dense.tolist()), tuple(PchipInterpolator(height_mm**2, relative)(dense**2).tolist())
+    return tuple(dense.tolist()), tuple(
+        PchipInterpolator(height_mm**2, relative)(dense**2).tolist()
+    )
 
 
 def field_factor(
@@ -90,7 +107,9 @@ def field_factor(
 
     Raises PixsimError as `irradiance_factor` does.
     """
-    y_um, x_um = (((np.arange(n) + 0.5) - n / 2)[span] * pitch_um for n, span in zip(shape, part, strict=True))
+    y_um, x_um = (
+        ((np.arange(n) + 0.5) - n / 2)[span] * pitch_um for n, span in zip(shape, part, strict=True)
+    )
     factor = np.empty((y_um.size, x_um.size))
     for rows in strips(*factor.shape):
         tan_field = np.hypot(x_um[None, :], y_um[rows, None]) / (1e3 * image_distance_mm)
@@ -99,24 +118,40 @@ def field_factor(
 
 
 def thin_lens_pupil(
-    f_number: FNumberOrPinhole, tan_field: Numbers, azimuth_deg: Finites = 0.0, magnification: float = 0.0
+    f_number: FNumberOrPinhole,
+    tan_field: Numbers,
+    azimuth_deg: Finites = 0.0,
+    magnification: float = 0.0,
 ) -> Pupil:
-    """Return the pupils of a thin lens, (...) as field and azimuth broadcast: its aperture disc seen from the image points.
+    """Return the pupils of a thin lens, (...) as field and azimuth broadcast: its aperture disc
+    seen from the image points.
 
-    The area of each in direction cosines is `irradiance_factor`, Foote (1915). Its semi-axes are about NA cos θ, and NA cos³θ
-    along the field; its centre is the chief ray, at the field angle θ.
+    The area of each in direction cosines is `irradiance_factor`, Foote (1915). Its semi-axes are
+    about NA cos θ, and NA cos³θ along the field; its centre is the chief ray, at the field angle θ.
 
     f_number : nominal, for focus at infinity; at least 0.5/(1+|m|)
     tan_field : tangent of the field angle seen from the lens centre
-    azimuth_deg : of the image point seen from the axis, from +x (columns) to +y (rows); light travels outwards
+    azimuth_deg : of the image point seen from the axis, from +x (columns) to +y (rows); light
+        travels outwards
     magnification : image over object size; its absolute value is taken
 
     Raises PixsimError as `irradiance_factor` does, and if a tangent or an azimuth is not finite.
     """
     irradiance_factor(f_number, 0.0, magnification)
-    tangent, azimuth = np.broadcast_arrays(np.asarray(tan_field, float), np.radians(np.asarray(azimuth_deg, float)))
+    tangent, azimuth = np.broadcast_arrays(
+        np.asarray(tan_field, float), np.radians(np.asarray(azimuth_deg, float))
+    )
     if not (np.all(np.isfinite(tangent)) and np.all(np.isfinite(azimuth))):
-        raise invalid("tan_field and azimuth_deg", "infinity or NaN", "finite numbers: a pupil at the horizon sends no light")
-    outward, sideways = np.stack([np.cos(azimuth), np.sin(azimuth)], -1), np.stack([-np.sin(azimuth), np.cos(azimuth)], -1)
+        raise invalid(
+            "tan_field and azimuth_deg",
+            "infinity or NaN",
+            "finite numbers: a pupil at the horizon sends no light",
+        )
+    outward, sideways = (
+        np.stack([np.cos(azimuth), np.sin(azimuth)], -1),
+        np.stack([-np.sin(azimuth), np.cos(azimuth)], -1),
+    )
     tan_alpha = 0.5 / (f_number * (1 + abs(magnification)))
-    return Pupil(tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, of_tangents=True)
+    return Pupil(
+        tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, of_tangents=True
+    )

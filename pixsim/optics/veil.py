@@ -1,8 +1,10 @@
-"""Veiling glare: the share of the light of the whole field that strays in lens and camera, and falls evenly on the sensor.
+"""Veiling glare: the share of the light of the whole field that strays in lens and camera, and
+falls evenly on the sensor.
 
-With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the film that is rendered and the
-margin around it; s is the light from outside of them that strays in, relative to that from within. So a black hole of share a in an
-even field, without fall-off, has g (1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
+With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the
+film that is rendered and the margin around it; s is the light from outside of them that strays in,
+relative to that from within. So a black hole of share a in an even field, without fall-off, has g
+(1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 
-VEIL = "veil_of_w_per_m2_nm"  # entry of a header: mean of the picture of which this one is a part, (B,)
+# entry of a header: mean of the picture of which this one is a part, (B,)
+VEIL = "veil_of_w_per_m2_nm"
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class Veil:
 
 
 def veil_of(irradiance: SpectralImage, camera: Camera) -> Veil | None:
-    """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`); None without veiling glare.
+    """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`);
+    None without veiling glare.
 
     A table of shares goes on beyond its ends as it is there.
 
@@ -43,9 +47,17 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> Veil | None:
     glare = camera.veiling_glare
     if not glare:
         return None
-    share = np.full(irradiance.wavelength_nm.size, glare) if isinstance(glare, float) else _of_bands(irradiance, glare)
+    share = (
+        np.full(irradiance.wavelength_nm.size, glare)
+        if isinstance(glare, float)
+        else _of_bands(irradiance, glare)
+    )
     known = irradiance.header.get(VEIL)  # a file may state anything
-    is_known = isinstance(known, list) and len(known) == share.size and all(isinstance(each, float) for each in known)
+    is_known = (
+        isinstance(known, list)
+        and len(known) == share.size
+        and all(isinstance(each, float) for each in known)
+    )
     mean = np.asarray(known) if is_known else irradiance.whole.mean_spectrum()
     return Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
@@ -56,8 +68,12 @@ def _of_bands(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...])
 
 
 def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:
-    """Return a picture whose parts have the veil of the whole one; as it is without veiling glare."""
+    """Return a picture whose parts have the veil of the whole one; as it is without veiling
+    glare.
+    """
     if not camera.veiling_glare:
         return irradiance
     mean = irradiance.whole.mean_spectrum().tolist()
-    return irradiance.with_planes(irradiance.whole.planes, header=irradiance.header | {VEIL: mean}, margin=irradiance.margin)
+    return irradiance.with_planes(
+        irradiance.whole.planes, header=irradiance.header | {VEIL: mean}, margin=irradiance.margin
+    )

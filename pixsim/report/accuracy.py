@@ -25,7 +25,10 @@ FILES = ("report.html", "summary.json", "ladder.csv", "stability.csv", *figure_f
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the page of an accuracy: error against run time, the films, and the extreme cases."""
     header = accuracy.header
-    made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
+    made = (
+        f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in"
+        f" {accuracy.seconds:.0f} s."
+    )
     failed = [case for case in accuracy.cases if not case.passed]
     return Document(
         command="accuracy",
@@ -35,11 +38,24 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         answers=(answer(accuracy),),
         lead=(Plot(partial(work_precision, accuracy)), *facts(accuracy)),
         sections=(
-            Section("failed", "Extreme cases that fail", [cases_table(failed)] if failed else (), brief=True),
-            Section("ladder", "Films", (ladder_table(accuracy), "The last one is that of the default settings."), brief=True),
+            Section(
+                "failed",
+                "Extreme cases that fail",
+                [cases_table(failed)] if failed else (),
+                brief=True,
+            ),
+            Section(
+                "ladder",
+                "Films",
+                (ladder_table(accuracy), "The last one is that of the default settings."),
+                brief=True,
+            ),
             Section("made", "How this was computed", (made,), folded=True),
         ),
-        files={"ladder.csv": ladder_csv(accuracy), "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases])},
+        files={
+            "ladder.csv": ladder_csv(accuracy),
+            "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases]),
+        },
     )
 
 
@@ -68,14 +84,18 @@ def answer(accuracy: Accuracy) -> Answer:
     words = f"mean ΔE {shown_mean(rung.mean_delta_e, rung.light, rung.light_limit)}"
     if accuracy.reference:
         words = f"{number(rung.error_delta_e)} of mean ΔE"
-    return Answer(("Default settings: ", Strong(words), f", in {rung.seconds:.2g} s (render and score)"))
+    return Answer(
+        ("Default settings: ", Strong(words), f", in {rung.seconds:.2g} s (render and score)")
+    )
 
 
 def facts(accuracy: Accuracy) -> Iterator[Block]:
     """Yield what follows the error of the default settings."""
     yield Fact(reference_words(accuracy))
     passed = sum(case.passed for case in accuracy.cases)
-    yield Fact(f"stability: {passed} of {len(accuracy.cases)} extreme cases meet their known answers")
+    yield Fact(
+        f"stability: {passed} of {len(accuracy.cases)} extreme cases meet their known answers"
+    )
     yield from map(Fact, filter(None, (accuracy.settings.pixel.assumption,)))
 
 
@@ -84,13 +104,17 @@ def reference_words(accuracy: Accuracy) -> str:
     reference = accuracy.reference
     if reference is None:
         return "no reference: no film that fits is sure enough"
-    return f"reference: a film of {reference.across} samples across, whose own error is at most {reference.stated_delta_e:.2g} ΔE"
+    return (
+        f"reference: a film of {reference.across} samples across, whose own error is at most"
+        f" {reference.stated_delta_e:.2g} ΔE"
+    )
 
 
 @figure(
     "work_precision",
-    "Error of mean ΔE against run time, for films of the samples across that are written beside the points: measured against "
-    "the reference, and stated by pixsim run for the film and the render noise.",
+    "Error of mean ΔE against run time, for films of the samples across that are written beside the"
+    " points: measured against the reference, and stated by pixsim run for the film and the render"
+    " noise.",
 )
 def work_precision(accuracy: Accuracy) -> Drawing:
     """Plot error against wall time of each film: measured, and as pixsim states it."""
@@ -106,13 +130,26 @@ def work_precision(accuracy: Accuracy) -> Drawing:
     for rung in accuracy.rungs:
         height = rung.error_delta_e if rung.error_delta_e > 0 else rung.stated_delta_e
         if height > 0:
-            axes.annotate(f"{rung.across}", (rung.seconds, height), xytext=(5, 4), textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", yscale="log", xlabel="seconds of render and score", ylabel="error of mean ΔE")
+            axes.annotate(
+                f"{rung.across}",
+                (rung.seconds, height),
+                xytext=(5, 4),
+                textcoords="offset points",
+                fontsize=8,
+            )
+    axes.set(
+        xscale="log", yscale="log", xlabel="seconds of render and score", ylabel="error of mean ΔE"
+    )
     plain_powers(axes.xaxis)
     axes.grid(which="major", alpha=0.25)
     axes.legend(fontsize=8, frameon=False)
     across = [rung.across for rung in accuracy.rungs]
-    return figure, {"across": across, "seconds": seconds, "error_delta_e": measured, "stated_delta_e": stated}
+    return figure, {
+        "across": across,
+        "seconds": seconds,
+        "error_delta_e": measured,
+        "stated_delta_e": stated,
+    }
 
 
 def ladder_table(accuracy: Accuracy) -> DocumentTable:
@@ -123,11 +160,21 @@ def ladder_table(accuracy: Accuracy) -> DocumentTable:
             f"{rung.seconds:.2g}",
             within_error(rung.mean_delta_e, rung.error_delta_e),
             number(rung.error_delta_e),
-            *(number(math.nan if error is None else error) for error in (rung.light.film_delta_e, rung.light.noise_delta_e)),
+            *(
+                number(math.nan if error is None else error)
+                for error in (rung.light.film_delta_e, rung.light.noise_delta_e)
+            ),
         )
         for rung in accuracy.rungs
     ]
-    head = ("samples across", "s", "mean ΔE", "error", "stated of the film", "stated of render noise")
+    head = (
+        "samples across",
+        "s",
+        "mean ΔE",
+        "error",
+        "stated of the film",
+        "stated of render noise",
+    )
     return DocumentTable("ladder", head, rows, words=None)
 
 
@@ -135,8 +182,19 @@ def cases_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
     """Return extreme cases, their errors and limits."""
     rows = []
     for case in cases:
-        numbers = f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)
-        rows.append((f"{case.room}, {case.name}", *numbers, " ".join(filter(None, (case.warned, case.source)))))
+        numbers = (
+            f"{case.expected:.6g}",
+            f"{case.got:.6g}",
+            number(case.error),
+            number(case.allowed),
+        )
+        rows.append(
+            (
+                f"{case.room}, {case.name}",
+                *numbers,
+                " ".join(filter(None, (case.warned, case.source))),
+            )
+        )
     head = ("case", "expected", "got", "error", "limit", "warnings; source and reason of the limit")
     return DocumentTable("extreme cases", head, rows, words=(5,))
 

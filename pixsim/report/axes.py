@@ -1,4 +1,6 @@
-"""The document of a study with axes or conditions: its regrets and maps, and a whole document of its first cases."""
+"""The document of a study with axes or conditions: its regrets and maps, and a whole document of
+its first cases.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from pixsim.base.digits import span
 from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.curve import delta_e_against_pitch, optima_table, optimum_line
-from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
+from pixsim.report.maps import (
+    alone_groups,
+    alone_plate,
+    axis_plates,
+    case_columns,
+    optimum_columns,
+    plate_names,
+)
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.regret import REGRETS, condition_regrets_data, regrets_plate, regrets_tables
 from pixsim.report.study import (
@@ -44,40 +53,68 @@ from pixsim.viewer.display import white_light
 
 REGRETS_FILE = "regrets.csv"
 ABOUT_CASES = (
-    "All pixel sizes see the same die in all cases, which have the same random numbers: they differ by their settings only. The "
-    "regret of a pixel size in a condition is its value there over that of the best size for that condition, less 1."
+    "All pixel sizes see the same die in all cases, which have the same random numbers: they differ"
+    " by their settings only. The regret of a pixel size in a condition is its value there over"
+    " that of the best size for that condition, less 1."
 )
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_REGRETS = 6  # with a figure of their own
 
 
 def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
-    """Return the cases with a report of their own: the first combination of values under each condition, at most 4."""
-    return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][:SHOWN_CASES]
+    """Return the cases with a report of their own: the first combination of values under each
+    condition, at most 4.
+    """
+    return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][
+        :SHOWN_CASES
+    ]
 
 
 def regrets_columns(all_regrets: Sequence[Regrets]) -> dict[str, Column]:
-    """Return a table with a row for each condition and each weighted mean, of all combinations and metrics."""
-    names = list(dict.fromkeys(criterion.name for regrets in all_regrets for criterion in regrets.criteria))
+    """Return a table with a row for each condition and each weighted mean, of all combinations and
+    metrics.
+    """
+    names = list(
+        dict.fromkeys(criterion.name for regrets in all_regrets for criterion in regrets.criteria)
+    )
     rows = []
     for regrets in all_regrets:
         for criterion, at_best in zip(regrets.criteria, regrets.matrix.tolist(), strict=True):
             low_um, high_um = criterion.optimum.interval_um
-            row = {"pixel": regrets.label, "metric": criterion.metric.name, "best_of": criterion.name, "weight": criterion.weight}
-            row |= {"pitch_um": criterion.optimum.pitch_um, "interval_low_um": low_um, "interval_high_um": high_um}
-            row |= {"between_sizes_share": criterion.optimum.between_sizes_share, "value": criterion.optimum.value}
+            row = {
+                "pixel": regrets.label,
+                "metric": criterion.metric.name,
+                "best_of": criterion.name,
+                "weight": criterion.weight,
+            }
+            row |= {
+                "pitch_um": criterion.optimum.pitch_um,
+                "interval_low_um": low_um,
+                "interval_high_um": high_um,
+            }
+            row |= {
+                "between_sizes_share": criterion.optimum.between_sizes_share,
+                "value": criterion.optimum.value,
+            }
             row |= {f"regret_at_{name}": None for name in names}
-            row |= {f"regret_at_{other.name}": value for other, value in zip(regrets.criteria, at_best, strict=True)}
+            row |= {
+                f"regret_at_{other.name}": value
+                for other, value in zip(regrets.criteria, at_best, strict=True)
+            }
             rows.append(row)
     return columns_of(rows)
 
 
 def optima_columns(result: CasesResult) -> dict[str, Column]:
     """Return a table with the optimum of each technology, combination and condition."""
-    return case_columns(result, result.curves, list(result.curves[0].at)) | optimum_columns(result.curves)
+    return case_columns(result, result.curves, list(result.curves[0].at)) | optimum_columns(
+        result.curves
+    )
 
 
-def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Collection[str] = ()) -> Document:
+def axes_document(
+    result: CasesResult, regrets: Sequence[Regrets], warned: Collection[str] = ()
+) -> Document:
     """Return the answer of `pixsim study` with axes or conditions, without the figures of its page.
 
     regrets : `condition_regrets` of the study
@@ -94,7 +131,9 @@ def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Colle
 
 
 def alone_table(result: CasesResult) -> DocumentTable:
-    """Return how far each axis that is moved alone moves the optimum and its value, widest first."""
+    """Return how far each axis that is moved alone moves the optimum and its value, widest
+    first.
+    """
     rows = []
     names = [axis.name for axis in result.study.axis if axis.alone]
     for group in alone_groups(result, names) if names else []:
@@ -113,12 +152,22 @@ def alone_table(result: CasesResult) -> DocumentTable:
 def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
     """Return the result as in summary.json."""
     cases: list[dict[str, Any]] = []
-    for part, findings in zip(result.parts, result.findings or [()] * len(result.parts), strict=True):
+    for part, findings in zip(
+        result.parts, result.findings or [()] * len(result.parts), strict=True
+    ):
         first = part.curves[0]
         labels: dict[str, Any] = {"condition": first.condition, "alone": first.alone}
-        labels |= {"film": part.film and part.film.as_dict(), "agrees": {row.statement: row.agrees for row in findings}}
-        light = {"irradiance": part.irradiance.header, "white_spectrum": white_light(part.irradiance)[1]}
-        cases.append({"at": first.at} | {name: value for name, value in labels.items() if value} | light)
+        labels |= {
+            "film": part.film and part.film.as_dict(),
+            "agrees": {row.statement: row.agrees for row in findings},
+        }
+        light = {
+            "irradiance": part.irradiance.header,
+            "white_spectrum": white_light(part.irradiance)[1],
+        }
+        cases.append(
+            {"at": first.at} | {name: value for name, value in labels.items() if value} | light
+        )
     content = {
         "left_out": list(result.left_out),
         "regrets": [condition_regrets_data(metric_regrets) for metric_regrets in regrets],
@@ -131,13 +180,26 @@ def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"{REGRETS}_{number + 1}" for number in range(SHOWN_REGRETS))]
-    case_files = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
+    case_files = {
+        f"{case.folder}/{name}"
+        for case in shown_cases(cases)
+        for name in report_files(case.settings)
+    }
     plates += [NAME] * study.noise_budget
-    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", REGRETS_FILE, *figure_files(plates), *case_files}
+    return {
+        "report.html",
+        "summary.json",
+        SETTINGS_FILE,
+        "optima.csv",
+        REGRETS_FILE,
+        *figure_files(plates),
+        *case_files,
+    }
 
 
 def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -> Document:
-    """Return the document of any study with its page and all other files; the first cases of one with axes have their own.
+    """Return the document of any study with its page and all other files; the first cases of one
+    with axes have their own.
 
     It is reproducible byte for byte, and does not depend on the workers.
 
@@ -148,7 +210,11 @@ def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -
     if not isinstance(result, CasesResult):
         return with_files_of_study(draw(result, budgets=noise_budgets(result)), result)
     cases = shown_cases(
-        [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
+        [
+            Case(part.study, curve.at, curve.condition, curve.alone)
+            for part in result.parts
+            for curve in part.curves[:1]
+        ]
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
     pages = {case.folder: draw(part) for case, part in parts}
@@ -156,7 +222,11 @@ def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -
     return with_files_of_study(replace(page, parts=pages), result)
 
 
-def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[tuple[Case[Study], StudyResult]]) -> Document:
+def axes_page(
+    result: CasesResult,
+    regrets: Sequence[Regrets],
+    parts: Sequence[tuple[Case[Study], StudyResult]],
+) -> Document:
     """Return the document of a study with axes or conditions, with its page.
 
     parts : cases with a page of their own
@@ -168,16 +238,23 @@ def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[t
         regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
         for number, metric_regrets in enumerate(regrets[:SHOWN_REGRETS], 1)
     ]
-    first, *others = map(plot_of, plates or [delta_e_against_pitch(result.curves)])  # the first answers what was asked
+    first, *others = map(
+        plot_of, plates or [delta_e_against_pitch(result.curves)]
+    )  # the first answers what was asked
     tables = [table for metric_regrets in regrets for table in regrets_tables(metric_regrets)]
     listed = [
-        (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
+        (
+            Link(case.words or "the study's own settings", f"{case.folder}/report.html"),
+            f": {optimum_line(part.curves[0])}",
+        )
         for case, part in parts
     ]
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     all_regrets = (Link("The same with all digits (CSV)", REGRETS_FILE),)
     rendered = rendered_words(result.irradiance.header)
-    made = f"{ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    made = (
+        f"{ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    )
     brief = axes_document(result, regrets)
     return replace(
         brief,
@@ -185,7 +262,9 @@ def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[t
         lead=(first, *tuple(brief.lead)[1:]),
         sections=(
             Section("axes", "Along the axes and over the conditions", others),
-            Section("regrets", "Regrets of the conditions", [*tables, all_regrets] if regrets else ()),
+            Section(
+                "regrets", "Regrets of the conditions", [*tables, all_regrets] if regrets else ()
+            ),
             Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("optima", "Optima", [optima_table(result.curves), best]),
             Section("claims", "The paper's statements", _claims(result)),
@@ -204,9 +283,19 @@ def _claims(result: CasesResult) -> list[Block]:
     rows = []
     for verdict in verdicts(result):
         finding = verdict.finding
-        changed = f"{len(verdict.turned_by)} of {result.counts.cases - 1}: {verdict_words(verdict)}".removesuffix(": ")
-        rows.append((finding.statement, finding.given, finding.found, agrees(finding.agrees), changed))
-    head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
+        changed = f"{len(verdict.turned_by)} of {result.counts.cases - 1}: {verdict_words(verdict)}".removesuffix(
+            ": "
+        )
+        rows.append(
+            (finding.statement, finding.given, finding.found, agrees(finding.agrees), changed)
+        )
+    head = (
+        "statement of the paper",
+        "paper",
+        "first case",
+        "agrees",
+        "cases that change the verdict",
+    )
     table = DocumentTable("the paper's statements", head, rows, words=None, stacks=True)
     return [table] if rows else []
 
@@ -241,5 +330,8 @@ def result_csv(result: StudyResult) -> str:
 
 
 PRESENTER = Presenter(
-    document=result_document, figure=lambda result: delta_e_against_pitch(result.curves), csv=result_csv, page=result_page
+    document=result_document,
+    figure=lambda result: delta_e_against_pitch(result.curves),
+    csv=result_csv,
+    page=result_page,
 )

@@ -27,11 +27,17 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
     kind : name of a chart, or path of a picture
     options : those that were given, by their names
 
-    Raises PixsimError for another kind, for an option that it does not take, and if the file cannot be written.
+    Raises PixsimError for another kind, for an option that it does not take, and if the file cannot
+    be written.
     """
     is_picture = Path(kind).suffix.lower() in SUFFIXES
     chart = PICTURE if is_picture else f"the chart {kind}"
-    taken_by = {**dict.fromkeys(("width", "height", "die_mm"), "a chart of pixsim: pictures keep their size"), **TAKEN_BY}
+    taken_by = {
+        **dict.fromkeys(
+            ("width", "height", "die_mm"), "a chart of pixsim: pictures keep their size"
+        ),
+        **TAKEN_BY,
+    }
     for option in options:
         takes = chart == TAKEN_BY[option] if option in TAKEN_BY else not is_picture
         if not takes:
@@ -44,7 +50,9 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
         result = write_colour_axis(options["colour_axis"], output, *size)
         contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
         line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
-        line += f"; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
+        line += (
+            f"; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
+        )
         return Document("chart", "chart in colour", str(output), result, (line,))
 
     border = 0.0
@@ -60,5 +68,11 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
     line = f"{width} × {height} texels in {output}"
     if border:
         line += f", {100 * border:.3g} % of them a grey border that keeps the picture's aspect"
-    data = {"file": str(output), "kind": Path(kind).name, "width": width, "height": height, "border": border}
+    data = {
+        "file": str(output),
+        "kind": Path(kind).name,
+        "width": width,
+        "height": height,
+        "border": border,
+    }
     return Document("chart", "chart", str(output), data, (line,))

@@ -24,7 +24,13 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.score import judged_by_delta_e
-from pixsim.report.settings import DEFAULTS, scene_rows, settings_blocks, settings_table, settings_tables
+from pixsim.report.settings import (
+    DEFAULTS,
+    scene_rows,
+    settings_blocks,
+    settings_table,
+    settings_tables,
+)
 from pixsim.report.uncertainty import pair_words
 from pixsim.report.verdicts import (
     asked_metrics,
@@ -95,14 +101,22 @@ FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
 
 def _cost_of(job: ComparisonJob) -> Cost:
     """Estimate the renders and frames of all sensors."""
-    repeats = job.repeats + (0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles))
+    repeats = job.repeats + (
+        0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles)
+    )
     seconds, largest_bytes, cores = START_S + PAGE_S, 0.0, processors().usable
     for group in job.groups:
         for case in group.cases:
             request = group.request(case, group.film_width)
-            frame = frame_cost(case.camera, case.settings.pixel.pitch_um, group.display, *case.others)
-            seconds += render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
-            largest_bytes = max(largest_bytes, render_bytes(request.plan, request.shape) + frame.memory_bytes)
+            frame = frame_cost(
+                case.camera, case.settings.pixel.pitch_um, group.display, *case.others
+            )
+            seconds += (
+                render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
+            )
+            largest_bytes = max(
+                largest_bytes, render_bytes(request.plan, request.shape) + frame.memory_bytes
+            )
     sensors = sum(len(group.cases) for group in job.groups)
     return Cost(sensors, repeats * sensors, seconds, largest_bytes, 1)
 
@@ -118,7 +132,8 @@ def _case_data(case: Case[Run]) -> dict[str, Any]:
 
 
 def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
-    """Return the answer of a dry run, with an estimate of time and memory; nothing is rendered or written.
+    """Return the answer of a dry run, with an estimate of time and memory; nothing is rendered or
+    written.
 
     out : folder that would be written
     """
@@ -142,13 +157,20 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     facts = ["; ".join(common_words(job)), f"film of {across} × {height} samples for all"]
     facts += [f"case {case.words}" for case in job.combinations if case.words]
-    facts += [] if types is None else [f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}"]
+    facts += (
+        []
+        if types is None
+        else [f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}"]
+    )
     facts += [f"{out}: nothing is written now", f"cost: {cost}"]
-    sensors = DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in group.cases], words=None)
+    sensors = DocumentTable(
+        "sensors", (), [(case.sensor, sensor_words(case)) for case in group.cases], words=None
+    )
     return Document("compare", "dry run", group.scene, data, lead=(sensors, *map(Fact, facts)))
 
 
-# --- files ------------------------------------------------------------------------------------------------------------------------
+# --- files
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def comparison_files(job: ComparisonJob) -> set[str]:
@@ -156,24 +178,34 @@ def comparison_files(job: ComparisonJob) -> set[str]:
     figures = [SCORES, *[NAME] * job.shown.first.settings.noise_budget]
     names = {PAGE, JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
-        names |= {f"sensors/{sensor}.toml"} | {f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")}
+        names |= {f"sensors/{sensor}.toml"} | {
+            f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")
+        }
     return names
 
 
 def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
-    """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
+    """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not
+    write.
+    """
     check_replaceable(folder, comparison_files(job))
 
 
 def settings_files(job: ComparisonJob) -> dict[str, str]:
-    """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again.
+    """Return settings.toml and a file for each sensor, as name -> text; their command makes the
+    same numbers again.
 
-    They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
+    They state what was stated, and leave open what pixsim chose, such as a display: the command
+    chooses the same again.
     """
     study = job.study if job.study is not None and job.study.has_cases else None
     files = [f"sensors/{name}.toml" for name in job.names]
     words = ["pixsim", "compare", *files]
-    words += ["--study", SETTINGS_FILE] if study else ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
+    words += (
+        ["--study", SETTINGS_FILE]
+        if study
+        else ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
+    )
     words += ["--match", job.match] if len(job.matches) == 1 else []
     words += ["--repeats", str(job.repeats)]
     if job.types is not None:
@@ -183,23 +215,37 @@ def settings_files(job: ComparisonJob) -> dict[str, str]:
     command = shlex.join(words)
 
     first = job.base[0]
-    chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set  # where both are stated, no other display is shown
+    chosen = {
+        "dots",
+        "samples_per_deg",
+    } - first.display.model_fields_set  # where both are stated, no other display is shown
     parameters = scene_table(job.shown.first.scene.path.parent, first.scene)
     tables: dict[str, Any] = {name: {} for name in OF_A_SENSOR}
-    tables |= {"display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen), "scene": parameters}
+    tables |= {
+        "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
+        "scene": parameters,
+    }
     if study:
         cases = study.model_dump(mode="json", include={"axis", "condition", "detail"})
         tables |= {name: value for name, value in cases.items() if value}
-        tables |= {"name": study.name, "scene": {"file": whole_path(study.scene.file), "parameters": parameters}}
+        tables |= {
+            "name": study.name,
+            "scene": {"file": whole_path(study.scene.file), "parameters": parameters},
+        }
     texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
-    shared: dict[str, Any] = {name: {} for name in type(first).model_fields if name not in OF_A_SENSOR}
+    shared: dict[str, Any] = {
+        name: {} for name in type(first).model_fields if name not in OF_A_SENSOR
+    }
     spreads = [{}] * len(files) if job.types is None else job.types.spreads
     for file, settings, spread in zip(files, job.base, spreads, strict=True):
-        texts[file] = settings_text(settings, f"(in the folder above) {command}", {"": spread}, **shared)
+        texts[file] = settings_text(
+            settings, f"(in the folder above) {command}", {"": spread}, **shared
+        )
     return texts
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------------------
+# --- the page
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Document:
@@ -259,7 +305,9 @@ def _answer(result: Comparison, other: str) -> Answer:
 
 
 def facts(result: Comparison) -> Iterator[Block]:
-    """Yield a table of the sensors, the answers of cases and sensor types, and those by the other metrics."""
+    """Yield a table of the sensors, the answers of cases and sensor types, and those by the other
+    metrics.
+    """
     first, *further = asked_metrics(result.job)
     yield _sensors_table(result, first)
     answers = [
@@ -270,13 +318,19 @@ def facts(result: Comparison) -> Iterator[Block]:
     ]
     asked = {metric.name for metric in (first, *further)}
     answers += [pair_words(drawn) for drawn in result.uncertainty if drawn.metric.name in asked]
-    answers += ["; ".join(verdict_parts(result, other, metric)) for metric in further for other in result.names[1:]]
+    answers += [
+        "; ".join(verdict_parts(result, other, metric))
+        for metric in further
+        for other in result.names[1:]
+    ]
     if answers:
         yield Listed(answers)
 
 
 def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
-    """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its first frame."""
+    """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its
+    first frame.
+    """
     condition, shared = result.shown.first.condition, shared_stages(result.shown)
     unit = metric.unit and f" ({metric.unit})"
     mean = "mean ΔE" if metric.is_delta_e else f"{metric.words}{unit}"
@@ -289,16 +343,30 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
         electrons = (rounded(statistics[name], 3) for name in ("mean_electrons_e", "full_well_e"))
         saturated = rounded(100 * statistics["saturated_fraction"], 2)
         rows.append(
-            (sensor.name, mean_words(result, sensor.name, metric), sensor_words(sensor.case), exposed, *electrons, saturated)
+            (
+                sensor.name,
+                mean_words(result, sensor.name, metric),
+                sensor_words(sensor.case),
+                exposed,
+                *electrons,
+                saturated,
+            )
         )
-    head = ("sensor", mean, "pixels and lens", f"exposure{condition and f' in {condition}'}", *numbers)
+    head = (
+        "sensor",
+        mean,
+        "pixels and lens",
+        f"exposure{condition and f' in {condition}'}",
+        *numbers,
+    )
     return DocumentTable("sensors", head, rows, words=(2,), stacks=True, wide=len(numbers))
 
 
 @figure(
     SCORES,
-    "Difference of the first metric of each later sensor from that of the first one, with its 95 % interval, at each value of the "
-    "axes. The film's error is not in it. The table has each frame.",
+    "Difference of the first metric of each later sensor from that of the first one, with its 95 %"
+    " interval, at each value of the axes. The film's error is not in it. The table has each"
+    " frame.",
 )
 def scores_plate(result: Comparison) -> Drawing:
     """Draw the differences of the later sensors from the first one by the first metric.
@@ -311,7 +379,14 @@ def scores_plate(result: Comparison) -> Drawing:
     for case in result.cases:
         for name in result.names:
             for repeat, value in enumerate(case.frames(name, metric).tolist()):
-                frames.append({"case": case.case.words, "sensor": name, "repeat": repeat, metric.columns[0]: value})
+                frames.append(
+                    {
+                        "case": case.case.words,
+                        "sensor": name,
+                        "repeat": repeat,
+                        metric.columns[0]: value,
+                    }
+                )
         for other in result.names[1:]:
             pairs[", ".join(filter(None, (case.case.words, other)))] = case.pairs(other, metric)
 
@@ -323,26 +398,43 @@ def scores_plate(result: Comparison) -> Drawing:
     return drawing, columns_of(frames)
 
 
-# --- numbers for programs ---------------------------------------------------------------------------------------------------------
+# --- numbers for programs
+# ---------------------------------------------------------------------------------------------------------
 
 
 def numbers(result: Comparison) -> dict[str, Any]:
     """Return the numbers that answer the question, as in compare.json."""
     first, *others = result.names
     displays = {
-        other: [_display_data(difference, (first, other)) for difference in result.display_differences(other)] for other in others
+        other: [
+            _display_data(difference, (first, other))
+            for difference in result.display_differences(other)
+        ]
+        for other in others
     }
-    matches = {match: {other: result.pairs(other, match=match).difference for other in others} for match in result.job.matches}
+    matches = {
+        match: {other: result.pairs(other, match=match).difference for other in others}
+        for match in result.job.matches
+    }
     metric = asked_metrics(result.job)[0]
     verdicts = {other: "; ".join(verdict_parts(result, other, metric)) for other in others}
-    return _differences_data(result) | {"displays": displays, "matches": matches, "verdicts": verdicts}
+    return _differences_data(result) | {
+        "displays": displays,
+        "matches": matches,
+        "verdicts": verdicts,
+    }
 
 
 def _differences_data(result: Comparison, condition: str | None = None) -> dict[str, Any]:
-    """Return the mean ΔE of the sensors and their differences, in the mean or under a condition, as in compare.json."""
+    """Return the mean ΔE of the sensors and their differences, in the mean or under a condition, as
+    in compare.json.
+    """
     pairs = {other: result.pairs(other, condition=condition) for other in result.names[1:]}
     return {
-        "scores": {name: list(mean_interval(result.frames(name, condition=condition))) for name in result.names},
+        "scores": {
+            name: list(mean_interval(result.frames(name, condition=condition)))
+            for name in result.names
+        },
         "difference": {other: pair.difference for other, pair in pairs.items()},
         "interval_delta_e": {other: list(pair.interval) for other, pair in pairs.items()},
         "probability_a_better": {other: pair.probability_a_better for other, pair in pairs.items()},
@@ -351,13 +443,24 @@ def _differences_data(result: Comparison, condition: str | None = None) -> dict[
 
 
 def data(result: Comparison) -> dict[str, Any]:
-    """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
+    """Return compare.json. With conditions the answers are those of the weighted mean, and the rest
+    is `shown`.
+    """
     job, group = result.job, result.shown
-    stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": group.scene}
+    stated: dict[str, Any] = {
+        "names": list(result.names),
+        "match": job.match,
+        "repeats": job.repeats,
+        "scene": group.scene,
+    }
     if job.study is not None:
         stated["study"] = {"name": job.study.name}
     shared: dict[str, Any] = {
-        "settings": {"sensors": dict(zip(result.names, (_settings_data(run) for run in job.base), strict=True))},
+        "settings": {
+            "sensors": dict(
+                zip(result.names, (_settings_data(run) for run in job.base), strict=True)
+            )
+        },
         "notes": notes(result),
         "cases": [{"at": case.case.at} | numbers(case) for case in result.cases],
         "table": ROWS_FILE,
@@ -368,16 +471,26 @@ def data(result: Comparison) -> dict[str, Any]:
     conditions = [group for group in result.groups() if group.first.condition]
     more: dict[str, Any] = {"shown_condition": group.first.condition} if conditions else {}
     if conditions:
-        more["conditions"] = {group.first.condition: _condition_data(result, group) for group in conditions}
+        more["conditions"] = {
+            group.first.condition: _condition_data(result, group) for group in conditions
+        }
     if len(result.names) > 2:
         more["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
     if result.further_metrics:
-        more["metrics"] = {metric.name: _metric_data(result, metric) for metric in result.further_metrics}
+        more["metrics"] = {
+            metric.name: _metric_data(result, metric) for metric in result.further_metrics
+        }
     if result.uncertainty:
-        more["uncertainty"] = {drawn.names[1]: drawn.as_dict() for drawn in result.uncertainty if drawn.metric.is_delta_e}
+        more["uncertainty"] = {
+            drawn.names[1]: drawn.as_dict()
+            for drawn in result.uncertainty
+            if drawn.metric.is_delta_e
+        }
         for drawn in result.uncertainty:
             if not drawn.metric.is_delta_e:
-                more["uncertainty"][drawn.names[1]].setdefault("metrics", {})[drawn.metric.name] = drawn.as_dict()
+                more["uncertainty"][drawn.names[1]].setdefault("metrics", {})[drawn.metric.name] = (
+                    drawn.as_dict()
+                )
     content = stated | {
         **more,
         **numbers(result),
@@ -386,7 +499,8 @@ def data(result: Comparison) -> dict[str, Any]:
         "display": group.display.model_dump(),
         "seed": group.first.settings.seed,
         "sensors": {
-            sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()} for sensor in result.sensors
+            sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()}
+            for sensor in result.sensors
         },
     }
     return result_data(content, **shared)
@@ -404,7 +518,9 @@ def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:
 
 
 def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
-    """Return what compare.json has of the first sensor and another one alone, beside their difference."""
+    """Return what compare.json has of the first sensor and another one alone, beside their
+    difference.
+    """
     pairs = result.pairs(other)
     scores = {result.names[0]: list(mean_interval(pairs.a)), other: list(mean_interval(pairs.b))}
     group = next(group for group in result.groups_of_pair(other) if group.weight)
@@ -412,19 +528,24 @@ def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
 
 
 def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
-    """Return what compare.json has of a further metric, in the frames of all sensors on one display."""
+    """Return what compare.json has of a further metric, in the frames of all sensors on one
+    display.
+    """
     first, *others = result.names
     frames = {name: result.frames(name, metric) for name in result.names}
     return {
         "scores": {name: list(mean_interval(values)) for name, values in frames.items()},
         "probability_a_better": {
-            other: Pairs((first, other), frames[first], frames[other], metric).probability_a_better for other in others
+            other: Pairs((first, other), frames[first], frames[other], metric).probability_a_better
+            for other in others
         },
     }
 
 
 def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
-    """Return the entry of compare.json; `statistics` are those of its first frame, as in score.json."""
+    """Return the entry of compare.json; `statistics` are those of its first frame, as in
+    score.json.
+    """
     case, settings, score, light = sensor.case, sensor.case.settings, sensor.score, sensor.light
     return {
         **_case_data(case),
@@ -452,18 +573,32 @@ def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[st
     }
 
 
-# --- sections of the page -------------------------------------------------------------------------------------------------------
+# --- sections of the page
+# -------------------------------------------------------------------------------------------------------
 
 
-PAIRED = "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors."
+PAIRED = (
+    "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another"
+    " pair of individual sensors."
+)
 
 
 def _slider(result: Comparison) -> Slider:
     """Return the picture of the first sensor beside that of another one, or the ideal image."""
-    first, *others = [Picture(display_codes(reduced(sensor.score.image)), sensor.name) for sensor in result.sensors]
+    first, *others = [
+        Picture(display_codes(reduced(sensor.score.image)), sensor.name)
+        for sensor in result.sensors
+    ]
     ideal = Picture(display_codes(reduced(result.sensors[0].score.ideal)), "ideal image")
     heading = f"Pictures in {result.shown.words}" if result.shown.words else ""
-    return Slider("slider", heading, first, (*others, ideal), f"the picture of {first.name}", "the chosen picture")
+    return Slider(
+        "slider",
+        heading,
+        first,
+        (*others, ideal),
+        f"the picture of {first.name}",
+        "the chosen picture",
+    )
 
 
 def _sections(result: Comparison, end: float) -> Iterator[Section]:
@@ -473,24 +608,35 @@ def _sections(result: Comparison, end: float) -> Iterator[Section]:
     """
     job, sensors = result.job, result.sensors
     tables = [_differences(result, metric) for metric in asked_metrics(job)]
-    yield Section("differences", "Differences", [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)])
+    yield Section(
+        "differences",
+        "Differences",
+        [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)],
+    )
     if judged_by_delta_e(job.base[0]):
         yield _detail(result, end)
     coloured = [
         DocumentTable(
-            f"colours of {sensor.name}", (), colour_rows(sensor.colour, sensor.score.out_of_gamut), sensor.name, words=None
+            f"colours of {sensor.name}",
+            (),
+            colour_rows(sensor.colour, sensor.score.out_of_gamut),
+            sensor.name,
+            words=None,
         )
         for sensor in sensors
         if sensor.colour
     ]
     yield Section("colour", "Colour", coloured, folded=True)
-    yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
+    yield budgets_section(
+        {sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None}
+    )
     yield Section("shared", "What the sensors share", [Listed(common_words(job))])
     yield Section("settings", "Settings", _settings(result))
 
 
 def _detail(result: Comparison, end: float) -> Section:
-    """Return the detail where the errors differ most, or the one that is chosen in the settings, of each sensor.
+    """Return the detail where the errors differ most, or the one that is chosen in the settings, of
+    each sensor.
 
     end : of the colour scale of the ΔE maps
     """
@@ -502,7 +648,16 @@ def _detail(result: Comparison, end: float) -> Section:
         window = window_at(study.detail, (rows, columns))
         title = "The detail chosen in the settings"
     details = [
-        Section("", sensor.name, [Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), title.lower())])
+        Section(
+            "",
+            sensor.name,
+            [
+                Pictures(
+                    (crops(sensor.score, window, f"the picture of {sensor.name}", end),),
+                    title.lower(),
+                )
+            ],
+        )
         for sensor in result.sensors
     ]
     sizes = size_words(factor_for(first.score.image), result.shown.display.samples_per_deg)
@@ -510,7 +665,8 @@ def _detail(result: Comparison, end: float) -> Section:
 
 
 def _differences(result: Comparison, metric: Metric) -> DocumentTable:
-    """Return the differences of each pair by a metric: at values of axes, in the mean and in each condition.
+    """Return the differences of each pair by a metric: at values of axes, in the mean and in each
+    condition.
 
     Those of ΔE are also by each match, and on each display.
     """
@@ -528,23 +684,43 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
             pairs = case.pairs(other, metric, match=match, condition=condition)
             mean = "weighted mean" if conditions else ""
             film = case.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
-            add([case.case.words, condition or mean, f"match {match}"], other, pair_cells(pairs, film), film)
+            add(
+                [case.case.words, condition or mean, f"match {match}"],
+                other,
+                pair_cells(pairs, film),
+                film,
+            )
         for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
-            cells = difference_cells(display.difference, display.interval_delta_e, display.film_delta_e or 0.0)
-            add([case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e)
+            cells = difference_cells(
+                display.difference, display.interval_delta_e, display.film_delta_e or 0.0
+            )
+            add(
+                [case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e
+            )
     film_head = ["film's error, at most"] if metric.is_delta_e else []
-    head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better", *film_head)
+    head = (
+        "case",
+        "sensors",
+        "mean",
+        "95 % interval",
+        f"probability that {first} is better",
+        *film_head,
+    )
     name = "mean ΔE" if metric.is_delta_e else metric.title
     caption = "" if asked_metrics(result.job) == (DELTA_E_METRIC,) else name
     return DocumentTable(f"differences of {name}", head, rows, caption, words=(1,), stacks=True)
 
 
 def _settings(result: Comparison) -> list[Block]:
-    """Return the settings of each sensor side by side, then those of all sensors, and what each condition sets."""
+    """Return the settings of each sensor side by side, then those of all sensors, and what each
+    condition sets.
+    """
     group, study = result.shown, result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)
     light = result.sensors[0].light.image
-    level = LightLevel.of(light, group.display, [sensor.score.frame.integration_s for sensor in result.sensors])
+    level = LightLevel.of(
+        light, group.display, [sensor.score.frame.integration_s for sensor in result.sensors]
+    )
     seed = group.first.settings.seed
     scene = scene_rows(light, group.first.settings.scene, level)
     scene.append(("seed", seed, "of all random numbers", "set" if seed else "default"))
@@ -554,7 +730,9 @@ def _settings(result: Comparison) -> list[Block]:
     changed: set[str] = set()
     for case in group.cases:
         pixel = case.settings.pixel
-        tables = settings_tables(scene, case.settings, case.camera, pixel, is_coloured, pixel.technology == NO_TECHNOLOGY)
+        tables = settings_tables(
+            scene, case.settings, case.camera, pixel, is_coloured, pixel.technology == NO_TECHNOLOGY
+        )
         shared = shared or [table for table in tables if table.name not in OF_A_SENSOR]
         for table in tables:
             for name, value, _, source in table.rows if table.name in OF_A_SENSOR else ():
@@ -563,14 +741,26 @@ def _settings(result: Comparison) -> list[Block]:
                 changed |= {setting} if source not in DEFAULTS else set()
     for condition in () if study is None else study.condition:
         stated = {path: reduce(getitem, path, condition.set) for path in paths_of(condition.set)}
-        rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in stated.items()]
+        rows = [
+            (".".join(path), setting_value(value, path[-1]), "", "set")
+            for path, value in stated.items()
+        ]
         shared.append(settings_table(f"condition {condition.name}", rows))
 
-    sensor_rows = [(name, *(texts.get(sensor, "") for sensor in result.names)) for name, texts in values.items() if name in changed]
-    differing = DocumentTable("settings of the sensors", ("setting", *result.names), sensor_rows, words=None)
+    sensor_rows = [
+        (name, *(texts.get(sensor, "") for sensor in result.names))
+        for name, texts in values.items()
+        if name in changed
+    ]
+    differing = DocumentTable(
+        "settings of the sensors", ("setting", *result.names), sensor_rows, words=None
+    )
     return [differing, *settings_blocks(shared)]
 
 
 PRESENTER = Presenter(
-    document=comparison_document, figure=scores_plate, csv=comparison_csv, page=lambda result, _: comparison_page(result)
+    document=comparison_document,
+    figure=scores_plate,
+    csv=comparison_csv,
+    page=lambda result, _: comparison_page(result),
 )

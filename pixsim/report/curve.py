@@ -1,4 +1,6 @@
-"""A curve of a metric against pixel size: its optimum in words, its figure, its numbers, its page."""
+"""A curve of a metric against pixel size: its optimum in words, its figure, its numbers, its
+page.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,18 @@ from pixsim.base.digits import interval, pixel_size, with_error
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
 from pixsim.report.score import shown_mean
-from pixsim.show.document import Answer, Document, DocumentTable, Plot, Strong, Text, has_room, headline, joined, plain_text
+from pixsim.show.document import (
+    Answer,
+    Document,
+    DocumentTable,
+    Plot,
+    Strong,
+    Text,
+    has_room,
+    headline,
+    joined,
+    plain_text,
+)
 from pixsim.show.figures import LOOKS, Look, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
@@ -28,7 +41,8 @@ if TYPE_CHECKING:
 
 
 def optimum_answer(curve: Curve) -> Answer:
-    """Return the optimum of a curve with its interval and the value there; below it, which sizes are nearly as good.
+    """Return the optimum of a curve with its interval and the value there; below it, which sizes
+    are nearly as good.
 
     Where a wide range of sizes shows no visible difference, the headline is that range.
     """
@@ -36,9 +50,14 @@ def optimum_answer(curve: Curve) -> Answer:
     best = headline([joined([f"{curve.label}: ", first], ""), *others])
     is_range = curve.judged_by_delta_e and not curve.fit_swings
     within = f"within 1 % of it: {interval(curve.optimum.within_1_percent_um)}" if is_range else ""
-    displays = [f"{display.optimum.pitch_um:.2g} µm on {display.dots} dots" for display in curve.on_displays]
+    displays = [
+        f"{display.optimum.pitch_um:.2g} µm on {display.dots} dots" for display in curve.on_displays
+    ]
     further = f"best size on other displays: {', '.join(displays)}" if displays else ""
-    return Answer(best.head, tuple(text for text in (*best.below, curve.case.developed, within, further) if text))
+    return Answer(
+        best.head,
+        tuple(text for text in (*best.below, curve.case.developed, within, further) if text),
+    )
 
 
 def optimum_line(curve: Curve) -> str:
@@ -54,11 +73,17 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     end = "" if best.inside else ", the end of the range"
     if curve.no_difference_um is not None:
         low, high = curve.no_difference_um
-        no_difference = f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm"
+        no_difference = (
+            f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to"
+            f" {high:.3g} µm"
+        )
         return [(Strong(no_difference),), f"least at {size}{end} {limits}, {value}"]
 
     if end:
-        tried = f"no optimum between {pixel_size(curve.pitch_um[0])} and {pixel_size(curve.pitch_um[-1])}"
+        tried = (
+            f"no optimum between {pixel_size(curve.pitch_um[0])} and"
+            f" {pixel_size(curve.pitch_um[-1])}"
+        )
         return [tried, f"the best is {size}{end} {limits}, {value}"]
 
     optimum = "optimal pixel size ", Strong(size), f" {limits}"
@@ -67,10 +92,16 @@ def _optimum_parts(curve: Curve) -> list[Text]:
 
 
 def best_value_words(curve: Curve) -> str:
-    """Return the first metric at the optimum as text, with half of its 95 % interval; of ΔE as `shown_mean_of`."""
+    """Return the first metric at the optimum as text, with half of its 95 % interval; of ΔE as
+    `shown_mean_of`.
+    """
     metric, best = curve.metrics[0], curve.optimum
     low, high = best.value_interval
-    value = with_error(best.value, (high - low) / 2) if not metric.is_delta_e else shown_mean_of(curve, best.mean_delta_e)
+    value = (
+        with_error(best.value, (high - low) / 2)
+        if not metric.is_delta_e
+        else shown_mean_of(curve, best.mean_delta_e)
+    )
     return f"{metric.words} {value} {metric.unit}".rstrip()
 
 
@@ -79,44 +110,90 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     rows = []
     for curve in curves:
         best = curve.optimum
-        size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
+        size = (
+            f"{best.pitch_um:.2f}"
+            if best.inside
+            else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
+        )
         value = best_value_words(curve).removeprefix(f"{curve.metric.words} ")
-        rows.append((curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um)))
+        rows.append(
+            (curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um))
+        )
     head = ("pixel", "optimum (µm)", "95 % interval", curves[0].metric.words, "within 1 % of it")
     return DocumentTable("optima", head, rows, words=None)
 
 
 def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
-    """Return a mean ΔE of a curve as text, with one warning: its largest cause or error of the light, if that is too large."""
+    """Return a mean ΔE of a curve as text, with one warning: its largest cause or error of the
+    light, if that is too large.
+    """
     errors = curve.errors
     low, high = curve.optimum.mean_delta_e_interval
     scatter_delta_e = (high - low) / 2
-    return shown_mean(mean_delta_e, errors.light, errors.light_limit, errors.causes, scatter_delta_e=scatter_delta_e)
+    return shown_mean(
+        mean_delta_e,
+        errors.light,
+        errors.light_limit,
+        errors.causes,
+        scatter_delta_e=scatter_delta_e,
+    )
 
 
 def interval_words(curve: Curve) -> str:
     """Return the 95 % interval of a curve's optimum as text; none where the fit swings."""
-    return "unknown beside the steep flank" if curve.fit_swings else interval(curve.optimum.interval_um)
+    return (
+        "unknown beside the steep flank"
+        if curve.fit_swings
+        else interval(curve.optimum.interval_um)
+    )
 
 
-# --- its figure ------------------------------------------------------------------------------------------------------------------
+# --- its figure
+# ------------------------------------------------------------------------------------------------------------------
 
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
-BAND_POINTS = 150  # of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
+BAND_POINTS = (
+    150  # of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
+)
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
-    """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 % intervals."""
+    """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 %
+    intervals.
+    """
     colour, best = look.colour, curve.optimum
     mean, ci95 = shown_mean_and_ci95(curve)
-    low, high, fitted = map(curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e))
+    low, high, fitted = map(
+        curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
+    )
     name = literal(curve.label)
-    label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
-    axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    label = (
+        f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
+    )
+    axes.errorbar(
+        curve.pitch_um,
+        mean,
+        ci95,
+        fmt=look.marker,
+        ms=4,
+        lw=1,
+        capsize=2,
+        color=colour,
+        label=label,
+    )
     if curve.doubtful.any():
-        axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
+        axes.plot(
+            curve.pitch_um[curve.doubtful],
+            mean[curve.doubtful],
+            look.marker,
+            ms=4,
+            mfc="white",
+            mec=colour,
+        )
     drawn = np.unique(np.linspace(0, low.size - 1, BAND_POINTS).round().astype(int))
-    axes.fill_between(curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0)
+    axes.fill_between(
+        curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0
+    )
     axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **look.stroke)
     if best.inside:
         low_um, high_um = closed_range(best.interval_um, curve)
@@ -126,7 +203,9 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
 
 
 def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
-    """Return a range of pitches with open ends replaced by the smallest and the largest pitch of the fitted curve."""
+    """Return a range of pitches with open ends replaced by the smallest and the largest pitch of
+    the fitted curve.
+    """
     low, high = range_um
     first, last = curve.fitted_range_um
     return first if low is None else low, last if high is None else high
@@ -137,9 +216,10 @@ DELTA_E_AGAINST_PITCH = "delta_e_against_pitch"  # name of the figure
 
 @figure(
     DELTA_E_AGAINST_PITCH,
-    "The first metric against pixel size. Points: means of sensors with 95 % intervals; line: the fitted curve with its 95 % "
-    "interval; triangle and bar: the optimum with its 95 % interval; vertical band: sizes within 1 % of the minimum; hollow "
-    "points: the microlens has a Fresnel number below 1, where the model of its diffraction is doubtful.",
+    "The first metric against pixel size. Points: means of sensors with 95 % intervals; line: the"
+    " fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval;"
+    " vertical band: sizes within 1 % of the minimum; hollow points: the microlens has a Fresnel"
+    " number below 1, where the model of its diffraction is doubtful.",
 )
 def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     """Draw the first metric of curves against pixel size, with their optima."""
@@ -151,7 +231,9 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     axes.set(xlabel="pixel size (µm)", ylabel=curves[0].metric.label)
     axes.set_ylim(0, axes.get_ylim()[1] * (HEADROOM if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
+    axes.legend(
+        frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right"
+    )
     fitted = np.concatenate([fitted_at(curve, curve.pitch_um) for curve in curves]).tolist()
     return drawing, curve_table(curves) | {f"fitted_{curves[0].metric.columns[0]}": fitted}
 
@@ -159,11 +241,15 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
 def fitted_at(curve: Curve, pitch_um: Array) -> Array:
     """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
     values = curve.metric.of_loss(curve.fit.delta_e)
-    return np.interp(np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan)
+    return np.interp(
+        np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan
+    )
 
 
 def fresnel_column(curves: Sequence[Curve], pitch_um: Sequence[float]) -> dict[str, Column]:
-    """Return the column of Fresnel numbers of curves at a pitch each, empty without microlenses; none if no curve has some."""
+    """Return the column of Fresnel numbers of curves at a pitch each, empty without microlenses;
+    none if no curve has some.
+    """
     numbers = [curve.fresnel_at(size) for curve, size in zip(curves, pitch_um, strict=True)]
     if all(number is None for number in numbers):
         return {}
@@ -175,31 +261,45 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     table: dict[str, list[float | str]] = {}
     for curve in curves:
         mean, ci95 = shown_mean_and_ci95(curve)
-        columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
+        columns = {
+            "technology": np.array([curve.label] * mean.size),
+            "pitch_um": curve.pitch_um,
+            "fill_factor": curve.fill_factor,
+        }
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
-        columns |= {name: curve.typical(name) for name in curve.columns if name != DELTA_E.columns[0]}
+        columns |= {
+            name: curve.typical(name) for name in curve.columns if name != DELTA_E.columns[0]
+        }
         if any(other.fresnel_number is not None for other in curves):
-            columns["fresnel_number"] = np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
+            columns["fresnel_number"] = (
+                np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
+            )
         for name, values in columns.items():
             table.setdefault(name, []).extend(values.tolist())
     return dict(table)
 
 
 def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return columns with the ends of a range of each optimum, as `interval` or `within_1_percent`; empty for an open end."""
+    """Return columns with the ends of a range of each optimum, as `interval` or `within_1_percent`;
+    empty for an open end.
+    """
     ends = zip(*(getattr(curve.optimum, f"{name}_um") for curve in curves), strict=True)
     low, high = (["" if end is None else end for end in column] for column in ends)
     return {f"{name}_low_um": low, f"{name}_high_um": high}
 
 
-# --- its numbers -----------------------------------------------------------------------------------------------------------------
+# --- its numbers
+# -----------------------------------------------------------------------------------------------------------------
 
 
 def curve_data(curve: Curve) -> dict[str, Any]:
     """Return a curve as in summary.json."""
     labels = {"at": curve.at, "condition": curve.condition, "alone": curve.alone}
     missing = {f"{pitch_um:g}": reason for pitch_um, reason in curve.left_out}
-    displays = [{"dots": display.dots, "optimum": display.optimum.as_dict()} for display in curve.on_displays]
+    displays = [
+        {"dots": display.dots, "optimum": display.optimum.as_dict()}
+        for display in curve.on_displays
+    ]
     further = {
         "causes": [cause.as_dict() for cause in curve.errors.causes],
         **_metrics_data(curve),
@@ -211,22 +311,35 @@ def curve_data(curve: Curve) -> dict[str, Any]:
     return {
         "technology": curve.technology,
         **{name: value for name, value in labels.items() if value},
-        "optimum": curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.of_metric(),
+        "optimum": (
+            curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.of_metric()
+        ),
         "no_visible_difference_um": curve.no_difference_um,
         "optimum_fill_factor": curve.optimum_fill_factor,
         "optimum_features": curve.optimum_features,
         "pitch_um": curve.pitch_um.tolist(),
         "sensors": curve.sensors.tolist(),
         "fill_factor": curve.fill_factor.tolist(),
-        **({"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()} if curve.judged_by_delta_e else {}),
+        **(
+            {"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()}
+            if curve.judged_by_delta_e
+            else {}
+        ),
         **{name: value for name, value in further.items() if value},
     }
 
 
 def optima_data(curve: Curve) -> list[dict[str, Any]]:
     """Return the best sizes of a curve as the JSON of all commands has them: one by each metric."""
-    optima = {curve.metric.name: curve.optimum} | {name: fit.optimum for name, fit in curve.fits.items()}
-    labels = {"technology": curve.technology, "at": curve.at, "condition": curve.condition, "alone": curve.alone}
+    optima = {curve.metric.name: curve.optimum} | {
+        name: fit.optimum for name, fit in curve.fits.items()
+    }
+    labels = {
+        "technology": curve.technology,
+        "at": curve.at,
+        "condition": curve.condition,
+        "alone": curve.alone,
+    }
     return [labels | {"metric": name} | optimum.of_metric() for name, optimum in optima.items()]
 
 
@@ -234,8 +347,13 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
     """Return what summary.json has of metrics beside ΔE alone."""
     if curve.metrics == (DELTA_E,):
         return {}
-    optima = {curve.metric.name: curve.optimum} | {name: fit.optimum for name, fit in curve.fits.items()}
-    means = {name: [value if math.isfinite(value) else None for value in curve.typical(name).tolist()] for name in curve.columns}
+    optima = {curve.metric.name: curve.optimum} | {
+        name: fit.optimum for name, fit in curve.fits.items()
+    }
+    means = {
+        name: [value if math.isfinite(value) else None for value in curve.typical(name).tolist()]
+        for name in curve.columns
+    }
     regrets = metric_regrets(curve)
     return {
         "optima": {name: optimum.of_metric() for name, optimum in optima.items()},
@@ -244,7 +362,8 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
     }
 
 
-# --- its page --------------------------------------------------------------------------------------------------------------------
+# --- its page
+# --------------------------------------------------------------------------------------------------------------------
 
 
 def curve_document(curve: Curve) -> Document:
@@ -260,5 +379,7 @@ def curve_document(curve: Curve) -> Document:
 
 
 PRESENTER = Presenter(
-    document=curve_document, figure=lambda curve: delta_e_against_pitch([curve]), csv=lambda curve: table_csv(curve_table([curve]))
+    document=curve_document,
+    figure=lambda curve: delta_e_against_pitch([curve]),
+    csv=lambda curve: table_csv(curve_table([curve])),
 )

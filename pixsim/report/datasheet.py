@@ -31,8 +31,20 @@ BINS = 101
 STEPS = {**LINE, "drawstyle": "steps-mid"}
 PHOTONS = "photons per pixel, μ_p"
 SIGNAL = "mean gray value minus dark (DN)"
-MAPS = {"dsnu": "dark, deviation from the mean (e⁻)", "prnu": "response, deviation from the mean (%)"}
-FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
+MAPS = {
+    "dsnu": "dark, deviation from the mean (e⁻)",
+    "prnu": "response, deviation from the mean (%)",
+}
+FIGURES = (
+    "photon_transfer",
+    "responsivity",
+    "snr",
+    "linearity",
+    "dark_current",
+    "histograms",
+    "spectrograms",
+    "profiles",
+)
 FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 
 
@@ -55,8 +67,13 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
         Line("expected_signal_dn", "expected_variance_dn2", "model"),
         Line("signal_dn", "gain_times_signal_dn2", "fit, slope K"),
     )
-    marks = {"end of the fit": signal[transfer.fitted][-1], "saturation": signal[transfer.saturation_index]}
-    return draw_panels(table, [LinePanel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)])
+    marks = {
+        "end of the fit": signal[transfer.fitted][-1],
+        "saturation": signal[transfer.saturation_index],
+    }
+    return draw_panels(
+        table, [LinePanel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)]
+    )
 
 
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
@@ -65,7 +82,10 @@ def responsivity_plate(sheet: DataSheet) -> Drawing:
     transfer, photons = sheet.transfer, sheet.light.at
     fitted_dn = transfer.responsivity_dn_per_p.value * photons
     table = {"photons_p": photons, "signal_dn": sheet.signal_dn, "fitted_dn": fitted_dn}
-    lines = Line("photons_p", "signal_dn", "measured", POINTS), Line("photons_p", "fitted_dn", "fit, slope R")
+    lines = (
+        Line("photons_p", "signal_dn", "measured", POINTS),
+        Line("photons_p", "fitted_dn", "fit, slope R"),
+    )
     marks = {"saturation": transfer.saturation_p.value}
     return draw_panels(table, [LinePanel(PHOTONS, SIGNAL, lines, marks)])
 
@@ -90,12 +110,20 @@ def snr_plate(sheet: DataSheet) -> Drawing:
         Line("photons_p", "snr_model", "model from K, η and σ_d"),
         Line("photons_p", "snr_ideal", "ideal sensor of the same η: √μ_e"),
     )
-    marks = {"μ_p.min, where the SNR is 1": transfer.threshold_p.value, "μ_p.sat": transfer.saturation_p.value}
+    marks = {
+        "μ_p.min, where the SNR is 1": transfer.threshold_p.value,
+        "μ_p.sat": transfer.saturation_p.value,
+    }
     axes = {"xscale": "log", "yscale": "log", "ylim": (0.1, None)}
-    return draw_panels(table, [LinePanel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")])
+    return draw_panels(
+        table,
+        [LinePanel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")],
+    )
 
 
-@figure("linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error.")
+@figure(
+    "linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error."
+)
 def linearity_plate(sheet: DataSheet) -> Drawing:
     """Relative deviation of the mean signal from a straight line, in the range that counts."""
     linearity, light = sheet.linearity, sheet.light
@@ -107,14 +135,22 @@ def linearity_plate(sheet: DataSheet) -> Drawing:
         "counted_percent": np.where(linearity.within, 100 * linearity.deviation, np.nan),
     }
     lines = (Line("photons_p", "counted_percent", style=POINTS),)
-    figure, _ = draw_panels(table, [LinePanel(PHOTONS, "deviation from a straight line (%)", lines)])
-    figure.axes[0].errorbar(light.at, table["counted_percent"], error_percent, fmt="none", lw=1, color="0.5")
+    figure, _ = draw_panels(
+        table, [LinePanel(PHOTONS, "deviation from a straight line (%)", lines)]
+    )
+    figure.axes[0].errorbar(
+        light.at, table["counted_percent"], error_percent, fmt="none", lw=1, color="0.5"
+    )
     return figure, table
 
 
-@figure("dark_current", "Dark current: the slopes of mean and variance, and its rise with temperature.")
+@figure(
+    "dark_current", "Dark current: the slopes of mean and variance, and its rise with temperature."
+)
 def dark_current_plate(sheet: DataSheet) -> Drawing:
-    """Mean and variance of dark frames against integration time, and dark current against temperature."""
+    """Mean and variance of dark frames against integration time, and dark current against
+    temperature.
+    """
     dark, gain = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
     temperatures_k, warm = sheet.warm_currents
     table: dict[str, Array] = {
@@ -130,11 +166,16 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
     for name, label in (("mean_e", "dark mean (e⁻)"), ("variance_e2", "dark variance (e⁻²)")):
         slope, start = straight_line(dark.at, table[name], np.zeros_like(dark.at))
         table[f"fitted_{name}"] = start.value + slope.value * dark.at
-        lines = Line("integration_s", name, "measured", POINTS), Line("integration_s", f"fitted_{name}", "fit")
+        lines = (
+            Line("integration_s", name, "measured", POINTS),
+            Line("integration_s", f"fitted_{name}", "fit"),
+        )
         panels.append(LinePanel("integration time (s)", label, lines))
     if warm:
         line = Line("temperature_k", "dark_current_e_per_s", style=POINTS)
-        panels.append(LinePanel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"}))
+        panels.append(
+            LinePanel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"})
+        )
     figure, _ = draw_panels(table, panels)
     if warm:
         plain_powers(figure.axes[-1].yaxis)
@@ -142,35 +183,60 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
 
 
 def deviations(sheet: DataSheet) -> dict[str, Array]:
-    """Return the maps of `MAPS`: the mean dark image in electrons and the mean response in per cent, each minus its mean."""
+    """Return the maps of `MAPS`: the mean dark image in electrons and the mean response in per
+    cent, each minus its mean.
+    """
     dark_dn = sheet.dark_stack.mean_dn
     light = sheet.bright_stack.mean_dn - dark_dn
-    return {"dsnu": (dark_dn - dark_dn.mean()) / sheet.transfer.gain_dn_per_e.value, "prnu": 100 * (light / light.mean() - 1)}
+    return {
+        "dsnu": (dark_dn - dark_dn.mean()) / sheet.transfer.gain_dn_per_e.value,
+        "prnu": 100 * (light / light.mean() - 1),
+    }
 
 
 @figure("histograms", "Histograms of the mean dark image and response.")
 def histogram_plate(sheet: DataSheet) -> Drawing:
-    """Logarithmic histograms of the stacks' mean images, with normal distributions of the same spread."""
+    """Logarithmic histograms of the stacks' mean images, with normal distributions of the same
+    spread.
+    """
     table: dict[str, Array] = {}
     panels = []
     for name, deviation in deviations(sheet).items():
         limit = 1.02 * max(float(np.abs(deviation).max()), 1e-9)
         counts, edges = np.histogram(deviation, np.linspace(-limit, limit, BINS + 1))
         centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(deviation.std()), 1e-12)
-        normal = deviation.size * np.diff(edges) / (sigma * np.sqrt(2 * np.pi)) * np.exp(-((centres / sigma) ** 2) / 2)
+        normal = (
+            deviation.size
+            * np.diff(edges)
+            / (sigma * np.sqrt(2 * np.pi))
+            * np.exp(-((centres / sigma) ** 2) / 2)
+        )
         table |= {f"{name}_bin": centres, f"{name}_pixels": counts, f"{name}_normal": normal}
         lines = (
-            Line(f"{name}_bin", f"{name}_pixels", f"{name.upper()}: {deviation.size} pixels", STEPS),
+            Line(
+                f"{name}_bin", f"{name}_pixels", f"{name.upper()}: {deviation.size} pixels", STEPS
+            ),
             Line(f"{name}_bin", f"{name}_normal", "normal distribution"),
         )
-        panels.append(LinePanel(MAPS[name], "pixels per bin", lines, axes={"yscale": "log", "ylim": (0.5, 3 * counts.max())}))
+        panels.append(
+            LinePanel(
+                MAPS[name],
+                "pixels per bin",
+                lines,
+                axes={"yscale": "log", "ylim": (0.5, 3 * counts.max())},
+            )
+        )
     return draw_panels(table, panels)
 
 
 def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
-    """Return frequencies (periods per pixel) and the mean power spectrum along an axis of a map (EMVA 1288, section 8.4)."""
+    """Return frequencies (periods per pixel) and the mean power spectrum along an axis of a map
+    (EMVA 1288, section 8.4).
+    """
     power = np.abs(np.fft.rfft(map_ - map_.mean(), axis=axis)) ** 2 / map_.shape[axis]
-    return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(power.mean(axis=1 - axis))
+    return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(
+        power.mean(axis=1 - axis)
+    )
 
 
 @figure("spectrograms", "Spectrograms along rows (horizontal) and columns (vertical).")
@@ -186,7 +252,9 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
             table[y] = np.sqrt(power)
             lines.append(Line(x, y, f"{name.upper()}, {direction}", MARKED_LINE))
         unit = "e⁻" if name == "dsnu" else "%"
-        panels.append(LinePanel("frequency (periods per pixel)", f"standard deviation ({unit})", lines))
+        panels.append(
+            LinePanel("frequency (periods per pixel)", f"standard deviation ({unit})", lines)
+        )
     figure, _ = draw_panels({column: values[1:] for column, values in table.items()}, panels)
     return figure, table
 
@@ -194,19 +262,28 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
 @figure("profiles", "Means of columns and rows minus the overall mean.")
 def profile_plate(sheet: DataSheet) -> Drawing:
     """Means of the columns and of the rows of the maps."""
-    table: dict[str, Array] = {"column_or_row": np.arange(float(max(sheet.dark_stack.mean_dn.shape)))}
+    table: dict[str, Array] = {
+        "column_or_row": np.arange(float(max(sheet.dark_stack.mean_dn.shape)))
+    }
     panels = []
     for name, deviation in deviations(sheet).items():
         table |= {f"{name}_columns": deviation.mean(axis=0), f"{name}_rows": deviation.mean(axis=1)}
         lines = [
-            Line("column_or_row", f"{name}_{direction}", f"{name.upper()}, means of {direction}", MARKED_LINE)
+            Line(
+                "column_or_row",
+                f"{name}_{direction}",
+                f"{name.upper()}, means of {direction}",
+                MARKED_LINE,
+            )
             for direction in ("columns", "rows")
         ]
         panels.append(LinePanel("column or row", MAPS[name], lines))
     return draw_panels(table, panels)
 
 
-ROUNDING = 1e-8  # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low temperature
+# smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low
+# temperature
+ROUNDING = 1e-8
 HEADLINE = ("K", "η", "σ_d", "μ_e.sat")  # symbols
 
 
@@ -231,16 +308,24 @@ def described(sheet: DataSheet) -> Answer:
     experiment, physics = sheet.experiment, sheet.experiment.physics
     readout = experiment.readout
     entries = {entry.symbol: entry for entry in sheet.entries}
-    values = ", ".join(f"{symbol} {measured_text(entries[symbol])} {entries[symbol].unit}" for symbol in HEADLINE)
+    values = ", ".join(
+        f"{symbol} {measured_text(entries[symbol])} {entries[symbol].unit}" for symbol in HEADLINE
+    )
     filters = f", filters {physics.layout}" if physics.layout else ""
     channel = f" on channel {physics.channel}" if physics.channel else ""
     gain = f", {readout.gain_db:g} dB" if readout.gain_db else ""
     rows, columns = experiment.sensor.shape
     return headline(
         [
-            f"{label_of(physics.technology.name)}, {physics.pitch_um:g} µm pixels{filters}, {readout.adc.bits} bits: {values}",
-            f"black level {readout.adc.black_level_dn:g} DN, {physics.pixel.temperature_k:g} K, {columns} × {rows} pixels, "
-            f"{experiment.wavelength_nm:g} nm{channel}, {exposure_time(experiment.integration_s)}{gain}",
+            (
+                f"{label_of(physics.technology.name)}, {physics.pitch_um:g} µm pixels{filters},"
+                f" {readout.adc.bits} bits: {values}"
+            ),
+            (
+                f"black level {readout.adc.black_level_dn:g} DN, {physics.pixel.temperature_k:g} K,"
+                f" {columns} × {rows} pixels, {experiment.wavelength_nm:g} nm{channel},"
+                f" {exposure_time(experiment.integration_s)}{gain}"
+            ),
             physics.pixel.assumption or "",
         ]
     )
@@ -257,39 +342,48 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
         rows.append((standard,))
         for entry in entries:
             error, true = value_text(entry.standard_error, 2), value_text(entry.true)
-            rows.append((entry.quantity, entry.symbol, measured_text(entry), error, true, entry.unit))
+            rows.append(
+                (entry.quantity, entry.symbol, measured_text(entry), error, true, entry.unit)
+            )
     return rows
 
 
 def datasheet_notes(sheet: DataSheet) -> list[Note]:
-    """Return what limits the measurements: settings that were changed for them, and models that do not hold."""
+    """Return what limits the measurements: settings that were changed for them, and models that do
+    not hold.
+    """
     experiment = sheet.experiment
     pixel, readout = experiment.pixel, experiment.readout
     texts = []
     if pixel.black_level_dn != experiment.asked_black_dn:
         texts.append(
-            f"black level raised from {experiment.asked_black_dn:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that "
-            "the dark frames are not clipped at 0 DN"
+            f"black level raised from {experiment.asked_black_dn:g} to {pixel.black_level_dn:g} DN,"
+            " 6 σ of the dark noise, so that the dark frames are not clipped at 0 DN"
         )
     if readout.adc_range_e < readout.full_well_e:
         clip_e, well_e = told_apart(readout.adc_range_e, readout.full_well_e, 3)
-        texts.append(f"the ADC clips at {clip_e} e-, before the well of {well_e} e-: the saturation capacity is that of the ADC")
+        texts.append(
+            f"the ADC clips at {clip_e} e-, before the well of {well_e} e-: the saturation capacity"
+            " is that of the ADC"
+        )
     if sheet.transfer.limited:
         texts.append(
-            f"quantisation-limited: σ²_y.dark = {sheet.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, and K "
-            f"and what is derived from it are wrong by some per cent. Use more than {pixel.bits} bits (pixel.bits)."
+            f"quantisation-limited: σ²_y.dark = {sheet.dark.variance_dn2:.3g} DN² is below 0.24"
+            " DN². σ_d is an upper bound, and K and what is derived from it are wrong by some per"
+            f" cent. Use more than {pixel.bits} bits (pixel.bits)."
         )
     if isinstance(sheet.colour, str):
         texts.append(f"no colour matrix: {sheet.colour}")
     if sheet.full_in_the_dark:
         texts.append(
-            f"hot pixels: {100 * sheet.full_in_the_dark:.2g} % of the pixels are full at the longest exposure of the dark series: "
-            "the measured dark current is too low"
+            f"hot pixels: {100 * sheet.full_in_the_dark:.2g} % of the pixels are full at the"
+            " longest exposure of the dark series: the measured dark current is too low"
         )
     if pixel.conversion != "linear":
         texts.append(
-            "conversion = 'junction': the gain changes as the well fills, and the linear model of EMVA 1288 does not hold. K, R "
-            "and η are means over the fitted range; the true values refer to the charge."
+            "conversion = 'junction': the gain changes as the well fills, and the linear model of"
+            " EMVA 1288 does not hold. K, R and η are means over the fitted range; the true values"
+            " refer to the charge."
         )
     return [Note("data_sheet", words=text) for text in texts]
 
@@ -297,9 +391,15 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
 def measurement_words(sheet: DataSheet) -> str:
     """Return how the values were measured, and of which pixels."""
     physics, side = sheet.experiment.physics, sheet.experiment.readout.bin_side
-    words = "Measured on frames of one simulated device. datasheet.csv has the source of each true value."
+    words = (
+        "Measured on frames of one simulated device. datasheet.csv has the source of each true"
+        " value."
+    )
     if physics.layout is not None:
-        words += f" Values without a channel are those of {physics.channel}; gain and dark values are those of all channels."
+        words += (
+            f" Values without a channel are those of {physics.channel}; gain and dark values are"
+            " those of all channels."
+        )
     if side > 1:
         words += f" A pixel is the sum of {side} × {side} pixels of {physics.pitch_um:g} µm."
     return words
@@ -311,7 +411,10 @@ def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
     content = {
         "pixel": experiment.pixel.model_dump(),
         "assumption": experiment.physics.pixel.assumption,
-        **{name: getattr(experiment, name) for name in ("wavelength_nm", "integration_s", "stack_frames", "seed")},
+        **{
+            name: getattr(experiment, name)
+            for name in ("wavelength_nm", "integration_s", "stack_frames", "seed")
+        },
         "gain_db": experiment.readout.gain_db,
         "shape": list(experiment.sensor.shape),
         "exposures": experiment.photons.size,
@@ -319,7 +422,10 @@ def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
         "quantisation_limited": sheet.transfer.limited,
         "entries": [entry.as_dict() for entry in sheet.entries],
     }
-    settings = {"pixel": experiment.pixel.model_dump(mode="json", exclude_none=True), "seed": experiment.seed}
+    settings = {
+        "pixel": experiment.pixel.model_dump(mode="json", exclude_none=True),
+        "seed": experiment.seed,
+    }
     return result_data(content, settings=settings, notes=notes, table="datasheet.csv")
 
 
@@ -329,12 +435,16 @@ def datasheet_csv(sheet: DataSheet) -> str:
 
 
 def datasheet_document(sheet: DataSheet) -> Document:
-    """Return the page of a data sheet: the photon transfer, the notes, the values beside the true ones, further figures."""
+    """Return the page of a data sheet: the photon transfer, the notes, the values beside the true
+    ones, further figures.
+    """
     notes = datasheet_notes(sheet)
     transfer, *others = (Plot(partial(draw_plate, sheet)) for draw_plate in PLATES)
     pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
     settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
-    values = DocumentTable("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True)
+    values = DocumentTable(
+        "measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True
+    )
     return Document(
         command="datasheet",
         kind="data sheet of one simulated sensor",

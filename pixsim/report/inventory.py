@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 
 def cache_document(kind: str | None = None, clear: bool = False) -> Document:
-    """Return the answer of `pixsim cache`: what the cache holds, after its entries were removed if asked for.
+    """Return the answer of `pixsim cache`: what the cache holds, after its entries were removed if
+    asked for.
 
     kind : of entries; None means all
 
@@ -42,7 +43,9 @@ def cache_document(kind: str | None = None, clear: bool = False) -> Document:
 
 
 def cache_summary(kind: str | None = None) -> dict[str, Any]:
-    """Return folder and size limit of the cache, and the entries and bytes of each kind, or of one."""
+    """Return folder and size limit of the cache, and the entries and bytes of each kind, or of
+    one.
+    """
     kinds: dict[str, dict[str, int]] = {}
     for name in [kind] if kind else [None, *cache.HELPERS]:
         for entry in cache.entries(name):
@@ -70,8 +73,21 @@ def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str])
     for camera in cameras:
         low_nm, high_nm = camera.range_nm
         peaks = ", ".join(f"{peak_nm:g}" for peak_nm in camera.peak_nm)
-        rows.append((camera.name, camera.kind, camera.channels, f"{low_nm:g}-{high_nm:g} nm, peaks {peaks} nm", camera.words))
-    use = 'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
+        rows.append(
+            (
+                camera.name,
+                camera.kind,
+                camera.channels,
+                f"{low_nm:g}-{high_nm:g} nm, peaks {peaks} nm",
+                camera.words,
+            )
+        )
+    use = (
+        'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim'
+        " cameras --json has the notes"
+    )
     kinds = (f"{kind}: {words}" for kind, words in sources.items())
     blocks: list[Block] = [DocumentTable("cameras", (), rows, words=None), *kinds, use]
-    return Document("cameras", "cameras", "Cameras", {"cameras": [asdict(camera) for camera in cameras]}, blocks)
+    return Document(
+        "cameras", "cameras", "Cameras", {"cameras": [asdict(camera) for camera in cameras]}, blocks
+    )

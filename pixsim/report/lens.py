@@ -15,7 +15,16 @@ from pixsim.base.errors import one_line
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, plain, table_csv
 from pixsim.measure.lens import CUT_POINTS, MTF_LINES, LensData, cross_section
-from pixsim.report.panels import LEGEND_IN, MARKED_LINE, Line, LinePanel, draw_panels, legend_below, panels_of, rows_table
+from pixsim.report.panels import (
+    LEGEND_IN,
+    MARKED_LINE,
+    Line,
+    LinePanel,
+    draw_panels,
+    legend_below,
+    panels_of,
+    rows_table,
+)
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section
 from pixsim.show.figures import LOOKS, finish
 from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
@@ -27,7 +36,16 @@ if TYPE_CHECKING:
 
 SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
 SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
-FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature", "illumination", "colour")
+FIGURES = (
+    "layout",
+    "spots",
+    "psf",
+    "mtf",
+    "mtf_over_field",
+    "field_curvature",
+    "illumination",
+    "colour",
+)
 FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
 ANGLE, HEIGHT = "field angle (degrees)", "image height (mm)"
@@ -40,16 +58,27 @@ def layout(data: LensData) -> Drawing:
     cut = cross_section(data.lens)
     figure, (axes,) = panels_of(1, 4.1, legend_in=LEGEND_IN)
     drawn = set()
-    for index, ((z, y), (far_z, far_y)) in enumerate(zip(cut.surfaces, cut.surfaces[1:], strict=False)):
+    for index, ((z, y), (far_z, far_y)) in enumerate(
+        zip(cut.surfaces, cut.surfaces[1:], strict=False)
+    ):
         if cut.glass_behind[index]:
             axes.fill([*z, *far_z[::-1]], [*y, *far_y[::-1]], **GLASS)
             drawn |= {index, index + 1}
     surfaces = sorted(drawn)
     table: dict[str, Array] = {"surface": np.repeat(np.array(surfaces, int) + 1, CUT_POINTS)}
-    table |= rows_table(("surface_z_mm", "surface_y_mm"), [cut.surfaces[index] for index in surfaces])
+    table |= rows_table(
+        ("surface_z_mm", "surface_y_mm"), [cut.surfaces[index] for index in surfaces]
+    )
 
     at, radius = cut.stop
-    axes.vlines([at, at], [radius, -1.35 * radius], [1.35 * radius, -radius], color="black", lw=2.5, label="stop")
+    axes.vlines(
+        [at, at],
+        [radius, -1.35 * radius],
+        [1.35 * radius, -radius],
+        color="black",
+        lw=2.5,
+        label="stop",
+    )
     rays = []
     for (angle, field_rays), look in zip(cut.rays.items(), LOOKS, strict=False):
         for number_of_ray, (height, z, y) in enumerate(field_rays):
@@ -69,7 +98,9 @@ def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
 
 
-def field_panels(data: LensData, height_in: float, legend_in: float = 0.0) -> tuple[Figure, dict[int, Axes]]:
+def field_panels(
+    data: LensData, height_in: float, legend_in: float = 0.0
+) -> tuple[Figure, dict[int, Axes]]:
     """Return a figure and the axes of the image plane at some fields, by their numbers."""
     fields = shown_fields(data)
     figure, row = panels_of(len(fields), height_in, shared=True, legend_in=legend_in)
@@ -90,27 +121,42 @@ def spot_plate(data: LensData) -> Drawing:
     rays = []
     for index, axes in panels.items():
         spot = data.spots[index]
-        for nm, x, y, look in zip(data.wavelength_nm, spot.x_um, spot.y_um, (*LOOKS, *LOOKS), strict=False):
+        for nm, x, y, look in zip(
+            data.wavelength_nm, spot.x_um, spot.y_um, (*LOOKS, *LOOKS), strict=False
+        ):
             axes.plot(x, y, look.marker, ms=2, color=look.colour, mew=0, label=f"{nm:.4g} nm")
             rays.append((data.field_deg[index], nm, x, y))
-        axes.add_patch(Circle((0.0, 0.0), data.airy_um, fill=False, color="black", lw=0.9, label="Airy disc"))
+        axes.add_patch(
+            Circle((0.0, 0.0), data.airy_um, fill=False, color="black", lw=0.9, label="Airy disc")
+        )
         axes.set_aspect("equal")
         axes.grid(alpha=0.25)
 
     table = rows_table(("field_deg", "wavelength_nm", "x_um", "y_um"), rays)
-    limit_um = 1.1 * float(np.fmax.reduce(np.abs([*table["x_um"], *table["y_um"]]), initial=data.airy_um))
+    limit_um = 1.1 * float(
+        np.fmax.reduce(np.abs([*table["x_um"], *table["y_um"]]), initial=data.airy_um)
+    )
     panels[0].set(xlim=(-limit_um, limit_um), ylim=(-limit_um, limit_um))
     legend_below(figure, panels[0], 6)
     return figure, table
 
 
-@figure("psf", "Point spread functions: the square root of the irradiance over its maximum. The table has block means.")
+@figure(
+    "psf",
+    "Point spread functions: the square root of the irradiance over its maximum. The table has"
+    " block means.",
+)
 def psf_plate(data: LensData) -> Drawing:
     """Show the point spread functions of some fields on one scale."""
     figure, panels = field_panels(data, 2.7)
     largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
-    half_um = max(SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number)
-    cells = min(math.ceil(half_um / data.psf_pitch_um), *(len(data.psfs[index]) // 2 - 1 for index in panels))
+    half_um = max(
+        SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number
+    )
+    cells = min(
+        math.ceil(half_um / data.psf_pitch_um),
+        *(len(data.psfs[index]) // 2 - 1 for index in panels),
+    )
     side = (2 * cells + 1) * data.psf_pitch_um / 2
     table: dict[str, Column] = {}
     for index, axes in panels.items():
@@ -118,12 +164,21 @@ def psf_plate(data: LensData) -> Drawing:
         inside = slice(middle - cells, middle + cells + 1)
         psf = np.maximum(data.psfs[index][inside, inside], 0.0)
         psf = psf / max(float(psf.max()), np.finfo(float).tiny)
-        axes.imshow(np.sqrt(psf), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))
+        axes.imshow(
+            np.sqrt(psf),
+            cmap="viridis",
+            vmin=0,
+            vmax=1,
+            origin="lower",
+            extent=(-side, side, -side, side),
+        )
         table |= coarse_table(psf, f"psf_{data.field_deg[index]:.4g}_deg")
     return figure, table
 
 
-def mtf_lines(table: dict[str, Array], x: str, curves: Sequence[tuple[str, str, Array]]) -> list[Line]:
+def mtf_lines(
+    table: dict[str, Array], x: str, curves: Sequence[tuple[str, str, Array]]
+) -> list[Line]:
     """Return the lines of tangential and sagittal MTFs, and add them to a table.
 
     curves : words for the legend, the end of the columns' names, and both MTFs, (2, n), of each
@@ -141,21 +196,36 @@ def mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     table = {"frequency_lp_per_mm": data.frequency_lp_per_mm, "diffraction": data.diffraction_mtf}
     angles = {index: data.field_deg[index] for index in shown_fields(data)}
-    curves = [(f"{angle:.3g}°", f"{angle:.4g}_deg", data.mtf[index]) for index, angle in angles.items()]
+    curves = [
+        (f"{angle:.3g}°", f"{angle:.4g}_deg", data.mtf[index]) for index, angle in angles.items()
+    ]
     lines = mtf_lines(table, "frequency_lp_per_mm", curves)
     lines.append(Line("frequency_lp_per_mm", "diffraction", "diffraction, on the axis"))
-    nyquist = {} if data.pitch_um is None else {f"Nyquist of {data.pitch_um:g} µm": 500 / data.pitch_um}
+    nyquist = (
+        {} if data.pitch_um is None else {f"Nyquist of {data.pitch_um:g} µm": 500 / data.pitch_um}
+    )
     limits = {"xlim": (0, data.frequency_lp_per_mm[-1]), "ylim": (0, 1.02)}
-    return draw_panels(table, [LinePanel("frequency (line pairs/mm)", "MTF", lines, nyquist, limits)], legend_columns=5)
+    return draw_panels(
+        table,
+        [LinePanel("frequency (line pairs/mm)", "MTF", lines, nyquist, limits)],
+        legend_columns=5,
+    )
 
 
 @figure("mtf_over_field", "MTF against image height.")
 def mtf_over_field(data: LensData) -> Drawing:
     """Plot the MTF at the frequencies of the tables against image height."""
     table = {"field_deg": data.field_deg, "image_height_mm": data.height_mm}
-    curves = [(f"{frequency:.4g} lp/mm", f"{frequency:.4g}", data.mtf_at(frequency).T) for frequency in data.asked_lp_per_mm]
+    curves = [
+        (f"{frequency:.4g} lp/mm", f"{frequency:.4g}", data.mtf_at(frequency).T)
+        for frequency in data.asked_lp_per_mm
+    ]
     lines = mtf_lines(table, "image_height_mm", curves)
-    return draw_panels(table, [LinePanel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})], legend_columns=len(curves))
+    return draw_panels(
+        table,
+        [LinePanel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})],
+        legend_columns=len(curves),
+    )
 
 
 CURVES = {
@@ -180,11 +250,17 @@ CURVES = {
             ),
             axes={"ylim": (0, 1.05)},
         ),
-        LinePanel(HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)),
+        LinePanel(
+            HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)
+        ),
     ),
     "colour": (
         LinePanel(ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
-        LinePanel("wavelength (nm)", "shift of the paraxial focus (µm)", (Line("wavelength_nm", "focus_um"),)),
+        LinePanel(
+            "wavelength (nm)",
+            "shift of the paraxial focus (µm)",
+            (Line("wavelength_nm", "focus_um"),),
+        ),
     ),
 }
 
@@ -200,11 +276,16 @@ def curve_drawing(data: LensData, name: str) -> Drawing:
         "wavelength_nm": nm,
         "focus_um": focus_um,
     }
-    columns = ["field_deg", *(column for panel in CURVES[name] for line in panel.lines for column in line[:2])]
+    columns = [
+        "field_deg",
+        *(column for panel in CURVES[name] for line in panel.lines for column in line[:2]),
+    ]
     return draw_panels({column: curves[column] for column in columns}, CURVES[name], 3.2)
 
 
-@figure("field_curvature", "Foci of rays near the chief ray; distortion relative to a very small image.")
+@figure(
+    "field_curvature", "Foci of rays near the chief ray; distortion relative to a very small image."
+)
 def curvature_plate(data: LensData) -> Drawing:
     """Plot the tangential and sagittal foci and the distortion against the field angle."""
     return curve_drawing(data, "field_curvature")
@@ -216,24 +297,37 @@ def illumination_plate(data: LensData) -> Drawing:
     return curve_drawing(data, "illumination")
 
 
-@figure("colour", "Heights of chief rays, longest minus shortest wavelength; paraxial focus from that of the primary one.")
+@figure(
+    "colour",
+    "Heights of chief rays, longest minus shortest wavelength; paraxial focus from that of the"
+    " primary one.",
+)
 def colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
     return curve_drawing(data, "colour")
 
 
-# The document ----------------------------------------------------------------------------------------------------------------
+# The document
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def lens_document(data: LensData) -> Document:
     """Return the page of a lens: its layout, first-order data and fields, and further figures."""
     prescription = data.lens.prescription
-    over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
+    over_field = (
+        (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
+    )
     figures = spot_plate, psf_plate, mtf_plate, *over_field, colour_plate
-    source = f"Source: {prescription.source or 'not stated'}. Radius of the stop: {data.lens.stop_semi_diameter_mm:.5g} mm."
+    source = (
+        f"Source: {prescription.source or 'not stated'}. Radius of the stop:"
+        f" {data.lens.stop_semi_diameter_mm:.5g} mm."
+    )
     glasses = (
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
-        f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis; camera.transmittance is what counts",
+        (
+            f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis;"
+            " camera.transmittance is what counts"
+        ),
     )
     return Document(
         command="lens",
@@ -247,13 +341,24 @@ def lens_document(data: LensData) -> Document:
             Section("fields", "Fields", (field_table(data),), brief=True),
             Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
             Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
-            Section("reflections", "Reflected twice", (ghost_table(data),) if data.ghosts else (), folded=True),
+            Section(
+                "reflections",
+                "Reflected twice",
+                (ghost_table(data),) if data.ghosts else (),
+                folded=True,
+            ),
             Section("made", "How this was computed", (source,), folded=True),
         ),
     )
 
 
-LENS_NUMBERS = ("primary_nm", "max_field_deg", "object_distance_mm", "stop_semi_diameter_mm", "working_f_number")
+LENS_NUMBERS = (
+    "primary_nm",
+    "max_field_deg",
+    "object_distance_mm",
+    "stop_semi_diameter_mm",
+    "working_f_number",
+)
 
 
 def lens_values(data: LensData) -> dict[str, Any]:
@@ -269,12 +374,16 @@ def lens_values(data: LensData) -> dict[str, Any]:
         "pitch_um": data.pitch_um,
         "mtf_of": "rays times the limit of diffraction" if data.geometric else "waves",
         "first_order": [
-            plain({"wavelength_nm": nm, **vars(order)}) for nm, order in zip(data.wavelength_nm.tolist(), data.first, strict=True)
+            plain({"wavelength_nm": nm, **vars(order)})
+            for nm, order in zip(data.wavelength_nm.tolist(), data.first, strict=True)
         ],
         "glasses": [{"name": glass.name, "source": glass.source} for glass in prescription.glasses],
         "fields": field_values(data),
     }
-    settings = {"lens": {"file": prescription.name, "primary_nm": lens.primary_nm}, "pixel": {"pitch_um": data.pitch_um}}
+    settings = {
+        "lens": {"file": prescription.name, "primary_nm": lens.primary_nm},
+        "pixel": {"pitch_um": data.pitch_um},
+    }
     return result_data(plain(content), settings=settings, notes=data.notes)
 
 
@@ -286,13 +395,19 @@ def field_columns(data: LensData) -> dict[str, Array]:
         "rms_spot_um": np.array([spot.rms_um for spot in data.spots]),
         "rms_wavefront_waves": data.rms_waves,
     }
-    return columns | {name: np.interp(data.field_deg, data.curve_deg, curve) for name, curve in data.curves.items()}
+    return columns | {
+        name: np.interp(data.field_deg, data.curve_deg, curve)
+        for name, curve in data.curves.items()
+    }
 
 
 def field_values(data: LensData) -> list[dict[str, Any]]:
     """Return a row for each field, with its MTF at the frequencies of the tables."""
     columns = field_columns(data)
-    rows = [plain(dict(zip(columns, row, strict=True))) for row in np.column_stack([*columns.values()]).tolist()]
+    rows = [
+        plain(dict(zip(columns, row, strict=True)))
+        for row in np.column_stack([*columns.values()]).tolist()
+    ]
     for index, row in enumerate(rows):
         mtfs = {
             frequency: dict(zip(MTF_LINES, data.mtf_at(frequency)[index].tolist(), strict=True))
@@ -315,10 +430,15 @@ def lens_csv(data: LensData) -> str:
 def title_of(data: LensData) -> str:
     """Return one line that says which lens this is."""
     lens, first = data.lens, data.primary
-    place = "infinity" if math.isinf(lens.object_distance_mm) else f"{lens.object_distance_mm / 1e3:.4g} m"
+    place = (
+        "infinity"
+        if math.isinf(lens.object_distance_mm)
+        else f"{lens.object_distance_mm / 1e3:.4g} m"
+    )
     return (
-        f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm, {f_stop(first.f_number)}, "
-        f"fields to {lens.max_field_deg:.4g}°, image heights to {data.height_mm.max():.4g} mm, object at {place}"
+        f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm,"
+        f" {f_stop(first.f_number)}, fields to {lens.max_field_deg:.4g}°, image heights to"
+        f" {data.height_mm.max():.4g} mm, object at {place}"
     )
 
 
@@ -339,7 +459,8 @@ def first_order_table(data: LensData) -> DocumentTable:
     """Return the first-order data, with a column for each wavelength."""
     head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
     rows = [
-        (words, *(number(getattr(order, name), FIRST_ORDER_DIGITS) for order in data.first)) for name, words in FIRST_ORDER.items()
+        (words, *(number(getattr(order, name), FIRST_ORDER_DIGITS) for order in data.first))
+        for name, words in FIRST_ORDER.items()
     ]
     return DocumentTable("first-order data", head, rows, "Paraxial, with the object at infinity")
 
@@ -364,10 +485,14 @@ def field_table(data: LensData) -> DocumentTable:
     for frequency in data.asked_lp_per_mm:
         both = data.mtf_at(frequency)
         cells.append([UNKNOWN if math.isnan(t) else f"{t:.2f}/{s:.2f}" for t, s in both])
-    heads = (*FIELD_HEADS.values(), *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm))
+    heads = (
+        *FIELD_HEADS.values(),
+        *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm),
+    )
     caption = (
-        f"Spots and MTF (tangential/sagittal) of {'rays' if data.geometric else 'waves'} of all wavelengths with equal weights, "
-        f"all else of {data.lens.primary_nm:.5g} nm; the wavefront is without tilt"
+        f"Spots and MTF (tangential/sagittal) of {'rays' if data.geometric else 'waves'} of all"
+        f" wavelengths with equal weights, all else of {data.lens.primary_nm:.5g} nm; the wavefront"
+        " is without tilt"
     )
     return DocumentTable("fields", heads, list(zip(*cells, strict=True))[::2], caption)
 
@@ -376,20 +501,37 @@ SHOWN_GHOSTS = 5
 
 
 def ghost_table(data: LensData) -> DocumentTable:
-    """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that focuses nearest to the sensor."""
+    """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that
+    focuses nearest to the sensor.
+    """
     ghosts = dict.fromkeys([*data.ghosts[:SHOWN_GHOSTS], data.focused_ghost])
     rows = [
         (
             f"{ghost.surfaces[0]} and {ghost.surfaces[1]}",
-            *(number(value, 3) for value in (100 * ghost.share, ghost.focus_from_image_mm, ghost.blur_mm)),
+            *(
+                number(value, 3)
+                for value in (100 * ghost.share, ghost.focus_from_image_mm, ghost.blur_mm)
+            ),
         )
         for ghost in ghosts
         if ghost
     ]
-    head = "surfaces", "share of the light (%)", "focus behind the image plane (mm)", "disc of a point (mm)"
+    head = (
+        "surfaces",
+        "share of the light (%)",
+        "focus behind the image plane (mm)",
+        "disc of a point (mm)",
+    )
     total = sum(ghost.share for ghost in data.ghosts)
-    coating = "bare glass" if data.reflectance is None else f"a coating that reflects {100 * data.reflectance:.3g} %"
-    caption = f"Light on the axis: {100 * total:.3g} % by all pairs, with {coating}, the nearest focus last"
+    coating = (
+        "bare glass"
+        if data.reflectance is None
+        else f"a coating that reflects {100 * data.reflectance:.3g} %"
+    )
+    caption = (
+        f"Light on the axis: {100 * total:.3g} % by all pairs, with {coating}, the nearest focus"
+        " last"
+    )
     return DocumentTable("reflected-twice", head, rows, caption)
 
 

@@ -1,4 +1,5 @@
-"""Figures of a study's axes: the optimum along each, maps over pixel size and over pairs of axes, and axes moved alone.
+"""Figures of a study's axes: the optimum along each, maps over pixel size and over pairs of axes,
+and axes moved alone.
 
 They are of the study's first metric, which need not be ΔE; tables have the optima by all.
 """
@@ -37,7 +38,9 @@ if TYPE_CHECKING:
 MAX_PANELS = 6  # of a figure, or lines: as many looks that a reader tells apart
 MAX_ROWS = 3  # of panels of axes that are moved alone
 MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
-LOG_SPAN = 10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
+LOG_SPAN = (
+    10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
+)
 MAP_SIZES = 41  # pixel sizes of a map
 CONTOURS = 7
 WIDTH_IN = 6.4
@@ -55,12 +58,14 @@ def short(text: str, max_characters: int = SHORT) -> str:
     return literal(text if len(text) <= max_characters else text[: max_characters - 1] + "…")
 
 
-# --- the values of an axis -----------------------------------------------------------------------------------------------
+# --- the values of an axis
+# -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Scale:
-    """The values of an axis of a study, increasing if they are numbers, and where a figure has them.
+    """The values of an axis of a study, increasing if they are numbers, and where a figure has
+    them.
 
     unit : empty if there is none, or there are several
     log : whether the figure's scale is logarithmic
@@ -73,7 +78,9 @@ class Scale:
 
     @classmethod
     def of(cls, axis: Axis) -> Scale:
-        """Return the scale of an axis: logarithmic if its values are, or are listed and span a factor of 10."""
+        """Return the scale of an axis: logarithmic if its values are, or are listed and span a
+        factor of 10.
+        """
         values: list[Any] = [point.value for point in axis.points]
         if any(isinstance(value, str) for value in values):
             return cls(axis.name, tuple(values))
@@ -112,15 +119,25 @@ class Scale:
         """Borders of the values' cells in a map, half-way between them, (n + 1,)."""
         centres = np.log(self.places) if self.log else self.places
         steps = np.diff(centres) if centres.size > 1 else np.array([abs(centres[0]) or 1.0])
-        edges = np.concatenate([centres[:1] - steps[0] / 2, centres[1:] - steps / 2, centres[-1:] + steps[-1] / 2])
+        edges = np.concatenate(
+            [centres[:1] - steps[0] / 2, centres[1:] - steps / 2, centres[-1:] + steps[-1] / 2]
+        )
         return np.exp(edges) if self.log else edges
 
     def draw_on(self, axis: XAxis | YAxis, characters: int) -> None:
-        """Set an axis of a figure, with labels for about that many characters beside or above one another."""
+        """Set an axis of a figure, with labels for about that many characters beside or above one
+        another.
+        """
         name = self.name if len(self.name) <= SHORT_AXIS else self.name[: SHORT_AXIS - 1] + "…"
         label = f"{name} ({self.unit})" if self.unit else name
-        settings = {"scale": "log" if self.log else "linear", "lim": self.edges[[0, -1]].tolist(), "label": literal(label)}
-        axis.axes.set(**{f"{axis.axis_name}{setting}": value for setting, value in settings.items()})
+        settings = {
+            "scale": "log" if self.log else "linear",
+            "lim": self.edges[[0, -1]].tolist(),
+            "label": literal(label),
+        }
+        axis.axes.set(
+            **{f"{axis.axis_name}{setting}": value for setting, value in settings.items()}
+        )
         if self.log or not self.numeric:
             self._draw_ticks(axis, characters)
 
@@ -131,13 +148,16 @@ class Scale:
         room = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
         step = -(-len(texts) // room)
         axis.set_ticks(self.places.tolist()[::step], texts[::step])
-        axis.set_tick_params(which="minor", bottom=False, left=False, labelbottom=False, labelleft=False)
+        axis.set_tick_params(
+            which="minor", bottom=False, left=False, labelbottom=False, labelleft=False
+        )
         if is_tilted:
             for label in axis.get_ticklabels():
                 label.set(rotation=30, ha="right", rotation_mode="anchor")
 
 
-# --- the curves of a study by axes ---------------------------------------------------------------------------------------
+# --- the curves of a study by axes
+# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -145,7 +165,8 @@ class Panel:
     """The curves of a panel, or of a line, of a figure.
 
     label : what tells it from others
-    rows : of curves, for each value of one axis those along another one; None for a case that the study leaves out
+    rows : of curves, for each value of one axis those along another one; None for a case that the
+        study leaves out
     """
 
     label: str
@@ -162,7 +183,8 @@ class Panel:
 
 
 class Grid:
-    """The curves of a study by their technology, condition and values of the axes that are not moved alone.
+    """The curves of a study by their technology, condition and values of the axes that are not
+    moved alone.
 
     sides : technologies, conditions, and values of each axis
     scales : of the axes
@@ -171,44 +193,82 @@ class Grid:
     def __init__(self, result: CasesResult) -> None:
         self.result = result
         curves = [curve for part in result.parts for curve in part.curves if not curve.alone]
-        self.scales = [Scale.of(axis) for axis in result.study.axis if not axis.alone] if curves else []
+        self.scales = (
+            [Scale.of(axis) for axis in result.study.axis if not axis.alone] if curves else []
+        )
 
         # Where a case has one technology, an axis may change it, which then is no side of its own.
         technologies = list(dict.fromkeys(curve.technology for curve in curves))
         is_side = any(len(part.curves) > 1 for part in result.parts)
-        labels = dict(zip(technologies, labels_of(technologies) if is_side else [""] * len(technologies), strict=True))
+        labels = dict(
+            zip(
+                technologies,
+                labels_of(technologies) if is_side else [""] * len(technologies),
+                strict=True,
+            )
+        )
         conditions = tuple(condition.name for condition in result.study.condition) or ("",)
-        self.sides = [Scale("technology", tuple(dict.fromkeys(labels.values()))), Scale("condition", conditions), *self.scales]
+        self.sides = [
+            Scale("technology", tuple(dict.fromkeys(labels.values()))),
+            Scale("condition", conditions),
+            *self.scales,
+        ]
         self.curves = {
-            (labels[curve.technology], curve.condition, *(curve.at[scale.name] for scale in self.scales)): curve for curve in curves
+            (
+                labels[curve.technology],
+                curve.condition,
+                *(curve.at[scale.name] for scale in self.scales),
+            ): curve
+            for curve in curves
         }
 
     def panels(self, across: Scale, up: Scale | None = None) -> tuple[Sequence[Panel], str]:
-        """Return panels over one or two axes, at most 6, and how many these are of all if they are not all.
+        """Return panels over one or two axes, at most 6, and how many these are of all if they are
+        not all.
 
-        There is one for each technology, condition and value of the other axes of which a case is there.
+        There is one for each technology, condition and value of the other axes of which a case is
+        there.
         """
         others = [scale for scale in self.sides if scale not in (across, up)]
         panels = []
         for values in product(*(scale.values for scale in others)):
-            at: dict[str, Any] = {scale.name: value for scale, value in zip(others, values, strict=True)}
+            at: dict[str, Any] = {
+                scale.name: value for scale, value in zip(others, values, strict=True)
+            }
             rows = []
             for y in up.values if up else [""]:
                 places = [at | {across.name: x, up.name if up else "": y} for x in across.values]
-                rows.append(tuple(self.curves.get(tuple(place[scale.name] for scale in self.sides)) for place in places))
-            named = [scale.named(value) for scale, value in zip(others, values, strict=True) if len(scale.values) > 1]
+                rows.append(
+                    tuple(
+                        self.curves.get(tuple(place[scale.name] for scale in self.sides))
+                        for place in places
+                    )
+                )
+            named = [
+                scale.named(value)
+                for scale, value in zip(others, values, strict=True)
+                if len(scale.values) > 1
+            ]
             panels.append(Panel(", ".join(named), tuple(rows)))
         panels = [panel for panel in panels if panel.curves]
         drawn = panels[:MAX_PANELS]
-        return drawn, f"{len(drawn)} of {len(panels)} lines or panels" if len(drawn) < len(panels) else ""
+        return drawn, (
+            f"{len(drawn)} of {len(panels)} lines or panels" if len(drawn) < len(panels) else ""
+        )
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
-        """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
+        """Return the columns that tell curves apart: technology, condition, and a column named by
+        each axis.
+        """
         return case_columns(self.result, curves, [scale.name for scale in self.scales])
 
 
-def case_columns(result: CasesResult, curves: Sequence[Curve], axes: Sequence[str]) -> dict[str, Column]:
-    """Return a table's first columns: technology, condition if there are some, and the value of each axis."""
+def case_columns(
+    result: CasesResult, curves: Sequence[Curve], axes: Sequence[str]
+) -> dict[str, Column]:
+    """Return a table's first columns: technology, condition if there are some, and the value of
+    each axis.
+    """
     names = list(dict.fromkeys(curve.technology for curve in result.curves))
     labels = dict(zip(names, labels_of(names), strict=True))
     table: dict[str, Column] = {"technology": [labels[curve.technology] for curve in curves]}
@@ -220,15 +280,33 @@ def case_columns(result: CasesResult, curves: Sequence[Curve], axes: Sequence[st
 
 
 OWN_COLUMNS = (
-    *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share"),
+    *(
+        "technology",
+        "condition",
+        "axis",
+        "value",
+        "optimum_um",
+        "interval_low_um",
+        "interval_high_um",
+        "between_sizes_share",
+    ),
     "inside",
-    *("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high", "pitch_um", "within_1_percent_low_um", "within_1_percent_high_um"),
+    *(
+        "mean_delta_e",
+        "mean_delta_e_low",
+        "mean_delta_e_high",
+        "pitch_um",
+        "within_1_percent_low_um",
+        "within_1_percent_high_um",
+    ),
     *("cutoff_pitch_um", "fresnel_number"),
 )
 
 
 def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
-    """Return names that differ by more than case from each other and from those taken, numbered where they would not."""
+    """Return names that differ by more than case from each other and from those taken, numbered
+    where they would not.
+    """
     used = {name.casefold() for name in taken}
     unique = []
     for name in names:
@@ -242,14 +320,19 @@ def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
 
 
 def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return the optima with their intervals, empty for an open end, and the best value, as the least mean ΔE, with its interval.
+    """Return the optima with their intervals, empty for an open end, and the best value, as the
+    least mean ΔE, with its interval.
 
     inside : whether the optimum lies between the ends of the sizes tried
 
     Further metrics have columns of their own, empty where one tells no optimum.
     """
     value = best_column(curves[0])
-    further = [metric.name for metric in curves[0].metrics[1:] if any(metric.name in curve.optima for curve in curves)]
+    further = [
+        metric.name
+        for metric in curves[0].metrics[1:]
+        if any(metric.name in curve.optima for curve in curves)
+    ]
     rows = []
     for curve in curves:
         low, high = curve.optimum.value_interval
@@ -267,10 +350,22 @@ def _optimum_cells(best: Optimum | None, prefix: str, value: str) -> dict[str, f
     prefix : of the names of columns
     value : name of the column of the best value
     """
-    names = *(f"{prefix}{name}" for name in ("optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share")), value
+    names = (
+        *(
+            f"{prefix}{name}"
+            for name in ("optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share")
+        ),
+        value,
+    )
     if best is None:
         return dict.fromkeys(names)
-    return dict(zip(names, (best.pitch_um, *best.interval_um, best.between_sizes_share, best.value), strict=True))
+    return dict(
+        zip(
+            names,
+            (best.pitch_um, *best.interval_um, best.between_sizes_share, best.value),
+            strict=True,
+        )
+    )
 
 
 def best_column(curve: Curve) -> str:
@@ -278,36 +373,51 @@ def best_column(curve: Curve) -> str:
     return "mean_delta_e" if curve.judged_by_delta_e else f"best_{curve.metric.name}"
 
 
-# --- figures of axes -----------------------------------------------------------------------------------------------------
+# --- figures of axes
+# -----------------------------------------------------------------------------------------------------
 
 
 def plate_names(study: Study) -> list[str]:
     """Return the names of the plates of `axis_plates`, in its order, and that of `alone_plate`."""
-    together = [re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII) for axis in study.axis if not axis.alone]
-    names = [f"{kind}_{name}" for name in together for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")]
+    together = [
+        re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII)
+        for axis in study.axis
+        if not axis.alone
+    ]
+    names = [
+        f"{kind}_{name}"
+        for name in together
+        for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")
+    ]
     names += [f"optimum_by_{first}_and_{second}" for first, second in combinations(together, 2)]
     return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
 
 def axis_plates(result: CasesResult) -> list[Plate]:
-    """Return the figures of every axis that is not moved alone, then those of every two of them; none without such axes.
+    """Return the figures of every axis that is not moved alone, then those of every two of them;
+    none without such axes.
 
-    Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and the least mean ΔE.
+    Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and
+    the least mean ΔE.
     """
     grid = Grid(result)
     plates = [draw(grid, scale) for scale in grid.scales for draw in (optimum_along, map_along)]
     plates += [map_of_two(grid, across, up) for across, up in combinations(grid.scales, 2)]
-    return [plate.named(name) for plate, name in zip(plates, plate_names(result.study), strict=False)]
+    return [
+        plate.named(name) for plate, name in zip(plates, plate_names(result.study), strict=False)
+    ]
 
 
 @figure(
     "optimum_by_axis",
-    "Optimal pixel size along an axis, with its 95 % interval. Arrow: no limit within the sizes tried. Hollow: the best size is "
-    "not known, since it is at an end of the sizes tried or the film cannot tell sizes apart. Points of one value stand side by "
-    "side.",
+    "Optimal pixel size along an axis, with its 95 % interval. Arrow: no limit within the sizes"
+    " tried. Hollow: the best size is not known, since it is at an end of the sizes tried or the"
+    " film cannot tell sizes apart. Points of one value stand side by side.",
 )
 def optimum_along(grid: Grid, scale: Scale) -> Drawing:
-    """Plot the optimum with its interval along an axis, a line for each technology, condition and value of the other axes."""
+    """Plot the optimum with its interval along an axis, a line for each technology, condition and
+    value of the other axes.
+    """
     from matplotlib.transforms import ScaledTranslation
 
     lines, title = grid.panels(scale)
@@ -317,20 +427,32 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
         aside_in = apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN
-        draw_optima(axes, scale, line, look, axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans))
+        draw_optima(
+            axes,
+            scale,
+            line,
+            look,
+            axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans),
+        )
     axes.autoscale_view(scalex=False)
     axes.set_ylabel(PIXEL_SIZE)
     axes.grid(alpha=0.25)
     figure.suptitle(title, fontsize=SMALL_PT)
     if len(lines) > 1:
-        style: dict[str, Any] = {"frameon": False, "fontsize": SMALL_PT, "handlelength": LEGEND_LINE}
+        style: dict[str, Any] = {
+            "frameon": False,
+            "fontsize": SMALL_PT,
+            "handlelength": LEGEND_LINE,
+        }
         figure.legend(loc="outside lower center", ncols=2, **style)
     curves = [curve for line in lines for curve in line.curves]
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
 def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transform) -> None:
-    """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open ends."""
+    """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open
+    ends.
+    """
     x = line.places(scale)
     optima = [curve.optimum for curve in line.curves]
     optima_um = np.array([best.pitch_um for best in optima])
@@ -338,7 +460,9 @@ def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transf
     style = look.line if scale.numeric else look.line | {"ls": "none"}
     bars_um = np.abs(ends_um.T - optima_um)
     axes.plot(x, optima_um, ms=6, lw=1.2, label=short(line.label), transform=place, **style)
-    axes.errorbar(x, optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place)
+    axes.errorbar(
+        x, optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place
+    )
     marked = (
         ([not best.inside for best in optima], optima_um, look.marker, "white"),
         ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", look.colour),
@@ -347,7 +471,15 @@ def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transf
     for is_marked, sizes_um, marker, face in marked:
         if any(is_marked):
             axes.plot(
-                x[is_marked], sizes_um[is_marked], marker, ms=6, mec=look.colour, mfc=face, transform=place, clip_on=False, zorder=5
+                x[is_marked],
+                sizes_um[is_marked],
+                marker,
+                ms=6,
+                mec=look.colour,
+                mfc=face,
+                transform=place,
+                clip_on=False,
+                zorder=5,
             )
     # Matplotlib sees no limits in data that it draws beside their place.
     axes.update_datalim(np.column_stack([np.repeat(x, 2), ends_um.ravel()]))
@@ -355,48 +487,79 @@ def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transf
 
 @figure(
     "map_by_pitch_and_axis",
-    "The study's first metric over pixel size and an axis, from the fitted curves; contours at equal steps of the colours. "
-    "Points: the best size, hollow where it is not known: at an end of the sizes tried, or where the film cannot tell sizes "
-    "apart.",
+    "The study's first metric over pixel size and an axis, from the fitted curves; contours at"
+    " equal steps of the colours. Points: the best size, hollow where it is not known: at an end of"
+    " the sizes tried, or where the film cannot tell sizes apart.",
 )
 def map_along(grid: Grid, scale: Scale) -> Drawing:
     """Draw the fitted metric over pixel size and an axis, with the optimum, in panels."""
     panels, title = grid.panels(scale)
     curves = [curve for panel in panels for curve in panel.curves]
     metric = curves[0].metric
-    low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
+    low_um, high_um = (
+        min(curve.fit.pitch_um[0] for curve in curves),
+        max(curve.fit.pitch_um[-1] for curve in curves),
+    )
     sizes_um = np.geomspace(low_um, high_um, MAP_SIZES)
     sizes = Scale("pixel size", tuple(sizes_um.tolist()), "µm")
     unknown = np.full(MAP_SIZES, np.nan)
-    maps = [np.transpose([unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]) for panel in panels]
-    figure, axes_of_panels = draw_maps(panels, scale, sizes, maps, maps if scale.numeric else None, literal(metric.label))
+    maps = [
+        np.transpose(
+            [unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]
+        )
+        for panel in panels
+    ]
+    figure, axes_of_panels = draw_maps(
+        panels, scale, sizes, maps, maps if scale.numeric else None, literal(metric.label)
+    )
     figure.suptitle(title, fontsize=SMALL_PT)
     for panel, axes in zip(panels, axes_of_panels, strict=True):
         axes.set_ylim(low_um, high_um)
         x, optima = panel.places(scale), [curve.optimum for curve in panel.curves]
-        optima_um, inside = np.array([best.pitch_um for best in optima]), np.array([best.inside for best in optima])
+        optima_um, inside = (
+            np.array([best.pitch_um for best in optima]),
+            np.array([best.inside for best in optima]),
+        )
         axes.plot(x, optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
         for is_marked, face, edge in ((inside, "black", "white"), (~inside, "white", "black")):
-            if is_marked.any():  # the layout gives a line without points, which is not clipped, room in the corner of the figure
-                axes.plot(x[is_marked], optima_um[is_marked], "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
+            # the layout gives a line without points, which is not clipped, room in the corner of
+            # the figure
+            if is_marked.any():
+                axes.plot(
+                    x[is_marked],
+                    optima_um[is_marked],
+                    "o",
+                    ms=4.5,
+                    mfc=face,
+                    mec=edge,
+                    clip_on=False,
+                    zorder=5,
+                )
 
     row_curves = [curve for curve in curves for _ in sizes_um]
     pitch_um = sizes_um.tolist() * len(curves)
     return figure, grid.columns(row_curves) | {
         "pitch_um": pitch_um,
-        metric.columns[0]: np.concatenate([fitted_at(curve, sizes_um) for curve in curves]).tolist(),
+        metric.columns[0]: (
+            np.concatenate([fitted_at(curve, sizes_um) for curve in curves]).tolist()
+        ),
         "optimum_um": [curve.optimum.pitch_um for curve in row_curves],
         "inside": [str(curve.optimum.inside) for curve in row_curves],
         **range_columns("within_1_percent", row_curves),
-        "cutoff_pitch_um": np.repeat([cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], MAP_SIZES).tolist(),
+        "cutoff_pitch_um": (
+            np.repeat(
+                [cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], MAP_SIZES
+            ).tolist()
+        ),
         **fresnel_column(row_curves, pitch_um),
     }
 
 
 @figure(
     "optimum_by_two_axes",
-    "Optimal pixel size over two axes. Contours: the best value of the study's first metric, such as the least mean ΔE. Hatched: "
-    "the best size is not known, since it is at an end of the sizes tried or the film cannot tell sizes apart.",
+    "Optimal pixel size over two axes. Contours: the best value of the study's first metric, such"
+    " as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes"
+    " tried or the film cannot tell sizes apart.",
 )
 def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
     """Draw the optimum over two axes, with contours of the best value, in panels."""
@@ -404,27 +567,49 @@ def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
 
     panels, title = grid.panels(across, up)
     sizes_um = [_numbers(panel, "pitch_um") for panel in panels]
-    values = [_numbers(panel, "value") for panel in panels] if across.numeric and up.numeric else None
-    figure, axes_of_panels = draw_maps(panels, across.categories, up.categories, sizes_um, values, PIXEL_SIZE)
+    values = (
+        [_numbers(panel, "value") for panel in panels] if across.numeric and up.numeric else None
+    )
+    figure, axes_of_panels = draw_maps(
+        panels, across.categories, up.categories, sizes_um, values, PIXEL_SIZE
+    )
     figure.suptitle(title, fontsize=SMALL_PT)
     for panel, axes in zip(panels, axes_of_panels, strict=True):
-        cells = ((x, y, curve.optimum) for y, row in enumerate(panel.rows) for x, curve in enumerate(row) if curve is not None)
+        cells = (
+            (x, y, curve.optimum)
+            for y, row in enumerate(panel.rows)
+            for x, curve in enumerate(row)
+            if curve is not None
+        )
         for x, y, best in cells:
             if not best.inside:
-                axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, hatch="////", ec="white", lw=0))
+                axes.add_patch(
+                    Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, hatch="////", ec="white", lw=0)
+                )
     curves = [curve for panel in panels for curve in panel.curves]
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
 def _numbers(panel: Panel, quantity: str) -> Array:
     """Return a number of each optimum of a panel, (up, across); NaN for cases that are left out."""
-    return np.array([[np.nan if curve is None else getattr(curve.optimum, quantity) for curve in row] for row in panel.rows])
+    return np.array(
+        [
+            [np.nan if curve is None else getattr(curve.optimum, quantity) for curve in row]
+            for row in panel.rows
+        ]
+    )
 
 
 def draw_maps(
-    panels: Sequence[Panel], across: Scale, up: Scale, maps: Sequence[Array], contours: Sequence[Array] | None, label: str
+    panels: Sequence[Panel],
+    across: Scale,
+    up: Scale,
+    maps: Sequence[Array],
+    contours: Sequence[Array] | None,
+    label: str,
 ) -> tuple[Figure, list[Axes]]:
-    """Draw maps over two axes on one scale of colours, which is logarithmic if the values span a factor of 10.
+    """Draw maps over two axes on one scale of colours, which is logarithmic if the values span a
+    factor of 10.
 
     There are up to two columns of panels; a single one is taller.
 
@@ -437,7 +622,9 @@ def draw_maps(
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     figure = new_figure(WIDTH_IN, 0.8 + (2.5 * rows if len(panels) > 1 else 3.2))
-    axes_of_panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    axes_of_panels = (
+        figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    )
     for unused in axes_of_panels[len(panels) :]:
         figure.delaxes(unused)
     axes_of_panels = axes_of_panels[: len(panels)]
@@ -457,21 +644,38 @@ def draw_maps(
     if is_wide:
         plain_powers(bar.ax.yaxis)
 
-    least, highest = (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
+    least, highest = (
+        (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
+    )
     if contours and least < highest and min(contours[0].shape) > 1:
-        levels = np.geomspace(least, highest, CONTOURS + 2) if least > 0 else np.linspace(least, highest, CONTOURS + 2)
+        levels = (
+            np.geomspace(least, highest, CONTOURS + 2)
+            if least > 0
+            else np.linspace(least, highest, CONTOURS + 2)
+        )
         for axes, heights in zip(axes_of_panels, contours, strict=True):
-            lines = axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
+            lines = axes.contour(
+                across.places,
+                up.places,
+                heights,
+                levels[1:-1],
+                colors="white",
+                linewidths=0.6,
+                alpha=0.7,
+            )
             axes.clabel(lines, fmt="%.2g", fontsize=CELL_PT)
     return figure, axes_of_panels
 
 
-# --- axes moved alone ------------------------------------------------------------------------------------------------------
+# --- axes moved alone
+# ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Group:
-    """The curves of one technology and condition about the base: the base's own, and those of each axis that is moved alone."""
+    """The curves of one technology and condition about the base: the base's own, and those of each
+    axis that is moved alone.
+    """
 
     label: str
     base: Curve
@@ -490,9 +694,10 @@ def alone_plate(result: CasesResult) -> Plate | None:
 
 @figure(
     "tornado",
-    "Optimal pixel size where each axis is moved alone about the base (vertical stroke); the widest bar, which moves the optimum "
-    "most, comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot "
-    "tell sizes apart. The table has the best values too.",
+    "Optimal pixel size where each axis is moved alone about the base (vertical stroke); the widest"
+    " bar, which moves the optimum most, comes first. Hollow points: the best size is not known,"
+    " since it is at an end of the sizes tried or the film cannot tell sizes apart. The table has"
+    " the best values too.",
 )
 def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     """Draw the optimum of each axis that is moved alone, a bar for each axis of each group."""
@@ -507,13 +712,20 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     axes.use_sticky_edges = False
     axes.margins(x=0.1)  # for labels beside the bars
     units = {axis.name: Scale.of(axis).unit for axis in result.study.axis}
-    labels = [", ".join(filter(None, (group.label, name))) + (units[name] and f" ({units[name]})") for group, name in bars]
+    labels = [
+        ", ".join(filter(None, (group.label, name))) + (units[name] and f" ({units[name]})")
+        for group, name in bars
+    ]
     axes.set_yticks(range(len(bars)), [short(label) for label in labels])
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlabel(PIXEL_SIZE)
 
     widest_first = list(dict.fromkeys(name for _, name in bars))
-    curves = [curve for group in groups for curve in (group.base, *(moved for name in widest_first for moved in group.moved[name]))]
+    curves = [
+        curve
+        for group in groups
+        for curve in (group.base, *(moved for name in widest_first for moved in group.moved[name]))
+    ]
     table: dict[str, Column] = case_columns(result, curves, [])
     table["axis"] = [curve.alone or BASE for curve in curves]
     table["value"] = [curve.at[curve.alone] if curve.alone else BASE for curve in curves]
@@ -521,11 +733,16 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
 
 
 def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
-    """Draw a bar from the lowest to the highest optimum of an axis, including the base, with the axis' values at its ends."""
+    """Draw a bar from the lowest to the highest optimum of an axis, including the base, with the
+    axis' values at its ends.
+    """
     curves = sorted(group.moved[name], key=lambda curve: curve.optimum.pitch_um)
     base_um = group.base.optimum.pitch_um
     sizes_um = [curve.optimum.pitch_um for curve in curves]
-    low_um, high_um = min([base_um, *sizes_um]), max([base_um, *sizes_um])  # an axis may have no curve of this technology
+    low_um, high_um = (
+        min([base_um, *sizes_um]),
+        max([base_um, *sizes_um]),
+    )  # an axis may have no curve of this technology
     axes.barh(place, high_um - low_um, left=low_um, height=0.5, color=COLOURS[0], alpha=0.25)
     axes.vlines(base_um, place - 0.35, place + 0.35, color="0.2", lw=1)
     for curve, size_um in zip(curves, sizes_um, strict=True):
@@ -535,20 +752,32 @@ def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
         value = curve.at[name]
         text = short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}"
         at = curve.optimum.pitch_um, place
-        axes.annotate(text, at, (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center")
+        axes.annotate(
+            text, at, (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center"
+        )
 
 
 def bases_of(result: CasesResult) -> dict[str, StudyResult]:
     """Return the case about which axes are moved alone, by its condition."""
-    return {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
+    return {
+        part.curves[0].condition: part
+        for part in result.parts
+        if set(part.curves[0].at.values()) == {BASE}
+    }
 
 
 def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
-    """Return the curves about the base, a group for each technology and condition, the first where there are many."""
+    """Return the curves about the base, a group for each technology and condition, the first where
+    there are many.
+    """
     bases = bases_of(result)
     technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
-    process_axes = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
+    process_axes = {
+        axis.name
+        for axis in result.study.axis
+        if all(set(point.table) == {"process"} for point in axis.points)
+    }
     groups = []
     max_groups = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
     for place, condition in list(product(range(len(labels)), bases))[:max_groups]:
@@ -556,9 +785,19 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
         words += [condition] if len(bases) > 1 else []
         moved = {}
         for name in names:
-            parts = [part for part in result.parts if (part.curves[0].condition, part.curves[0].alone) == (condition, name)]
-            parts = touching(parts, bases[condition], technologies[place]) if name in process_axes else parts
-            moved[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
+            parts = [
+                part
+                for part in result.parts
+                if (part.curves[0].condition, part.curves[0].alone) == (condition, name)
+            ]
+            parts = (
+                touching(parts, bases[condition], technologies[place])
+                if name in process_axes
+                else parts
+            )
+            moved[name] = [
+                part.curves[min(place, len(part.curves) - 1)] for part in parts
+            ]  # one of an axis over technologies
         groups.append(Group(", ".join(words), bases[condition].curves[place], moved))
     return groups
 

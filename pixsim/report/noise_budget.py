@@ -1,4 +1,6 @@
-"""Noise budgets of pixels as one table and one figure: of a run, and of the best sizes of a study."""
+"""Noise budgets of pixels as one table and one figure: of a run, and of the best sizes of a
+study.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,22 @@ if TYPE_CHECKING:
 NAME = "noise_budget"  # of the figure
 REMAINDER, RENDER, ALL, MEASURED = "remainder", "render", "all causes", "measured"
 ORDER = (
-    "Each cause is switched off in the order of the table, and stays off. Variances add; parts of the mean ΔE depend on the order."
+    "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
+    " the mean ΔE depend on the order."
 )
 SHOWN = 6  # pixels in one figure
 BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
 
 
 def budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
-    """Return noise in electrons and mean ΔE of each cause of a budget, and of its sums; NaN for what it does not have."""
+    """Return noise in electrons and mean ΔE of each cause of a budget, and of its sums; NaN for
+    what it does not have.
+    """
     nothing = float("nan")
-    causes = {cause: (budget.electrons_e.get(cause, nothing), delta_e) for cause, delta_e in budget.delta_e.items()}
+    causes = {
+        cause: (budget.electrons_e.get(cause, nothing), delta_e)
+        for cause, delta_e in budget.delta_e.items()
+    }
     return causes | {
         RENDER: (budget.render_e, nothing),
         REMAINDER: (nothing, budget.remainder_delta_e),
@@ -38,19 +46,35 @@ def budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
 
 
 def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
-    """Return budgets by the words of their pixels as columns, a row for each cause of each pixel, and for its sums."""
+    """Return budgets by the words of their pixels as columns, a row for each cause of each pixel,
+    and for its sums.
+    """
     rows: list[dict[str, float | str | None]] = []
     for label, budget in budgets.items():
         for cause, (noise_e, delta_e) in budget_numbers(budget).items():
             part = budget.part_of(cause) if cause in budget.delta_e or cause == REMAINDER else ""
-            rows.append({"pixel": label, "cause": cause, "part": part, "noise_e": noise_e, "delta_e": delta_e})
+            rows.append(
+                {
+                    "pixel": label,
+                    "cause": cause,
+                    "part": part,
+                    "noise_e": noise_e,
+                    "delta_e": delta_e,
+                }
+            )
     return columns_of(rows)
 
 
 def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
-    """Return the table of a page: causes down, electrons and ΔE of each pixel across, with the mean ΔE of each kind of causes."""
+    """Return the table of a page: causes down, electrons and ΔE of each pixel across, with the mean
+    ΔE of each kind of causes.
+    """
     several = len(budgets) > 1
-    kinds = {cause: budget.part_of(cause) for budget in budgets.values() for cause in (*budget.delta_e, REMAINDER)}
+    kinds = {
+        cause: budget.part_of(cause)
+        for budget in budgets.values()
+        for cause in (*budget.delta_e, REMAINDER)
+    }
     numbers = [budget_numbers(budget) for budget in budgets.values()]
     nothing = float("nan"), float("nan")
     rows: list[tuple[str, ...]] = []
@@ -64,21 +88,30 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
         for cause in kind_causes:
             add(cause, *(budget_values.get(cause, nothing) for budget_values in numbers))
         if len(kind_causes) > 1:
-            add(f"{kind}, together", *((nothing[0], budget.parts[kind]) for budget in budgets.values()))
+            add(
+                f"{kind}, together",
+                *((nothing[0], budget.parts[kind]) for budget in budgets.values()),
+            )
     for cause in (ALL, MEASURED, RENDER):
         if any(budget_values[cause][0] for budget_values in numbers):
             add(cause, *(budget_values[cause] for budget_values in numbers))
-    heads = (f"{label}\n{unit}" if several else unit for label in budgets for unit in ("noise (e-)", "mean ΔE"))
+    heads = (
+        f"{label}\n{unit}" if several else unit
+        for label in budgets
+        for unit in ("noise (e-)", "mean ΔE")
+    )
     return DocumentTable("noise budget", ("cause\n" if several else "cause", *heads), rows)
 
 
 @figure(
     "noise_budget",
-    "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below, of up to six pixels. The "
-    "table has all pixels.",
+    "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below,"
+    " of up to six pixels. The table has all pixels.",
 )
 def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
-    """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""
+    """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as
+    bars.
+    """
     drawn = dict(list(budgets.items())[:SHOWN])
     causes = list(dict.fromkeys(cause for budget in drawn.values() for cause in budget.delta_e))
     figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn) > 1))
@@ -88,7 +121,11 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
         at = np.arange(len(causes)) + (number - (len(drawn) - 1) / 2) * height
         for axes, values in zip(panels, (budget.electrons_e, budget.delta_e), strict=True):
             axes.barh(
-                at, [values.get(cause, 0.0) for cause in causes], height, color=COLOURS[number % len(COLOURS)], label=literal(label)
+                at,
+                [values.get(cause, 0.0) for cause in causes],
+                height,
+                color=COLOURS[number % len(COLOURS)],
+                label=literal(label),
             )
     panels[0].set_yticks(range(len(causes)), causes)
     panels[0].invert_yaxis()
@@ -96,7 +133,9 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     finish(panels[1], "part of the mean ΔE", "", None)
     if len(drawn) > 1:
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8
+        )
     return figure, budget_columns(budgets)
 
 

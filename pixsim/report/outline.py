@@ -1,4 +1,6 @@
-"""What `pixsim run` and `pixsim study` would do, for --dry-run, and `pixsim plan`: what is found before a render, and its cost."""
+"""What `pixsim run` and `pixsim study` would do, for --dry-run, and `pixsim plan`: what is found
+before a render, and its cost.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,12 @@ def run_outline(prepared: Job[Run]) -> dict[str, Any]:
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
-    """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
-    return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, types)
+    """Return what a study would do; nothing is rendered or written. The arguments are those of
+    `planned_study`.
+    """
+    return common(job, job.settings.scene.file, job.settings.camera) | planned_study(
+        job, jobs, types
+    )
 
 
 def common(job: Job[Run] | Job[Study], source: str, options: CameraOptions) -> dict[str, Any]:
@@ -69,34 +75,68 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
     rows = [
         ("scene", ": ".join(filter(None, (outline["scene"], parameters)))),
         ("camera", "; ".join(filter(None, (lens, die, outline["assumption"].partition(":")[0])))),
-        ("film", f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm"),
+        (
+            "film",
+            f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm",
+        ),
     ]
     share = outline.get("errors", {}).get("film_share")
     if share is not None and share > TOLERATED_SHARE:
-        rows.append(("errors", f"of the film alone, at least {percent(share)} of mean ΔE: it has too few samples"))
+        rows.append(
+            (
+                "errors",
+                f"of the film alone, at least {percent(share)} of mean ΔE: it has too few samples",
+            )
+        )
 
     for sensor in outline["sensors"]:
         sizes = zip(sensor["pixels"], sensor["pitch_um"], strict=True)
-        first, *_, last = 2 * [f"{columns} × {rows} pixels of {pitch_um:g} µm" for (rows, columns), pitch_um in sizes]
+        first, *_, last = 2 * [
+            f"{columns} × {rows} pixels of {pitch_um:g} µm" for (rows, columns), pitch_um in sizes
+        ]
         count = f", {sensor['sensors']} sensors of each" if sensor["sensors"] > 1 else ""
         rows.append(("pixels", f"{label_of(sensor['technology'])}: {span(first, last)}{count}"))
     if "frames" in outline:
         rows.append(("frames", f"{outline['frames']} of the same sensor"))
     if "cases" in outline:
-        rows.append(("cases", f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines above are of the first"))
+        rows.append(
+            (
+                "cases",
+                (
+                    f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines"
+                    " above are of the first"
+                ),
+            )
+        )
     if types := outline.get("sensor_types"):
-        rows.append(("types", f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the optimum"))
+        rows.append(
+            (
+                "types",
+                (
+                    f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the"
+                    " optimum"
+                ),
+            )
+        )
 
     display = Display.model_validate(outline["display"])
-    dots = f"{display.dots} dots across" if display.raster == "fixed_size" else "a dot for each pixel"
+    dots = (
+        f"{display.dots} dots across" if display.raster == "fixed_size" else "a dot for each pixel"
+    )
     rows.append(("display", f"{dots}, {display.samples_per_deg:g} per degree"))
     rows.append(("limits", settings_line(outline["limits"])))
-    rows += [("output", f"{out}: nothing is written now"), ("cost", str(Cost(**outline["estimate"])))]
-    return Document(command, "dry run", outline["scene"], outline, [f"{name:<8} {text}" for name, text in rows])
+    rows += [
+        ("output", f"{out}: nothing is written now"),
+        ("cost", str(Cost(**outline["estimate"]))),
+    ]
+    return Document(
+        command, "dry run", outline["scene"], outline, [f"{name:<8} {text}" for name, text in rows]
+    )
 
 
 def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
-    """Return the answer of `pixsim plan`: what a render includes or leaves out, why, and what error that may cause.
+    """Return the answer of `pixsim plan`: what a render includes or leaves out, why, and what error
+    that may cause.
 
     settings : of the render, and of the pixel that it is for
     """
@@ -108,13 +148,25 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
         state = "kept" if decision.kept else "left out"
         rows.append((decision.subject, state, decision.reason, decision.saved, bound))
     light, samples = plan.light, plan.samples
-    passes = "no samples" if samples.exact else f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
+    passes = (
+        "no samples"
+        if samples.exact
+        else f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
+    )
     unknown = "" if plan.bounded else " plus unknown terms"
-    error = f"relative error of the mean electrons at most {plan.bound_e:.1e}{unknown}, tolerance {plan.tolerance_e:g}"
-    blocks: list[Block] = [DocumentTable("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
+    error = (
+        f"relative error of the mean electrons at most {plan.bound_e:.1e}{unknown}, tolerance"
+        f" {plan.tolerance_e:g}"
+    )
+    blocks: list[Block] = [
+        DocumentTable("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))
+    ]
     blocks += [f"warning: {note}" for note in plan.warnings]
     if plan.film.in_focus_m is not None:
-        near, far = (f"{end_m:.4g} m" if math.isfinite(end_m) else "infinity" for end_m in plan.film.in_focus_m)
+        near, far = (
+            f"{end_m:.4g} m" if math.isfinite(end_m) else "infinity"
+            for end_m in plan.film.in_focus_m
+        )
         blocks.append(f"in focus, with blur of one pixel at most: {near} to {far}")
     blocks += [f"white: {light.white_name}", f"{passes} (scene file: {samples.full_spp}); {error}"]
     blocks += [assumption] * bool(assumption)

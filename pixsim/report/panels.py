@@ -16,12 +16,16 @@ if TYPE_CHECKING:
 
 WIDTH_IN = 8.6
 TICKS = 10  # at most, along the whole width
-# Beside the axes and between them there is room for the labels of six characters, such as -0.025, and the name of the axis.
+# Beside the axes and between them there is room for the labels of six characters, such as -0.025,
+# and the name of the axis.
 MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
 BOTTOM_IN, BETWEEN_IN = 0.5, 0.9
 LEGEND_IN, ROW_IN = 0.35, 0.2  # height of a legend of one row, and of another row
 HEIGHT_IN = 4.0
-BETWEEN_SHARED_IN, TICKS_SHARED = 0.4, 4  # of panels that share their scales: labels at their ends do not meet
+BETWEEN_SHARED_IN, TICKS_SHARED = (
+    0.4,
+    4,
+)  # of panels that share their scales: labels at their ends do not meet
 MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
 NOTHING: Mapping[str, Any] = {}
@@ -61,7 +65,9 @@ class LinePanel(NamedTuple):
     legend: Literal["best", "lower right"] = "best"
 
 
-def panels_of(count: int, height_in: float, shared: bool = False, legend_in: float = 0.0) -> tuple[Figure, list[Axes]]:
+def panels_of(
+    count: int, height_in: float, shared: bool = False, legend_in: float = 0.0
+) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes in one row.
 
     shared : whether they share their scales, and the labels of y
@@ -77,17 +83,26 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_in: flo
 
 
 def draw_panels(
-    table: Mapping[str, Array], panels: Sequence[LinePanel], height_in: float = HEIGHT_IN, legend_columns: int = 0
+    table: Mapping[str, Array],
+    panels: Sequence[LinePanel],
+    height_in: float = HEIGHT_IN,
+    legend_columns: int = 0,
 ) -> tuple[Figure, Mapping[str, Array]]:
     """Draw lines of a table in panels side by side, and return the figure and the table.
 
     legend_columns : of a legend below the first panel in place of one in each
     """
-    figure, row = panels_of(len(panels), height_in, legend_in=LEGEND_IN + ROW_IN if legend_columns else 0.0)
+    figure, row = panels_of(
+        len(panels), height_in, legend_in=LEGEND_IN + ROW_IN if legend_columns else 0.0
+    )
     for axes, panel in zip(row, panels, strict=True):
         for line, look in zip(panel.lines, LOOKS, strict=False):
             y = table[line.y]
-            style = look.line | {"ms": 4, "lw": 1.2, "markevery": max(1, len(y) // MARKED)} | dict(line.style)
+            style = (
+                look.line
+                | {"ms": 4, "lw": 1.2, "markevery": max(1, len(y) // MARKED)}
+                | dict(line.style)
+            )
             axes.plot(table[line.x][: len(y)], y, label=line.name, **style)
         for (name, x), look in zip(panel.marks.items(), LOOKS[len(panel.lines) :], strict=False):
             axes.axvline(x, lw=0.9, label=name, **look.stroke)
@@ -100,7 +115,15 @@ def draw_panels(
 
 def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
     lines, names = axes.get_legend_handles_labels()
-    figure.legend(lines, names, loc="lower center", ncols=columns, frameon=False, fontsize=8, handlelength=LEGEND_LINE)
+    figure.legend(
+        lines,
+        names,
+        loc="lower center",
+        ncols=columns,
+        frameon=False,
+        fontsize=8,
+        handlelength=LEGEND_LINE,
+    )
 
 
 def rows_table(names: Sequence[str], parts: Sequence[Sequence[Array | float]]) -> dict[str, Array]:

@@ -14,8 +14,9 @@ from pixsim.studies.merit import extent
 
 @figure(
     "figure_6_iso_delta_e",
-    "Figure 6: curves of equal ΔE of four pixel sizes, of the smoothed mean of the sensors' maps. Contrast grows downwards and "
-    "errors are larger below a curve, so the lower a curve lies, the better the pixel. The table holds the curves' points.",
+    "Figure 6: curves of equal ΔE of four pixel sizes, of the smoothed mean of the sensors' maps."
+    " Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the"
+    " better the pixel. The table holds the curves' points.",
 )
 def figure_6(evidence: Evidence) -> Drawing:
     """Plot curves of equal ΔE for four pixel sizes, over the contrasts that they reach."""
@@ -25,9 +26,13 @@ def figure_6(evidence: Evidence) -> Drawing:
     axes = figure.subplots()
     points: list[tuple[float, float, float]] = []
     for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
-        smooth = scipy.ndimage.gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
+        smooth = scipy.ndimage.gaussian_filter(
+            evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest"
+        )
         down, across = evidence.border(pitch_um)
-        where = picture_axes(evidence.result.irradiance, (1e3 * down * height_mm, 1e3 * across * width_mm))
+        where = picture_axes(
+            evidence.result.irradiance, (1e3 * down * height_mm, 1e3 * across * width_mm)
+        )
         left, right, bottom, top = where.extent_mm
         rows, columns = smooth.shape
         x_mm = left + (np.arange(columns) + 0.5) / columns * (right - left)
@@ -35,13 +40,29 @@ def figure_6(evidence: Evidence) -> Drawing:
 
         axes.plot([], [], label=f"{pitch_um:g} µm", **look.stroke)
         if smooth.min() < level < smooth.max():
-            contours = axes.contour(x_mm, y_mm, smooth, [level], colors=look.colour, linestyles=[look.dashes], linewidths=1.6)
-            points += [(pitch_um, *place) for segment in contours.allsegs[0] for place in segment.tolist()]
+            contours = axes.contour(
+                x_mm,
+                y_mm,
+                smooth,
+                [level],
+                colors=look.colour,
+                linestyles=[look.dashes],
+                linewidths=1.6,
+            )
+            points += [
+                (pitch_um, *place) for segment in contours.allsegs[0] for place in segment.tolist()
+            ]
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
     title = f"ΔE = {level:g}, pixels of"
     # Beside the axes, since curves may lie anywhere in them.
-    axes.legend(title=title, frameon=False, loc="upper left", bbox_to_anchor=(1, 1), handlelength=LEGEND_LINE)
+    axes.legend(
+        title=title,
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(1, 1),
+        handlelength=LEGEND_LINE,
+    )
     pitches_um, x_mm, y_mm = np.array(points).T.reshape(3, -1)
     return figure, {
         "pitch_um": pitches_um,

@@ -1,4 +1,6 @@
-"""Regrets of metrics and conditions, as tables, figures and data; and each metric against pixel size in its own unit."""
+"""Regrets of metrics and conditions, as tables, figures and data; and each metric against pixel
+size in its own unit.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ HEADROOM = 1.05  # of an axis, so that no mark is cut
 
 @figure(
     "regrets",
-    "Regret of each metric or condition against pixel size, from the fitted curves: its value over that of its best size, less 1 "
-    "(the best value over the value, less 1, where more is better). Marks are the best sizes.",
+    "Regret of each metric or condition against pixel size, from the fitted curves: its value over"
+    " that of its best size, less 1 (the best value over the value, less 1, where more is better)."
+    " Marks are the best sizes.",
 )
 def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
     """Draw the regret of each metric or condition against pixel size, and its best size.
@@ -39,7 +42,13 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
         best_um = criterion.optimum.pitch_um
         weight = "" if criterion.weight is None else f" ({100 * criterion.weight:.0f} %)"
         along = 100 * criterion.regret(criterion.pitch_um)
-        axes.plot(criterion.pitch_um, along, lw=1.5, label=literal(f"{criterion.name}{weight}: {best_um:.2f} µm"), **look.stroke)
+        axes.plot(
+            criterion.pitch_um,
+            along,
+            lw=1.5,
+            label=literal(f"{criterion.name}{weight}: {best_um:.2f} µm"),
+            **look.stroke,
+        )
         axes.plot(best_um, 0.0, look.marker, ms=6, mfc="white", mec=look.colour, clip_on=False)
         largest = max(largest, float(along[np.isfinite(along)].max()))
         table[f"{criterion.name} regret"] = criterion.regret(pitch_um)
@@ -53,11 +62,13 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
 
 @figure(
     "metrics",
-    "Each metric in its own unit. Points: means over sensors with 95 % intervals; lines: fitted curves, where a metric tells a "
-    "best size; triangles: the best sizes.",
+    "Each metric in its own unit. Points: means over sensors with 95 % intervals; lines: fitted"
+    " curves, where a metric tells a best size; triangles: the best sizes.",
 )
 def metrics_against_pitch(curve: Curve) -> Drawing:
-    """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve with its best size."""
+    """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve
+    with its best size.
+    """
     fits = {curve.metric.name: curve.fit} | curve.fits
     figure = new_figure(6.4, 0.6 + 1.6 * len(curve.metrics))
     panels = figure.subplots(len(curve.metrics), 1, squeeze=False, sharex=True).ravel()
@@ -65,7 +76,9 @@ def metrics_against_pitch(curve: Curve) -> Drawing:
     colour = LOOKS[0].colour
     for axes, metric in zip(panels, curve.metrics, strict=True):
         column = metric.columns[0]
-        low, mean, high = np.transpose([_finite_interval(sensors) for sensors in curve.statistics[column]])
+        low, mean, high = np.transpose(
+            [_finite_interval(sensors) for sensors in curve.statistics[column]]
+        )
         half = (high - low) / 2
         axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=colour)
         if fit := fits.get(metric.name):
@@ -80,29 +93,49 @@ def metrics_against_pitch(curve: Curve) -> Drawing:
 
 
 def _finite_interval(values: Array) -> tuple[float, float, float]:
-    """Return the mean of the finite values between the ends of its 95 % interval; NaN of fewer than two."""
+    """Return the mean of the finite values between the ends of its 95 % interval; NaN of fewer than
+    two.
+    """
     finite = values[np.isfinite(values)]
     return mean_interval(finite) if finite.size > 1 else (np.nan, np.nan, np.nan)
 
 
 def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
-    """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
+    """Return the best sizes of the numbered criteria, and their regrets at the best size of each
+    number.
+    """
     head = (f"{regrets.kind}\n", "best size\n(µm)", "95 %\ninterval", "value\n")
-    matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(regrets.criteria, 1)))
+    matrix_head = (
+        "regret in % at the best size of",
+        *(str(number) for number, _ in enumerate(regrets.criteria, 1)),
+    )
 
     rows, matrix_rows = [], []
-    for place, (criterion, criterion_regrets) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
+    for place, (criterion, criterion_regrets) in enumerate(
+        zip(regrets.criteria, regrets.matrix.tolist(), strict=True)
+    ):
         name = f"{place + 1} {criterion.name}"
         best = criterion.optimum
         low, high = best.value_interval
         unit = "ΔE" if criterion.metric.is_delta_e else criterion.metric.unit
         value = f"{within_error(best.value, (high - low) / 2)} {unit}".rstrip()
         rows.append((name, best_size_words(criterion), interval(best.interval_um), value))
-        cells = ("–" if column == place else regret_percent(regret) for column, regret in enumerate(criterion_regrets))
+        cells = (
+            "–" if column == place else regret_percent(regret)
+            for column, regret in enumerate(criterion_regrets)
+        )
         matrix_rows.append((name, *cells))
 
-    sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))
-    return sizes, DocumentTable(f"regrets of {regrets.label}", matrix_head, matrix_rows, f"{regrets.label}: regrets")
+    sizes = DocumentTable(
+        f"best sizes of {regrets.label}",
+        head,
+        rows,
+        f"{regrets.label}: best sizes",
+        words=(0, 1, 2),
+    )
+    return sizes, DocumentTable(
+        f"regrets of {regrets.label}", matrix_head, matrix_rows, f"{regrets.label}: regrets"
+    )
 
 
 def regret_percent(regret: float) -> str:
@@ -115,7 +148,9 @@ def regret_percent(regret: float) -> str:
 
 
 def best_size_words(criterion: Criterion) -> str:
-    """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes tried."""
+    """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes
+    tried.
+    """
     best = criterion.optimum
     end = "≤ " if best.pitch_um < criterion.pitch_um.mean() else "≥ "
     return f"{'' if best.inside else end}{best.pitch_um:.2f}"
@@ -123,7 +158,9 @@ def best_size_words(criterion: Criterion) -> str:
 
 def regrets_data(regrets: Regrets) -> dict[str, Any]:
     """Return names and regrets for JSON; None stands for infinity."""
-    rows = [[value if np.isfinite(value) else None for value in row] for row in regrets.matrix.tolist()]
+    rows = [
+        [value if np.isfinite(value) else None for value in row] for row in regrets.matrix.tolist()
+    ]
     return {"names": [criterion.name for criterion in regrets.criteria], "regret": rows}
 
 

@@ -10,7 +10,16 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from pixsim.base.digits import ROUNDING, estimate, exposure_time, percent, pixel_size, rounded, span, with_error
+from pixsim.base.digits import (
+    ROUNDING,
+    estimate,
+    exposure_time,
+    percent,
+    pixel_size,
+    rounded,
+    span,
+    with_error,
+)
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.schema import result_data
@@ -77,7 +86,16 @@ if TYPE_CHECKING:
     from pixsim.viewer.setting import Run
 
 FILES = (  # next to the page
-    *("score.json", ROWS_FILE, "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png"),
+    *(
+        "score.json",
+        ROWS_FILE,
+        "irradiance.exr",
+        "raw.exr",
+        "ideal.png",
+        "image.png",
+        "delta_e.exr",
+        "delta_e.png",
+    ),
     *(SETTINGS_FILE, "pixsim.json"),
 )
 MEANINGS = {
@@ -95,8 +113,11 @@ MEANINGS = {
 }
 
 
-def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, float] | None) -> list[tuple[str, str]]:
-    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for a monochrome one.
+def colour_rows(
+    facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, float] | None
+) -> list[tuple[str, str]]:
+    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for
+    a monochrome one.
 
     facts : `ImagingChain.colour_facts`
     out_of_gamut : of its score
@@ -107,18 +128,28 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
     return [
         ("channels of a frame: rows of the unit cell, or planes", str(facts["layout"])),
         ("light of white, for white balance, matrix and ideal image", str(facts["white_spectrum"])),
-        ("noise gains of the matrix in red, green, blue", ", ".join(rounded(gain, 4) for gain in facts["noise_gains"])),
-        ("sensitivity metamerism index under this lamp (100: no colour error)", rounded(facts["sensitivity_metamerism_index"], 4)),
-        ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", rounded(facts["patches_mean_delta_e"], 4)),
+        (
+            "noise gains of the matrix in red, green, blue",
+            ", ".join(rounded(gain, 4) for gain in facts["noise_gains"]),
+        ),
+        (
+            "sensitivity metamerism index under this lamp (100: no colour error)",
+            rounded(facts["sensitivity_metamerism_index"], 4),
+        ),
+        (
+            "mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise",
+            rounded(facts["patches_mean_delta_e"], 4),
+        ),
         ("dots outside the display's gamut: the ideal image", percent(ideal_share, 2)),
         ("dots outside the display's gamut: the sensor's picture", percent(sensor_share, 2)),
     ]
 
 
 COLOUR = (
-    "Both pictures are in colour: black level and dark charge are subtracted, white is balanced, the channels are interpolated to "
-    "each pixel, and one matrix, fitted to a ColorChecker under the scene's lamp, leads to the light of the display's primaries. "
-    "The larger its noise gains, the more of the sensor's noise is seen as colour."
+    "Both pictures are in colour: black level and dark charge are subtracted, white is balanced,"
+    " the channels are interpolated to each pixel, and one matrix, fitted to a ColorChecker under"
+    " the scene's lamp, leads to the light of the display's primaries. The larger its noise gains,"
+    " the more of the sensor's noise is seen as colour."
 )
 
 
@@ -129,8 +160,9 @@ class RunFiles(NamedTuple):
     """What is written of a run beside numbers, pictures and the page.
 
     raw_suffixes : further formats of the frames besides .exr
-    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
-        gives back bit for bit; 'factors', an image's factors only; 'none', no such file
+    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60
+        MB; 'full', what `read_exr` gives back bit for bit; 'factors', an image's factors only;
+        'none', no such file
     noise_budget : whether there is one
     """
 
@@ -145,9 +177,15 @@ class RunFiles(NamedTuple):
 
     def names(self, frames: int) -> set[str]:
         """Return the names of all files of a run of so many frames."""
-        raw = {f"{raw_stem(number)}{suffix}" for number in range(1, frames + 1) for suffix in self.formats}
+        raw = {
+            f"{raw_stem(number)}{suffix}"
+            for number in range(1, frames + 1)
+            for suffix in self.formats
+        }
         figures = figure_files([NEQ, *[NAME] * self.noise_budget])
-        return {PAGE, *FILES, *raw, *figures} - ({"irradiance.exr"} if self.irradiance == "none" else set())
+        return {PAGE, *FILES, *raw, *figures} - (
+            {"irradiance.exr"} if self.irradiance == "none" else set()
+        )
 
 
 USUAL = RunFiles()
@@ -159,7 +197,9 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     warned : notes that a reader of the terminal has seen
     """
     header, judged = result.irradiance.header, judged_by_delta_e(result.settings)
-    scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
+    scene = Path(
+        str(header.get("scene", header.get("source", "a picture of another program")))
+    ).stem
     answer = run_answer(result)
     new_notes = [note for note in notes(result) if note not in {*answer.below, *warned}]
     return Document(
@@ -175,14 +215,18 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     )
 
 
-def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | None = None) -> Document:
+def run_page(
+    result: RunResult, files: RunFiles = USUAL, progress: Progress | None = None
+) -> Document:
     """Return the document of a run with its page and all other files.
 
     progress : of the frames
     """
     score, irradiance = result.score, result.irradiance
     if files.irradiance == "factors" and not irradiance.factors:
-        words = "the light has no factors (spectrum × picture): irradiance.exr holds its bands in full"
+        words = (
+            "the light has no factors (spectrum × picture): irradiance.exr holds its bands in full"
+        )
         warn(Note("file_as_read", words=words))
 
     def write_light(folder: Path) -> None:
@@ -204,7 +248,10 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     sensor = whole_picture(score.image, f"{pixel_size(score.physics.pitch_um)} pixels")
     return replace(
         document,
-        lead=(Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)), *tuple(document.lead)[1:]),
+        lead=(
+            Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)),
+            *tuple(document.lead)[1:],
+        ),
         sections=(*_sections(result, delta_e), *document.sections),
         writers=(write_light, write_arrays),  # the largest file by far first
         files={
@@ -226,28 +273,44 @@ def run_csv(result: RunResult) -> str:
     """Return results.csv: a row for each sensor, with the hash of all that it depends on."""
     store = Store(None, (), result.table.metrics)
     names = ("technology", "pitch_um", "repeat", *store.numbers)
-    return store.text((key, *(row[name] for name in names)) for key, row in zip(result.keys, result.table, strict=True))
+    return store.text(
+        (key, *(row[name] for name in names))
+        for key, row in zip(result.keys, result.table, strict=True)
+    )
 
 
-# --- numbers for programs ---------------------------------------------------------------------------------------------------------
+# --- numbers for programs
+# ---------------------------------------------------------------------------------------------------------
 
 
 def data(result: RunResult) -> dict[str, Any]:
-    """Return score.json: the results of the first sensor, then the settings, and what is known of further sensors.
+    """Return score.json: the results of the first sensor, then the settings, and what is known of
+    further sensors.
 
-    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
-    `in_focus_m` are the nearest and the farthest depth with a blur disc of a pixel at most, the farthest null if infinite.
+    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the
+    border that is not scored. `in_focus_m` are the nearest and the farthest depth with a blur disc
+    of a pixel at most, the farthest null if infinite.
     """
     prepared, settings, score = result.prepared, result.settings, result.score
     more: dict[str, Any] = {}
     if result.rendered and result.rendered.noise and result.plan:
-        more |= {"render_noise": asdict(result.rendered.noise), "plan": result.plan.as_dict(), "film": result.film}
+        more |= {
+            "render_noise": asdict(result.rendered.noise),
+            "plan": result.plan.as_dict(),
+            "film": result.film,
+        }
         more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
     if result.interval_delta_e is not None:
-        more |= {"repeats": result.delta_e.size, "delta_e": result.delta_e.tolist(), "sensors_mean_delta_e": result.mean_delta_e}
+        more |= {
+            "repeats": result.delta_e.size,
+            "delta_e": result.delta_e.tolist(),
+            "sensors_mean_delta_e": result.mean_delta_e,
+        }
         more |= {"interval_delta_e": list(result.interval_delta_e)}
     if result.judged:
-        more["metrics"] = plain({name: float(values.mean()) for name, values in result.judged.items()})
+        more["metrics"] = plain(
+            {name: float(values.mean()) for name, values in result.judged.items()}
+        )
     if (threshold := result.threshold) is not None:
         more["at_threshold"] = {
             "parameter": threshold.parameter,
@@ -268,7 +331,10 @@ def data(result: RunResult) -> dict[str, Any]:
         more["frames"] = prepared.frames
     if result.noise_budget:
         more["noise_budget"] = result.noise_budget.as_dict()
-    values = {metric.name: float(result.table.columns[metric.columns[0]].mean()) for metric in metrics_named(settings.metrics)}
+    values = {
+        metric.name: float(result.table.columns[metric.columns[0]].mean())
+        for metric in metrics_named(settings.metrics)
+    }
     content = {
         **plain(result.statistics[0]),
         "pixels": list(score.frame.pixels),
@@ -298,52 +364,83 @@ def data(result: RunResult) -> dict[str, Any]:
     )
 
 
-# --- notes ------------------------------------------------------------------------------------------------------------------------
+# --- notes
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def notes(result: RunResult) -> list[Note]:
-    """Return what a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
-    return list(dict.fromkeys([*(cause.note for cause in result.causes), *result.warned, *dark_notes(result)]))
+    """Return what a reader should know besides the score: its causes, warnings, a black level that
+    clips dark noise.
+    """
+    return list(
+        dict.fromkeys(
+            [*(cause.note for cause in result.causes), *result.warned, *dark_notes(result)]
+        )
+    )
 
 
 def dark_notes(result: RunResult) -> list[Note]:
-    """Return a note on the clipping of dark pixels at 0 DN; none if it is not visible, or a correction removes its mean."""
+    """Return a note on the clipping of dark pixels at 0 DN; none if it is not visible, or a
+    correction removes its mean.
+    """
     if result.settings.correction.removes_dark_level or not clips_dark(result.dark):
         return []
     return [clip_note(result.dark, result.settings.pixel.model_dump())]
 
 
 def assumption(result: RunResult) -> str:
-    """Return what was assumed of the technology and the lens, which nobody stated; empty for nothing."""
-    lens_assumption = "" if result.prepared.cases[0].picture else result.prepared.asked.camera.assumption(result.camera)
+    """Return what was assumed of the technology and the lens, which nobody stated; empty for
+    nothing.
+    """
+    lens_assumption = (
+        ""
+        if result.prepared.cases[0].picture
+        else result.prepared.asked.camera.assumption(result.camera)
+    )
     return "; ".join(filter(None, (result.settings.pixel.assumption, lens_assumption)))
 
 
-# --- words ------------------------------------------------------------------------------------------------------------------------
+# --- words
+# ------------------------------------------------------------------------------------------------------------------------
 
 
 def run_answer(result: RunResult) -> Answer:
-    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure, where that was asked for."""
+    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure,
+    where that was asked for.
+    """
     first, *_ = metrics_named(result.settings.metrics)
-    return Answer(metric_text(result, first), unsure_words(result) if judged_by_delta_e(result.settings) else ())
+    return Answer(
+        metric_text(result, first),
+        unsure_words(result) if judged_by_delta_e(result.settings) else (),
+    )
 
 
 def facts(result: RunResult) -> Iterator[Block]:
-    """Yield what the other metrics say, what there is of several sensors and frames, and what was run."""
+    """Yield what the other metrics say, what there is of several sensors and frames, and what was
+    run.
+    """
     for metric in metrics_named(result.settings.metrics)[1:]:
         yield Fact(plain_text(metric_text(result, metric)))
     if result.interval_delta_e is not None:
         words = f"{result.delta_e.size} sensors{'' if result.is_spread else ' at one registration'}"
         if judged_by_delta_e(result.settings):
-            words += f", with a mean ΔE of {span(estimate(result.delta_e.min()), estimate(result.delta_e.max()))}"
+            words += (
+                ", with a mean ΔE of"
+                f" {span(estimate(result.delta_e.min()), estimate(result.delta_e.max()))}"
+            )
         yield Fact(f"{words}; pictures and frames are of the first")
     if (frames := result.prepared.frames) > 1:
-        yield Fact(f"{frames} frames of this sensor: raw.exr to {raw_stem(frames)}.exr; the first is scored")
+        yield Fact(
+            f"{frames} frames of this sensor: raw.exr to {raw_stem(frames)}.exr; the first is"
+            " scored"
+        )
     yield from map(Fact, setup_words(result))
 
 
 def metric_text(result: RunResult, metric: Metric) -> Text:
-    """Return what a metric says of a run, with half of the 95 % interval of several sensors; beside ΔE, of what it is."""
+    """Return what a metric says of a run, with half of the 95 % interval of several sensors; beside
+    ΔE, of what it is.
+    """
     if metric is DELTA_E:
         return "mean ΔE ", Strong(shown_mean_of(result))
     values = result.judged[metric.name]
@@ -359,14 +456,25 @@ def metric_text(result: RunResult, metric: Metric) -> Text:
 
 
 def threshold_words(result: RunResult, d_prime: float) -> str:
-    """Return where a target is seen as well as the threshold asks: at a value of the scene, or at a part of its contrast."""
+    """Return where a target is seen as well as the threshold asks: at a value of the scene, or at a
+    part of its contrast.
+    """
     if result.threshold is not None:
         return found_threshold_words(result.threshold)
     threshold = result.settings.metric.detectability.threshold
-    factor, reason = contrast_factor(result.chain.expected(result.score.frame.integration_s), d_prime)
+    factor, reason = contrast_factor(
+        result.chain.expected(result.score.frame.integration_s), d_prime
+    )
     if not reason:
-        return f"{threshold:g} is reached at {rounded(factor, 3)} times this contrast, where contrasts are small"
-    return f"no factor of its contrast leads to {threshold:g}: {reason}" if d_prime >= threshold else f"not seen: {reason}"
+        return (
+            f"{threshold:g} is reached at {rounded(factor, 3)} times this contrast, where contrasts"
+            " are small"
+        )
+    return (
+        f"no factor of its contrast leads to {threshold:g}: {reason}"
+        if d_prime >= threshold
+        else f"not seen: {reason}"
+    )
 
 
 def found_threshold_words(threshold: Threshold) -> str:
@@ -395,37 +503,67 @@ def unsure_words(result: RunResult) -> list[str]:
 
 
 def setup_words(result: RunResult) -> list[str]:
-    """Return what was run: pixels and exposure, development where there is one, and how it is shown and rendered."""
+    """Return what was run: pixels and exposure, development where there is one, and how it is shown
+    and rendered.
+    """
     frame, settings = result.score.frame, result.settings
     rows, columns = frame.pixels
     exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
-    is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
+    is_longest = (
+        exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
+    )
     longest = " (the maximum)" if is_longest else ""
     full = f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposed = [f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}", *settings.stage_words]
+    exposed = [
+        f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}",
+        *settings.stage_words,
+    ]
 
-    view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)
+    view = view_words(
+        settings.display,
+        result.irradiance.header,
+        result.prepared.view,
+        settings.window_mm,
+        columns,
+    )
     light = light_words(result) if judged_by_delta_e(settings) else []
-    view_line = "; ".join(filter(None, (*view, lens_words(result.camera), assumption(result), *light)))
-    return [*filter(None, (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), view_line))]
+    view_line = "; ".join(
+        filter(None, (*view, lens_words(result.camera), assumption(result), *light))
+    )
+    return [
+        *filter(
+            None,
+            (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), view_line),
+        )
+    ]
 
 
 def light_words(result: RunResult) -> list[str]:
-    """Return the film and the render noise of a run; what was not measured of light that pixsim rendered."""
+    """Return the film and the render noise of a run; what was not measured of light that pixsim
+    rendered.
+    """
     noise = result.rendered.noise if result.rendered else None
     words = []
     if result.film:
         words.append(film_words(result.film))
     if noise:
-        words.append(f"render noise {noise.fraction:.2g} of the sensor's noise" if noise.fraction else "no render noise")
+        words.append(
+            f"render noise {noise.fraction:.2g} of the sensor's noise"
+            if noise.fraction
+            else "no render noise"
+        )
     if "scene_hash" in result.irradiance.header:
-        unmeasured = {"the film's error": result.light.film_delta_e, "render noise": result.light.noise_delta_e}
+        unmeasured = {
+            "the film's error": result.light.film_delta_e,
+            "render noise": result.light.noise_delta_e,
+        }
         words += [f"{name} not measured" for name, delta_e in unmeasured.items() if delta_e is None]
     return words
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------------------
+# --- the page
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
@@ -436,10 +574,22 @@ def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
     if judged_by_delta_e(result.settings):
         yield Section("errors", "Where the errors are", _errors(result, delta_e), together=True)
     quanta = quanta_of_run(result)
-    yield Section("numbers", "Numbers", (DocumentTable("numbers of this picture", (), _numbers(result), words=None),))
-    yield Section("neq", "Noise-equivalent quanta", (Plot(lambda: neq_against_frequency(quanta)),) if quanta else ())
+    yield Section(
+        "numbers",
+        "Numbers",
+        (DocumentTable("numbers of this picture", (), _numbers(result), words=None),),
+    )
+    yield Section(
+        "neq",
+        "Noise-equivalent quanta",
+        (Plot(lambda: neq_against_frequency(quanta)),) if quanta else (),
+    )
     colour = colour_rows(result.colour, result.score.out_of_gamut)
-    yield Section("colour", "Colour", (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else ())
+    yield Section(
+        "colour",
+        "Colour",
+        (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else (),
+    )
     rest = [UNSTATED] if result.score.physics.technology.name == NO_TECHNOLOGY else []
     yield Section("settings", "Settings", [*settings_blocks(_settings(result)), *rest])
 
@@ -451,7 +601,9 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
     yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {estimate(p99)}.")
     window = worst_window([score.delta_e])
     yield "The detail with the largest errors, dot for dot:"
-    yield Pictures((crops(score, window, "the sensor's picture", end),), "the detail with the largest errors")
+    yield Pictures(
+        (crops(score, window, "the sensor's picture", end),), "the detail with the largest errors"
+    )
     yield DeltaEScale(scale(end))
     yield size_words(factor_for(score.ideal), result.settings.display.samples_per_deg)
 
@@ -463,7 +615,9 @@ def shown_statistics(result: RunResult) -> list[str]:
 
 
 def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
-    """Yield the meaning and the value of each number of the page: of the pixels, the light, the picture and its blur."""
+    """Yield the meaning and the value of each number of the page: of the pixels, the light, the
+    picture and its blur.
+    """
     physics = result.score.physics
     width_mm, height_mm = extent(result.irradiance)[1:3]
     yield "die", f"{width_mm:.4g} × {height_mm:.4g} mm, {label_of(physics.technology.name)}"
@@ -473,12 +627,20 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     statistics = result.statistics[0]
     for name in shown_statistics(result):
         if name in MEANINGS:
-            value = estimate(statistics[name]) if name.endswith("_delta_e") else rounded(statistics[name], 4)
-            if name != "fill_factor" or value != "1":  # a data sheet gives the numbers of the whole pixel
+            value = (
+                estimate(statistics[name])
+                if name.endswith("_delta_e")
+                else rounded(statistics[name], 4)
+            )
+            if (
+                name != "fill_factor" or value != "1"
+            ):  # a data sheet gives the numbers of the whole pixel
                 yield MEANINGS[name], value
 
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
-    frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)
+    frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(
+        imaging, result.irradiance, path_um
+    )
     for term, mtf in {**sensor_terms, **display_terms}.items():
         yield f"MTF at {frequency_lp_per_mm:.3g} lp/mm, {name}: {term}", estimate(mtf)
 
@@ -495,12 +657,18 @@ def _settings(result: RunResult) -> list[DocumentTable]:
     settings, irradiance = result.settings, result.irradiance
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
     scene = scene_rows(irradiance, settings.scene, light)
-    scene.append(("seed", settings.seed, "of all random numbers", "set" if settings.seed else "default"))
-    return settings_tables(scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet)
+    scene.append(
+        ("seed", settings.seed, "of all random numbers", "set" if settings.seed else "default")
+    )
+    return settings_tables(
+        scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet
+    )
 
 
 def raw_stem(number: int) -> str:
-    """Return the name, without its suffix, of the file of a frame: raw, raw_002, raw_003, …; sorted names keep their order."""
+    """Return the name, without its suffix, of the file of a frame: raw, raw_002, raw_003, …; sorted
+    names keep their order.
+    """
     return "raw" if number == 1 else f"raw_{number:03d}"
 
 
@@ -509,8 +677,19 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     imaging = prepared.cases[0].imaging
     assert imaging is not None
     options = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
-    options |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
-    command = ["pixsim", "run", whole_source(prepared), "--config", SETTINGS_FILE, *["--full"] * imaging.full]
+    options |= {
+        name: str(value)
+        for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames))
+        if value > 1
+    }
+    command = [
+        "pixsim",
+        "run",
+        whole_source(prepared),
+        "--config",
+        SETTINGS_FILE,
+        *["--full"] * imaging.full,
+    ]
     command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
     return settings_text(repeating_settings(prepared, irradiance), shlex.join(command))
 
@@ -523,7 +702,10 @@ def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
     if job.cases[0].picture:
         return job.complete
     # Display and chart, too, may have been chosen; defaults in their place would count as given.
-    view = {"display": job.complete.display, "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene)}
+    view = {
+        "display": job.complete.display,
+        "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene),
+    }
     return without_clock(job.asked, irradiance).model_copy(update=view)
 
 
@@ -535,5 +717,9 @@ def whole_source(job: Job[Run]) -> str:
 
 
 PRESENTER = Presenter(
-    document=run_document, figure=run_plate, csv=run_csv, page=lambda result, _: run_page(result), has_figures=False
+    document=run_document,
+    figure=run_plate,
+    csv=run_csv,
+    page=lambda result, _: run_page(result),
+    has_figures=False,
 )

@@ -24,17 +24,25 @@ ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error b
 PANEL_IN = 3.1  # width of each picture of the figure
 
 
-@figure("delta_e", "The ideal image, the sensor's image, and their difference. The table holds block means of the map.")
+@figure(
+    "delta_e",
+    "The ideal image, the sensor's image, and their difference. The table holds block means of the"
+    " map.",
+)
 def score_plate(score: Score) -> Drawing:
     """Draw the ideal image, the sensor's image and the ΔE map with its scale."""
     figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
-    for panel, picture, title in zip(axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False):
+    for panel, picture, title in zip(
+        axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False
+    ):
         panel.imshow(display_codes(picture), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
         panel.set_title(title)
 
     end = scale_end(*percentiles(score.delta_e, (99,)))
-    delta_e_map = axes[2].imshow(score.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
+    delta_e_map = axes[2].imshow(
+        score.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest"
+    )
     axes[2].set_title(f"S-CIELAB ΔE, mean {estimate(score.mean_delta_e)}")
     figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
     for panel in axes:
@@ -56,10 +64,16 @@ def score_document(score: Score) -> Document:
         command="score",
         kind="score of one picture",
         title="Score",
-        data=result_data(statistics, settings={"display": score.display.model_dump(mode="json", exclude_none=True)}, notes=[]),
+        data=result_data(
+            statistics,
+            settings={"display": score.display.model_dump(mode="json", exclude_none=True)},
+            notes=[],
+        ),
         answers=(Answer(_headline(score)),),
         lead=(Plot(lambda: score_plate(score)), *_facts(score)),
-        sections=(Section("statistics", "Statistics", (pairs("statistics", statistics),), brief=True),),
+        sections=(
+            Section("statistics", "Statistics", (pairs("statistics", statistics),), brief=True),
+        ),
         files=files,
         data_file="score.json",
     )
@@ -96,7 +110,9 @@ def unmet(error: LightError, limit: LightError) -> list[str]:
     for name in exceeded(error, limit):
         size, limit_text = told_apart(getattr(error, name), getattr(limit, name), 1)
         size = "unknown" if math.isnan(getattr(error, name)) else f"up to {size} ΔE"
-        limit_text = "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{limit_text} tolerated"
+        limit_text = (
+            "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{limit_text} tolerated"
+        )
         texts.append(f"{ERROR_WORDS[name]} is {size}, {limit_text}")
     return texts
 
@@ -109,12 +125,15 @@ def shown_mean(
     half_delta_e: float = 0.0,
     scatter_delta_e: float = 0.0,
 ) -> str:
-    """Return a mean ΔE as text, with the film's error if that is above its limit, and with one warning.
+    """Return a mean ΔE as text, with the film's error if that is above its limit, and with one
+    warning.
 
-    The warning is the largest cause; or that the light has not converged, where an error of it is known to be larger.
+    The warning is the largest cause; or that the light has not converged, where an error of it is
+    known to be larger.
 
     half_delta_e : half of its 95 % interval, of several sensors
-    scatter_delta_e : likewise, of an estimate whose interval is not stated: it has no more digits than that allows
+    scatter_delta_e : likewise, of an estimate whose interval is not stated: it has no more digits
+        than that allows
 
     >>> shown_mean(0.97312, LightError(), LightError(), half_delta_e=0.0021)
     '0.9731 ± 0.0021 (95 %)'
@@ -128,7 +147,9 @@ def shown_mean(
     film_delta_e = above.get("film_delta_e", 0.0)
 
     uncertainty = ""
-    value = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else estimate(mean_delta_e)
+    value = (
+        within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else estimate(mean_delta_e)
+    )
     if math.isinf(film_delta_e):
         uncertainty = " ± an unknown error (film)"
     elif film_delta_e or half_delta_e:

@@ -22,13 +22,18 @@ if TYPE_CHECKING:
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
-OF_COLOUR = frozenset({"adaptation", *OF_COLOUR_FRAMES})  # options of display and development for coloured pictures
+OF_COLOUR = frozenset(
+    {"adaptation", *OF_COLOUR_FRAMES}
+)  # options of display and development for coloured pictures
 DEFAULTS = ("default", "")  # sources of what nobody stated
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 
 
 def scene_rows(
-    irradiance: SpectralImage, parameters: Mapping[str, object], light: LightLevel, sources: Mapping[str, str] | None = None
+    irradiance: SpectralImage,
+    parameters: Mapping[str, object],
+    light: LightLevel,
+    sources: Mapping[str, str] | None = None,
 ) -> list[Row]:
     """Return the rows of the scene: its file, parameters, white and exposure.
 
@@ -41,8 +46,14 @@ def scene_rows(
     rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
         text = Path(value).name if isinstance(value, str) else setting_value(value, name)
-        rows.append((name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
-    name, what = ("white_cd_per_m2", "luminance") if light.unit == "cd/m²" else ("white_w_per_m2_sr", "radiance")
+        rows.append(
+            (name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default))
+        )
+    name, what = (
+        ("white_cd_per_m2", "luminance")
+        if light.unit == "cd/m²"
+        else ("white_w_per_m2_sr", "radiance")
+    )
     rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white", ""))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
@@ -50,9 +61,15 @@ def scene_rows(
 
 
 def record_rows(
-    name: str, record: Record, from_data_sheet: bool, sources: Mapping[str, str] | None = None, *, coloured: bool = False
+    name: str,
+    record: Record,
+    from_data_sheet: bool,
+    sources: Mapping[str, str] | None = None,
+    *,
+    coloured: bool = False,
 ) -> list[Row]:
-    """Return the used fields of a record with their sources: as given in `sources`, 'set', or 'default'.
+    """Return the used fields of a record with their sources: as given in `sources`, 'set', or
+    'default'.
 
     coloured : of a sensor with colour filters; without, what only coloured pictures use is left out
     """
@@ -61,7 +78,9 @@ def record_rows(
     fields, rows = type(record).model_fields, []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
-        source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
+        source = (sources or {}).get(
+            f"{name}.{key}", "default" if value == fields[key].default else "set"
+        )
         rows.append((key, setting_value(value, key), meaning, source))
     return rows
 
@@ -80,7 +99,12 @@ def settings_tables(
     pixel : None for sensors that have one each
     from_data_sheet, sources : of `record_rows`
     """
-    records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
+    records = {
+        "camera": camera,
+        "pixel": pixel,
+        "exposure": settings.exposure,
+        "correction": settings.correction,
+    }
     if settings.motion.is_on:
         records["motion"] = settings.motion
     if coloured or settings.develop.words:
@@ -96,18 +120,34 @@ def settings_tables(
 
 def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     """Return the table of a page with settings, their meaning and source."""
-    return DocumentTable(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)
+    return DocumentTable(
+        name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True
+    )
 
 
 UNSTATED = "Noise and non-uniformities that the data sheet does not state are zero."
 
 
 def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:
-    """Return the settings of a page: those that differ from the defaults, and folded below them the values of all others.
+    """Return the settings of a page: those that differ from the defaults, and folded below them the
+    values of all others.
 
     tables : of `settings_table`
     """
-    changed = [(f"{table.name}.{row[0]}", *row[1:3]) for table in tables for row in table.rows if row[-1] not in DEFAULTS]
-    rest = [replace(table, rows=[row[:2] for row in table.rows if row[-1] in DEFAULTS]) for table in tables]
-    first = DocumentTable("settings that differ from the defaults", (), changed, words=None, stacks=True)
-    return [*[first] * bool(changed), Section("", "All other settings", [table for table in rest if table.rows], folded=True)]
+    changed = [
+        (f"{table.name}.{row[0]}", *row[1:3])
+        for table in tables
+        for row in table.rows
+        if row[-1] not in DEFAULTS
+    ]
+    rest = [
+        replace(table, rows=[row[:2] for row in table.rows if row[-1] in DEFAULTS])
+        for table in tables
+    ]
+    first = DocumentTable(
+        "settings that differ from the defaults", (), changed, words=None, stacks=True
+    )
+    return [
+        *[first] * bool(changed),
+        Section("", "All other settings", [table for table in rest if table.rows], folded=True),
+    ]

@@ -17,7 +17,11 @@ from pixsim.show.figures import COLOURS
 from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
 from pixsim.show.presenter import Presenter
 
-FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json", "report.html")
+FILES = (
+    *(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES),
+    "summary.json",
+    "report.html",
+)
 MAX_SFR_SHOWN = 3.0
 
 
@@ -60,8 +64,13 @@ def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
     }
     if edge.pitch_um is not None:
         px_per_mm = 1e3 / edge.pitch_um
-        low, high, data["mtf50_cy_per_mm"] = (None if value is None else value * px_per_mm for value in (*ends, mtf50))
-        data |= {"mtf50_interval_cy_per_mm": [low, high], "nyquist_cy_per_mm": NYQUIST_CY_PER_PX * px_per_mm}
+        low, high, data["mtf50_cy_per_mm"] = (
+            None if value is None else value * px_per_mm for value in (*ends, mtf50)
+        )
+        data |= {
+            "mtf50_interval_cy_per_mm": [low, high],
+            "nyquist_cy_per_mm": NYQUIST_CY_PER_PX * px_per_mm,
+        }
     settings = {name: data[name] for name in ("channel", "pitch_um", "half_window_px")}
     return result_data(data, settings=settings, notes=edge.notes, table="sfr.csv")
 
@@ -71,12 +80,19 @@ def sfr_parts(data: Mapping[str, Any]) -> list[str]:
 
     data : of `sfr_data`
     """
-    bow = f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})" if data["edge_degree"] > 1 else ""
+    bow = (
+        f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})"
+        if data["edge_degree"] > 1
+        else ""
+    )
     at_nyquist = with_ends(data["sfr_at_nyquist"], data["sfr_at_nyquist_interval"])
     return [
-        f"{data['channel'] or ''} {_mtf50_words(data)}, SFR {at_nyquist} at Nyquist{_channel_words(data)}".lstrip(),
-        f"edge at {data['angle_deg']:.2f}°{bow}, ±{data['half_window_px']:g} px, {data['rows_used']} lines, contrast "
-        f"{data['contrast']:.2f}",
+        f"{data['channel'] or ''} {_mtf50_words(data)}, SFR {at_nyquist} at"
+        f" Nyquist{_channel_words(data)}".lstrip(),
+        (
+            f"edge at {data['angle_deg']:.2f}°{bow}, ±{data['half_window_px']:g} px,"
+            f" {data['rows_used']} lines, contrast {data['contrast']:.2f}"
+        ),
         f"in brackets {percent(data['interval_coverage'])} by the picture's noise",
     ]
 
@@ -88,7 +104,9 @@ def _mtf50_words(data: Mapping[str, Any]) -> str:
     mtf50 = f"MTF50 {with_ends(data['mtf50_cy_per_px'], (low, high))} cy/px"
     if not data["pitch_um"]:
         return mtf50
-    half_cy_per_mm = (min(high, 2 * data["mtf50_cy_per_px"] - low) - low) / 2 * 1e3 / data["pitch_um"]
+    half_cy_per_mm = (
+        (min(high, 2 * data["mtf50_cy_per_px"] - low) - low) / 2 * 1e3 / data["pitch_um"]
+    )
     return f"{mtf50} ({within_error(data['mtf50_cy_per_mm'], half_cy_per_mm)} cy/mm)"
 
 
@@ -96,13 +114,21 @@ def _channel_words(data: Mapping[str, Any]) -> str:
     nyquist = data["channel_nyquist_cy_per_px"]
     if data["channel"] is None or nyquist == NYQUIST_CY_PER_PX:
         return ""
-    return f" (0.5 cy/px), {number(data['sfr_at_channel_nyquist'], 3)} at the channel's ({nyquist:.3g} cy/px)"
+    return (
+        f" (0.5 cy/px), {number(data['sfr_at_channel_nyquist'], 3)} at the channel's ({nyquist:.3g}"
+        " cy/px)"
+    )
 
 
 def sfr_table(edge: EdgeResponse) -> dict[str, Array]:
     """Return the SFR and its interval at each frequency."""
     low, high = edge.sfr_interval
-    columns = {"frequency_cy_per_px": edge.frequency_cy_per_px, "sfr": edge.sfr, "sfr_low": low, "sfr_high": high}
+    columns = {
+        "frequency_cy_per_px": edge.frequency_cy_per_px,
+        "sfr": edge.sfr,
+        "sfr_low": low,
+        "sfr_high": high,
+    }
     if edge.pitch_um is not None:
         columns["frequency_cy_per_mm"] = edge.frequency_cy_per_mm(edge.pitch_um)
     return columns
@@ -119,10 +145,21 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
     if edge.mtf50_cy_per_px is not None:
         marks["MTF50"] = edge.mtf50_cy_per_px * scale
 
-    limits = {"xlim": (0, table[x][-1]), "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN)))}
-    panel = LinePanel(f"frequency along the normal of the edge ({unit})", "e-SFR", (Line(x, "sfr", "SFR"),), marks, limits)
+    limits = {
+        "xlim": (0, table[x][-1]),
+        "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))),
+    }
+    panel = LinePanel(
+        f"frequency along the normal of the edge ({unit})",
+        "e-SFR",
+        (Line(x, "sfr", "SFR"),),
+        marks,
+        limits,
+    )
     figure, _ = draw_panels(table, [panel])
-    figure.axes[0].fill_between(table[x], table["sfr_low"], table["sfr_high"], color=COLOURS[0], alpha=0.25, lw=0)
+    figure.axes[0].fill_between(
+        table[x], table["sfr_low"], table["sfr_high"], color=COLOURS[0], alpha=0.25, lw=0
+    )
     return figure, table
 
 
@@ -130,7 +167,11 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
 def edge_plate(edge: EdgeResponse) -> Drawing:
     """Plot the edge spread function."""
     table = {"distance_px": edge.distance_px, "mean": edge.edge_spread}
-    panel = LinePanel("distance from the edge along its normal (pixels)", "mean of bins", (Line("distance_px", "mean"),))
+    panel = LinePanel(
+        "distance from the edge along its normal (pixels)",
+        "mean of bins",
+        (Line("distance_px", "mean"),),
+    )
     return draw_panels(table, [panel])
 
 

@@ -27,7 +27,14 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import figure_6
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
-from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
+from pixsim.report.settings import (
+    UNSTATED,
+    record_rows,
+    scene_rows,
+    settings_blocks,
+    settings_table,
+    settings_tables,
+)
 from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_csv, uncertainty_sections
 from pixsim.report.views import Views, map_end, study_views
@@ -47,7 +54,16 @@ from pixsim.show.document import (
     Text,
     Tiles,
 )
-from pixsim.show.figures import COLOURS, LEGEND_LINE, draw_terms, drawing_thread, fix_margins, literal, new_figure, prepare_to_draw
+from pixsim.show.figures import (
+    COLOURS,
+    LEGEND_LINE,
+    draw_terms,
+    drawing_thread,
+    fix_margins,
+    literal,
+    new_figure,
+    prepare_to_draw,
+)
 from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import html
@@ -92,24 +108,46 @@ LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 @figure(
     "optimum_against_technology",
-    "Optimal pixel size of each process against its feature size. The line goes through the largest process, as if the optimum "
-    "were proportional to the feature size.",
+    "Optimal pixel size of each process against its feature size. The line goes through the largest"
+    " process, as if the optimum were proportional to the feature size.",
 )
 def optimum_against_technology(result: StudyResult) -> Drawing:
-    """Plot the optima with their intervals, and the line of an optimum proportional to the feature size."""
-    sizes_um = {curve.label: curve.feature_size_um for curve in result.curves if curve.feature_size_um is not None}
-    curves = sorted((curve for curve in result.curves if curve.label in sizes_um), key=lambda curve: sizes_um[curve.label])
+    """Plot the optima with their intervals, and the line of an optimum proportional to the feature
+    size.
+    """
+    sizes_um = {
+        curve.label: curve.feature_size_um
+        for curve in result.curves
+        if curve.feature_size_um is not None
+    }
+    curves = sorted(
+        (curve for curve in result.curves if curve.label in sizes_um),
+        key=lambda curve: sizes_um[curve.label],
+    )
     feature_um = np.array([sizes_um[curve.label] for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    low_um, high_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in curves]).T
+    low_um, high_um = np.array(
+        [closed_range(curve.optimum.interval_um, curve) for curve in curves]
+    ).T
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
     fix_margins(figure)
     bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
-    axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
+    axes.errorbar(
+        feature_um,
+        size_um,
+        bars,
+        fmt="o",
+        color=COLOURS[0],
+        lw=2,
+        capsize=4,
+        label="optimum, 95 % interval",
+    )
     proportional = size_um[-1] / feature_um[-1] * feature_um
     axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to feature size")
-    axes.set(xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None))
+    axes.set(
+        xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None)
+    )
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     return figure, {
@@ -125,38 +163,60 @@ def optimum_against_technology(result: StudyResult) -> Drawing:
 
 @figure(
     "light_against_detail",
-    "Detail and light against pixel size, the two sides of the trade-off. Above: MTF50, the frequency at which the MTF is one "
-    "half, on the sensor and on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB "
-    "(equation 2 at 30 ms; lower is better). Below: MTF of each term at the finest detail of the scene, or at half the Nyquist "
-    "frequency of the best pixels, and their product.",
+    "Detail and light against pixel size, the two sides of the trade-off. Above: MTF50, the"
+    " frequency at which the MTF is one half, on the sensor and on the display (higher is better),"
+    " and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower is"
+    " better). Below: MTF of each term at the finest detail of the scene, or at half the Nyquist"
+    " frequency of the best pixels, and their product.",
 )
 def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
-    """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
+    """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur
+    term at fine detail.
+    """
     pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
     paths_um = [longest_path_um(result, curve, pitch_um) for pitch_um in curve.pitch_um.tolist()]
     mtf50, shown50 = (
-        [mtf50_cy_per_mm(result, physics, mtf, path) for physics, path in zip(pixels, paths_um, strict=True)]
+        [
+            mtf50_cy_per_mm(result, physics, mtf, path)
+            for physics, path in zip(pixels, paths_um, strict=True)
+        ]
         for mtf in (system_mtf, shown_mtf)
     )
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
     axes, lower = figure.subplots(2, 1, sharex=True)
     fix_margins(figure, right_in=0.75)
-    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)")
-    detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display (left axis)")
+    detail = axes.plot(
+        curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)"
+    )
+    detail += axes.plot(
+        curve.pitch_um,
+        shown50,
+        "^:",
+        ms=4,
+        color=COLOURS[0],
+        label="MTF50 on the display (left axis)",
+    )
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
     axes.set_ylim(0, LEGEND_HEADROOM * max(mtf50))
     other = axes.twinx()
-    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)")
+    light = other.semilogy(
+        curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)"
+    )
     other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
     other.spines["right"].set_visible(True)
-    axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
+    axes.legend(
+        handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE
+    )
 
     frequency, _ = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
     pixel_terms = [
-        study_mtf_terms(result, physics, np.array(frequency), path) for physics, path in zip(pixels, paths_um, strict=True)
+        study_mtf_terms(result, physics, np.array(frequency), path)
+        for physics, path in zip(pixels, paths_um, strict=True)
     ]
-    terms = {term: np.array([float(values[term]) for values in pixel_terms]) for term in pixel_terms[0]}
+    terms = {
+        term: np.array([float(values[term]) for values in pixel_terms]) for term in pixel_terms[0]
+    }
     shown_product = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
     exposures = {"mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30}
     contrasts = {
@@ -179,19 +239,28 @@ class PictureTask(NamedTuple):
     pitch_um: float
 
     def __str__(self) -> str:
-        return f"maps of {self.pitch_um:g} µm pixels" if self.pitch_um else f"pictures of {self.technology}"
+        return (
+            f"maps of {self.pitch_um:g} µm pixels"
+            if self.pitch_um
+            else f"pictures of {self.technology}"
+        )
 
 
-def make_pictures(call: tuple[int, PictureTask], result: StudyResult) -> tuple[int, Views | SizeMaps]:
+def make_pictures(
+    call: tuple[int, PictureTask], result: StudyResult
+) -> tuple[int, Views | SizeMaps]:
     """Return what a worker makes, with its number; it imports no Matplotlib."""
     number, task = call
     if task.pitch_um:
         return number, size_maps(result, task.pitch_um, task.technology, SENSORS)
-    return number, study_views(result, next(curve for curve in result.curves if curve.technology == task.technology))
+    return number, study_views(
+        result, next(curve for curve in result.curves if curve.technology == task.technology)
+    )
 
 
 class StudyDrawing:
-    """A thread that draws the figures of a study: those that follow from its light alone while workers evaluate.
+    """A thread that draws the figures of a study: those that follow from its light alone while
+    workers evaluate.
 
     figures : "pdf" draws a PDF beside each SVG
     sizes : pitch -> maps of the paper's pixel sizes, if they are begun
@@ -210,7 +279,10 @@ class StudyDrawing:
         self._thread.submit(prepare_to_draw)
         self._thread.submit(html, Document("study", "", "", {}))  # which compiles the templates
         if study.study.paper:
-            self.sizes = {pitch_um: self._thread.submit(size_maps, study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
+            self.sizes = {
+                pitch_um: self._thread.submit(size_maps, study, pitch_um)
+                for pitch_um in FIGURE_6_PITCHES_UM
+            }
 
     def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
         """Return a figure that is drawn after those that wait."""
@@ -242,17 +314,27 @@ def pictures_of_workers(
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    made = dict(results_of(make_pictures, [((number, task), shared) for number, task in enumerate(tasks)], workers))
+    made = dict(
+        results_of(
+            make_pictures, [((number, task), shared) for number, task in enumerate(tasks)], workers
+        )
+    )
     parts = [made[number] for number in range(len(tasks))]
     views = [part for part in parts if isinstance(part, Views)]
-    return views, {part.score.physics.pitch_um: part for part in parts if isinstance(part, SizeMaps)}
+    return views, {
+        part.score.physics.pitch_um: part for part in parts if isinstance(part, SizeMaps)
+    }
 
 
 def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]]:
-    """Return what draws the figures of all curves and of the first one; the first figure answers what was asked."""
+    """Return what draws the figures of all curves and of the first one; the first figure answers
+    what was asked.
+    """
     draw: list[Callable[[], Plate]] = [lambda: delta_e_against_pitch([first])]
     if len(result.curves) > 1:
-        draw.insert(0, lambda: delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"))
+        draw.insert(
+            0, lambda: delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all")
+        )
     if regrets := metric_regrets(first):
         draw.append(lambda: regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
@@ -265,7 +347,9 @@ def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]
 
 
 def with_files_of_study(page: Document, result: StudyResult) -> Document:
-    """Return the document of a study with settings.toml, from which `pixsim study` makes it again, and its sensor types."""
+    """Return the document of a study with settings.toml, from which `pixsim study` makes it again,
+    and its sensor types.
+    """
     files = {SETTINGS_FILE: result.settings_toml} if result.settings_toml else {}
     types = uncertainty_csv(result.uncertainty)
     sections = *uncertainty_sections(result.uncertainty), *page.sections
@@ -275,7 +359,12 @@ def with_files_of_study(page: Document, result: StudyResult) -> Document:
 def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
-    plates = {"delta_e_against_pitch", "delta_e_against_pitch_all", "optimum_against_technology", "light_against_detail"}
+    plates = {
+        "delta_e_against_pitch",
+        "delta_e_against_pitch_all",
+        "optimum_against_technology",
+        "light_against_detail",
+    }
     plates |= {REGRETS, "metrics", NEQ}
     plates |= {"figure_6_iso_delta_e"} if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
@@ -299,7 +388,11 @@ def study_document(result: StudyResult, warned: Collection[str] = ()) -> Documen
 
 
 def document_of(
-    result: StudyResult, data: dict[str, Any], regrets: Sequence[Regrets], facts: Sequence[Block], warned: Collection[str]
+    result: StudyResult,
+    data: dict[str, Any],
+    regrets: Sequence[Regrets],
+    facts: Sequence[Block],
+    warned: Collection[str],
 ) -> Document:
     """Return the document of a study, without the figures and pictures of its page.
 
@@ -308,7 +401,9 @@ def document_of(
     warned : notes that a reader of the terminal has seen
     """
     first = result.curves[0].metric.name
-    weighted = [weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first]
+    weighted = [
+        weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first
+    ]
     answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
     left = len(answers) - ANSWERS_SHOWN
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
@@ -337,26 +432,44 @@ def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -
     further = {"chosen": result.view, **content, "uncertainty": uncertainty}
     entries = {
         "study": settings,
-        "curves": [curve_data(curve) | {"dark": result.part_of(curve).dark(curve)} for curve in result.curves],
+        "curves": [
+            curve_data(curve) | {"dark": result.part_of(curve).dark(curve)}
+            for curve in result.curves
+        ],
         **{name: value for name, value in further.items() if value},
     }
     optima = [optimum for curve in result.curves for optimum in optima_data(curve)]
-    return result_data(entries, settings=settings, notes=study_notes(result), table=ROWS_FILE, optima=optima, **shared)
+    return result_data(
+        entries,
+        settings=settings,
+        notes=study_notes(result),
+        table=ROWS_FILE,
+        optima=optima,
+        **shared,
+    )
 
 
 ABOUT = (
-    "All pixel sizes see the same light on the same die. Small pixels suffer from noise, large ones from blur. The 95 % interval "
-    "is that of the size with the smallest expected error. It includes noise and fixed pattern of the sensors, the registration "
-    "of pixels with the detail, and the uncertainty of the curve between the sizes tried; not the error of the render and its "
-    "film, or the choice of lens, process and display."
+    "All pixel sizes see the same light on the same die. Small pixels suffer from noise, large ones"
+    " from blur. The 95 % interval is that of the size with the smallest expected error. It"
+    " includes noise and fixed pattern of the sensors, the registration of pixels with the detail,"
+    " and the uncertainty of the curve between the sizes tried; not the error of the render and its"
+    " film, or the choice of lens, process and display."
 )
-PAPER = 'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000).'
+PAPER = (
+    'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965'
+    " (2000)."
+)
 
 
 def study_page(
-    result: StudyResult, workers: Workers, drawing: StudyDrawing, budgets: Mapping[str, NoiseBudget] = NO_BUDGETS
+    result: StudyResult,
+    workers: Workers,
+    drawing: StudyDrawing,
+    budgets: Mapping[str, NoiseBudget] = NO_BUDGETS,
 ) -> Document:
-    """Return the document of a study without axes, or of one of the cases of another, with its page.
+    """Return the document of a study without axes, or of one of the cases of another, with its
+    page.
 
     budgets : of `noise_budgets`
     """
@@ -370,7 +483,9 @@ def study_page(
 
     sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun]
     views, sizes = pictures_of_workers(result, workers, sizes_um)
-    evidence = Evidence(result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()})
+    evidence = Evidence(
+        result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()}
+    )
     rows = findings(evidence) if paper else []
     equal_errors = [drawing.plot(figure_6, evidence)] if paper else []
 
@@ -383,7 +498,9 @@ def study_page(
         data={**brief.data, **({"paper": [asdict(row) for row in rows]} if rows else {})},
         lead=(first, *tuple(brief.lead)[1:]),
         sections=(
-            Section("optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()),
+            Section(
+                "optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()
+            ),
             Section("see", "Pictures", _pictures(result, views)),
             Section("paper", "Statements of the paper", [*_paper(rows), *equal_errors]),
             Section("curves", "Further curves", curves),
@@ -407,7 +524,10 @@ def _about(result: StudyResult) -> Iterator[Block]:
     if any(curve.has_delta_e for curve in result.curves):
         yield DELTA_E
     if result.study.display.raster == "fixed_size":
-        yield f"A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
+        yield (
+            f"A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of"
+            " the study, is not scored."
+        )
 
 
 def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
@@ -418,16 +538,27 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         yield Section("", f"{label}: the same detail for every pixel size", [Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
-        slider = Slider(f"slider-{number}", "Pixel size to compare with the ideal image:", view.ideal, view.outputs)
+        slider = Slider(
+            f"slider-{number}",
+            "Pixel size to compare with the ideal image:",
+            view.ideal,
+            view.outputs,
+        )
         size = size_words(view.factor, study.display.samples_per_deg)
-        yield Section("", f"{label}: whole pictures and the ideal image", [size, slider], together=True)
+        yield Section(
+            "", f"{label}: whole pictures and the ideal image", [size, slider], together=True
+        )
 
 
 def _paper(rows: Sequence[Finding]) -> list[Block]:
     """Return the statements of the paper, if they are compared."""
     head = "statement of the paper", "paper", "pixsim", "agrees"
     statements = [(row.statement, row.given, row.found, agrees(row.agrees)) for row in rows]
-    return [PAPER, DocumentTable("statements of the paper", head, statements, words=None, stacks=True)] if rows else []
+    return (
+        [PAPER, DocumentTable("statements of the paper", head, statements, words=None, stacks=True)]
+        if rows
+        else []
+    )
 
 
 def agrees(whether: bool) -> Text:
@@ -443,7 +574,9 @@ def _rendered(result: StudyResult) -> str:
 
 
 def settings(result: StudyResult) -> list[DocumentTable]:
-    """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
+    """Return the tables of parameters with their meaning and source; unset ones come from the
+    technology.
+    """
     study = result.study
     coloured = any(study.options_of(technology).colour for technology in study.technologies)
     sheets = all(curve.data_sheet for curve in result.curves)
@@ -452,7 +585,9 @@ def settings(result: StudyResult) -> list[DocumentTable]:
     return [
         *settings_tables(scene, study, result.camera, pixel, coloured, sheets, study.sources),
         *(
-            settings_table(f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {}))
+            settings_table(
+                f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})
+            )
             for curve in result.curves
             if (sensor := study.sensors.get(curve.technology))
         ),

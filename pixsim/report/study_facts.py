@@ -21,7 +21,9 @@ MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has a
 
 
 def study_unconverged(result: StudyResult) -> list[Note]:
-    """Return the lines of `unconverged` of a study, each once, for the films at the best pixel sizes."""
+    """Return the lines of `unconverged` of a study, each once, for the films at the best pixel
+    sizes.
+    """
     notes = []
     for curve in result.curves:
         part = result.part_of(curve)
@@ -32,62 +34,98 @@ def study_unconverged(result: StudyResult) -> list[Note]:
 
 
 def study_view_words(result: StudyResult) -> list[str]:
-    """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
+    """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other
+    studies.
+    """
     study = result.study
     if (study.own_um is None and study.window_mm is None) or moved_view(study):
         return []
     columns = None if study.own_um is None else columns_on(result.camera, study.own_um)
-    words = view_words(study.display, result.irradiance.header, result.view, study.window_mm, columns)
+    words = view_words(
+        study.display, result.irradiance.header, result.view, study.window_mm, columns
+    )
     return ["; ".join(words)] if words else []
 
 
 def study_light_words(result: StudyResult) -> list[str]:
-    """Return a line on the lens of a study, its field, what is display white, and the exposure; none where its cases differ."""
+    """Return a line on the lens of a study, its field, what is display white, and the exposure;
+    none where its cases differ.
+    """
     lines = []
     for part in result.cases:
         camera = part.camera
         lens = lens_words(camera) or thin_lens_words(camera)
         assumption = part.study.camera.assumption(camera).partition(":")[0]
-        lines.append("; ".join(filter(None, (lens, assumption, str(part.light_level), *part.study.stage_words))))
+        lines.append(
+            "; ".join(
+                filter(None, (lens, assumption, str(part.light_level), *part.study.stage_words))
+            )
+        )
     return lines[:1] if len(set(lines)) == 1 else []
 
 
 def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
-    """Return a line on the best sizes by information at contrasts other than that of a study; none without such optima."""
+    """Return a line on the best sizes by information at contrasts other than that of a study; none
+    without such optima.
+    """
     contrasts = result.part_of(curve).study.metric.information.other_contrasts or ()
     sizes = [
         f"{curve.fits[name].optimum.pitch_um:.2f} µm at {contrast:.3g}"
         for name, contrast in zip(INFORMATION.variants, contrasts, strict=False)
         if name in curve.fits
     ]
-    return [f"{curve.label}: best size by information at other contrasts of the scene: {', '.join(sizes)}"] if sizes else []
+    return (
+        [
+            f"{curve.label}: best size by information at other contrasts of the scene:"
+            f" {', '.join(sizes)}"
+        ]
+        if sizes
+        else []
+    )
 
 
 def study_facts(result: StudyResult) -> list[Block]:
-    """Return what follows the optima of a study: regrets, errors of its light, and how it is shown."""
+    """Return what follows the optima of a study: regrets, errors of its light, and how it is
+    shown.
+    """
     regrets = filter(None, map(metric_regrets, result.curves[:MAX_REGRET_TABLES]))
     contrasts = [line for curve in result.curves for line in contrast_words(result, curve)]
-    lines = [*contrasts, *study_unconverged(result), *study_light_words(result), *study_view_words(result)]
-    return [*(table for curve_regrets in regrets for table in regrets_tables(curve_regrets)), *map(Fact, lines)]
+    lines = [
+        *contrasts,
+        *study_unconverged(result),
+        *study_light_words(result),
+        *study_view_words(result),
+    ]
+    return [
+        *(table for curve_regrets in regrets for table in regrets_tables(curve_regrets)),
+        *map(Fact, lines),
+    ]
 
 
-# --- notes ----------------------------------------------------------------------------------------------------------------------
+# --- notes
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 def cause_notes(result: StudyResult) -> list[Note]:
     """Return the causes of the mean ΔE of each curve's best size, with what removes them."""
-    return few([[cause.note.of([curve.label]) for curve in result.curves for cause in curve.errors.causes]])
+    return few(
+        [[cause.note.of([curve.label]) for curve in result.curves for cause in curve.errors.causes]]
+    )
 
 
 def study_notes(result: StudyResult) -> list[Note]:
-    """Return what a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
+    """Return what a reader should know besides the optima: warnings, missed targets, a black level
+    that clips dark noise.
+    """
     kinds = target_notes, open_notes, silent_notes, study_dark_notes
     noted = [note for notes in kinds for note in few([*map(notes, result.cases)])]
     return [*cause_notes(result), *sorted(result.warned), *noted]
 
 
 def target_notes(result: StudyResult) -> list[Note]:
-    """Return a note for each optimum that misses the target interval, with the limit that ended the search."""
+    """Return a note for each optimum that misses the target interval, with the limit that ended the
+    search.
+    """
     study = result.study
     if study.target_ci_um is None:
         return []
@@ -99,20 +137,27 @@ def target_notes(result: StudyResult) -> list[Note]:
         if half_um > study.target_ci_um:
             half, target = told_apart(half_um, study.target_ci_um)
             width = f"± {half} µm" if math.isfinite(half_um) else "open at an end"
-            words = f"{width} after {evaluations} evaluations ({ended_by}); the target is ± {target} µm (target_ci_um)"
+            words = (
+                f"{width} after {evaluations} evaluations ({ended_by}); the target is ± {target} µm"
+                " (target_ci_um)"
+            )
             notes.append(Note("interval", case=curve.label, words=words))
     return notes
 
 
 def silent_notes(result: StudyResult) -> list[Note]:
-    """Return a note for each metric that tells a best size, with the pitches that its fitted curve does not take, and why."""
+    """Return a note for each metric that tells a best size, with the pitches that its fitted curve
+    does not take, and why.
+    """
     notes = []
     for curve in result.curves:
         for metric in (metric for metric in curve.metrics if metric.has_optimum):
             silent = ~told_pitches(metric, curve.statistics[metric.columns[0]])
             if silent.any():
                 sizes = ", ".join(f"{pitch_um:g}" for pitch_um in curve.pitch_um[silent])
-                reason = next((f": {reason}" for name, _, reason in curve.missing if name == metric.name), "")
+                reason = next(
+                    (f": {reason}" for name, _, reason in curve.missing if name == metric.name), ""
+                )
                 where = "where it has no number, or is 0 or below, or beyond such sizes"
                 words = f"the fitted curve of {metric.words} leaves out {sizes} µm, {where}{reason}"
                 note = Note("undefined_metric", words=words)
@@ -121,7 +166,9 @@ def silent_notes(result: StudyResult) -> list[Note]:
 
 
 def open_notes(result: StudyResult) -> list[Note]:
-    """Return a note for each optimum whose interval is open at one end, which a size beyond those tried may close."""
+    """Return a note for each optimum whose interval is open at one end, which a size beyond those
+    tried may close.
+    """
     if result.study.target_ci_um is not None:  # said by `target_notes`
         return []
     notes = []
@@ -129,27 +176,43 @@ def open_notes(result: StudyResult) -> list[Note]:
         low, high = curve.optimum.interval_um
         end = 0 if low is None else -1
         tried_um = curve.fitted_range_um[end]
-        # Both open: no size would help, but more sensors. A range that does not reach the end: said by `silent_notes`.
+        # Both open: no size would help, but more sensors. A range that does not reach the end: said
+        # by `silent_notes`.
         if (low is None) != (high is None) and tried_um == curve.pitch_um[end]:
-            end_word, beyond, limit = ("smallest", "smaller", "min") if low is None else ("largest", "larger", "max")
-            hint = f"a {beyond} one would tell, where that is possible (pitch.{limit}_um or pitch.values_um)"
-            words = f"open, since the {end_word} size tried, {tried_um:.4g} µm, may be the best; {hint}"
+            end_word, beyond, limit = (
+                ("smallest", "smaller", "min") if low is None else ("largest", "larger", "max")
+            )
+            hint = (
+                f"a {beyond} one would tell, where that is possible (pitch.{limit}_um or"
+                " pitch.values_um)"
+            )
+            words = (
+                f"open, since the {end_word} size tried, {tried_um:.4g} µm, may be the best; {hint}"
+            )
             notes.append(Note("interval", case=curve.label, words=words))
     return notes
 
 
 def study_dark_notes(result: StudyResult) -> list[Note]:
-    """Return a note for each curve whose black level clips dark noise, of the worst of its pixel sizes."""
+    """Return a note for each curve whose black level clips dark noise, of the worst of its pixel
+    sizes.
+    """
     if result.study.correction.removes_dark_level:
         return []
     notes = []
     for curve in result.curves:
         table = result.dark(curve)
-        clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+        clips = [
+            dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)
+        ]
         clipped = [place for place, clip in enumerate(clips) if clips_dark(clip)]
         if clipped:
             worst = max(clipped, key=lambda place: clips[place]["of_display_white"])
             clip = clips[worst] | {"least_black_level_dn": max(table["least_black_level_dn"])}
             pixel = result.study.options_of(curve.technology).model_dump()
-            notes.append(clip_note(clip, pixel, f", most at {curve.pitch_um[worst]:.2f} µm").of([curve.label]))
+            notes.append(
+                clip_note(clip, pixel, f", most at {curve.pitch_um[worst]:.2f} µm").of(
+                    [curve.label]
+                )
+            )
     return notes

@@ -1,4 +1,6 @@
-"""The page of a table of evaluations: its first metric against pixel size, and the means of each size."""
+"""The page of a table of evaluations: its first metric against pixel size, and the means of each
+size.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +35,34 @@ class SizeMeans(NamedTuple):
 
 
 def size_means(table: Table) -> list[SizeMeans]:
-    """Return the means of each pixel size of each case, in the order of the cases and sizes; NaN without numbers."""
+    """Return the means of each pixel size of each case, in the order of the cases and sizes; NaN
+    without numbers.
+    """
     sizes, groups, counts = np.unique(
-        np.column_stack([table.case, table.columns["pitch_um"]]), axis=0, return_inverse=True, return_counts=True
+        np.column_stack([table.case, table.columns["pitch_um"]]),
+        axis=0,
+        return_inverse=True,
+        return_counts=True,
     )
-    means = [np.bincount(groups.ravel(), table.columns[metric.columns[0]]) / counts for metric in table.metrics]
-    return [SizeMeans(int(case), pitch_um, values) for (case, pitch_um), *values in zip(sizes.tolist(), *means, strict=True)]
+    means = [
+        np.bincount(groups.ravel(), table.columns[metric.columns[0]]) / counts
+        for metric in table.metrics
+    ]
+    return [
+        SizeMeans(int(case), pitch_um, values)
+        for (case, pitch_um), *values in zip(sizes.tolist(), *means, strict=True)
+    ]
 
 
 def table_document(table: Table) -> Document:
-    """Return the page of a table: its first metric against pixel size, and the means of each size."""
+    """Return the page of a table: its first metric against pixel size, and the means of each
+    size.
+    """
     means = size_means(table)
     sensors = 1 + int(table.columns["repeat"].max(initial=0))
-    head = f"{len(means)} pixels, " + (f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each")
+    head = f"{len(means)} pixels, " + (
+        f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each"
+    )
     return Document(
         command="sweep",
         kind="evaluations",
@@ -67,13 +84,20 @@ def _means_table(table: Table, means: list[SizeMeans]) -> DocumentTable:
     label_names = tuple(table.labels[0])
     head = *label_names, "size (µm)", *(metric.label for metric in table.metrics)
     rows = [
-        (*map(str, table.labels[row.case].values()), f"{row.pitch_um:g}", *(number(value, DIGITS) for value in row.values))
+        (
+            *map(str, table.labels[row.case].values()),
+            f"{row.pitch_um:g}",
+            *(number(value, DIGITS) for value in row.values),
+        )
         for row in means
     ]
     return DocumentTable("means", head, rows, words=tuple(range(1, len(label_names))))
 
 
-@figure("metric", "The first metric against pixel size: means over the sensors of each size, a line a case.")
+@figure(
+    "metric",
+    "The first metric against pixel size: means over the sensors of each size, a line a case.",
+)
 def table_plate(table: Table) -> Drawing:
     """Plot the first metric against pixel size, a line a case."""
     figure = new_figure(6.4, 4.0)
@@ -82,11 +106,24 @@ def table_plate(table: Table) -> Drawing:
     for (case, rows), look in zip(groupby(means, attrgetter("case")), cycle(LOOKS), strict=False):
         curve = list(rows)
         name = literal(", ".join(map(str, table.labels[case].values())))
-        axes.plot([row.pitch_um for row in curve], [row.values[0] for row in curve], label=name, ms=4, **look.line)
+        axes.plot(
+            [row.pitch_um for row in curve],
+            [row.values[0] for row in curve],
+            label=name,
+            ms=4,
+            **look.line,
+        )
 
     metric = table.metrics[0]
-    finish(axes, "pixel size (µm)", literal(metric.label), "best" if len(table.labels) <= MAX_NAMED else None)
-    columns: dict[str, Column] = {name: [table.labels[row.case][name] for row in means] for name in table.labels[0]}
+    finish(
+        axes,
+        "pixel size (µm)",
+        literal(metric.label),
+        "best" if len(table.labels) <= MAX_NAMED else None,
+    )
+    columns: dict[str, Column] = {
+        name: [table.labels[row.case][name] for row in means] for name in table.labels[0]
+    }
     columns["pitch_um"] = [row.pitch_um for row in means]
     columns[metric.columns[0]] = [row.values[0] for row in means]
     return figure, columns

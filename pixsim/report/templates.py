@@ -1,4 +1,6 @@
-"""Commented configuration files with every field, its unit, range and default, generated from the records."""
+"""Commented configuration files with every field, its unit, range and default, generated from the
+records.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from pixsim.viewer.setting import Run
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
-# Plausible values for fields without a default, by name or by table and name; those of [pixel] stand in its record.
+# Plausible values for fields without a default, by name or by table and name; those of [pixel]
+# stand in its record.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
@@ -45,10 +48,20 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "sources": {"pixel.bits": "data sheet, page 3"},
 }  # fmt: skip
 # Fields that are not commented out.
-SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu"))
+SENSOR_SHOWN = tuple(
+    f"pixel.{name}"
+    for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu")
+)
 STUDY_SHOWN = (
     *("name", "title", "technologies", "repeats"),
-    *("pitch.count", "pitch.max_um", "pitch.min_fill_factor", "scene.file", "camera.f_number", "display.white_cd_per_m2"),
+    *(
+        "pitch.count",
+        "pitch.max_um",
+        "pitch.min_fill_factor",
+        "scene.file",
+        "camera.f_number",
+        "display.white_cd_per_m2",
+    ),
 )
 SENSOR_HEAD = """
 A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
@@ -62,7 +75,8 @@ Lines with one # show defaults, or examples of optional values; remove the # to 
 the technology.
 """
 UNCERTAINTY = (
-    "how far numbers of the data sheet may be wrong, each by its standard deviation or its range; frames do not depend on it"
+    "how far numbers of the data sheet may be wrong, each by its standard deviation or its range;"
+    " frames do not depend on it"
 )
 UNCERTAINTY_EXAMPLE = """
 ##   [pixel.uncertainty]
@@ -71,17 +85,29 @@ UNCERTAINTY_EXAMPLE = """
 
 
 def template(kind: str) -> str:
-    """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for another kind."""
+    """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for
+    another kind.
+    """
     schema = record_of(kind).model_json_schema()
-    head, uncommented = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
+    head, uncommented = (
+        (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
+    )
     lines = [f"# {line}" for line in head.strip().splitlines()]
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
-    order = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
+    order = (
+        ["pixel", *(name for name in tables if name != "pixel")]
+        if kind == "sensor"
+        else list(tables)
+    )
     top = {name: field for name, field in schema["properties"].items() if name not in tables}
     lines += ["", *_fields(top, uncommented, "")]
     for name in order:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
-        first = [key for dotted in uncommented if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
+        first = [
+            key
+            for dotted in uncommented
+            if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted
+        ]
         inner = {
             key: schema["$defs"][reference["$ref"].rpartition("/")[2]]
             for key, reference in properties.items()
@@ -90,7 +116,11 @@ def template(kind: str) -> str:
         fields = {key: properties[key] for key in [*first, *properties] if key not in inner}
         lines += ["", f"[{name}]", *_fields(fields, uncommented, f"{name}.")] if fields else []
         for key, record in inner.items():
-            lines += ["", f"[{name}.{key}]", *_fields(record["properties"], uncommented, f"{name}.{key}.")]
+            lines += [
+                "",
+                f"[{name}.{key}]",
+                *_fields(record["properties"], uncommented, f"{name}.{key}."),
+            ]
         if (kind, name) == ("sensor", "pixel"):
             lines += [f"## {UNCERTAINTY}:{UNCERTAINTY_EXAMPLE}"]
     return "\n".join(lines) + "\n"
@@ -105,7 +135,9 @@ def template_document(kind: str, of: str | None, output: Path | None) -> Documen
     Raises PixsimError for another kind or study, and if the file exists or cannot be written.
     """
     if of is not None and kind != "study":
-        raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
+        raise invalid(
+            "--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`"
+        )
     text = template(kind) if of is None else packaged_study(of)
     if output is None:
         return Document("template", "template", kind, {"template": text}, (text.rstrip(),))
@@ -123,12 +155,17 @@ def packaged_study(name: str) -> str:
     studies = packaged("data/studies")
     if name not in studies:
         raise invalid("--of", f"'{name}'", ", ".join(studies), did_you_mean(name, studies))
-    head = f"# A copy of the packaged study {name}. Change its name with its values: the random streams depend on the name."
+    head = (
+        f"# A copy of the packaged study {name}. Change its name with its values: the random"
+        " streams depend on the name."
+    )
     return f"{head}\n{studies[name].read_text(encoding='utf-8')}"
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of such a file, for editors. Raises PixsimError for another kind."""
+    """JSON schema (draft 2020-12) of such a file, for editors. Raises PixsimError for another
+    kind.
+    """
     schema = record_of(kind).model_json_schema()
     if kind == "sensor":  # a file has more than the pixel, which is plain numbers
         schema["$defs"]["Spread"] = Spread.model_json_schema()
@@ -149,16 +186,30 @@ def record_of(kind: str) -> type[Record]:
 
 
 def _fields(properties: dict[str, Any], uncommented: tuple[str, ...], table: str) -> Iterator[str]:
-    """A comment with description, unit, range and default, then the field itself, for each field."""
+    """A comment with description, unit, range and default, then the field itself, for each
+    field.
+    """
     for name, field in properties.items():
         is_set = table + name in uncommented
         value = field.get("default", {} if field.get("type") == "object" else ...)
         optional = value in (None, "", {})
-        default = "required" if value is ... else "optional" if optional else f"default {toml_value(value)}"
+        default = (
+            "required"
+            if value is ...
+            else "optional"
+            if optional
+            else f"default {toml_value(value)}"
+        )
         unit = unit_of(name) and f"in {unit_of(name)}"
-        comment = "; ".join(filter(None, [field.get("description", ""), unit, allowed(field), default]))
+        comment = "; ".join(
+            filter(None, [field.get("description", ""), unit, allowed(field), default])
+        )
         yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        example = NUMBERS[name].example if table == "pixel." and name in NUMBERS else EXAMPLES.get(table + name, EXAMPLES.get(name))
+        example = (
+            NUMBERS[name].example
+            if table == "pixel." and name in NUMBERS
+            else EXAMPLES.get(table + name, EXAMPLES.get(name))
+        )
         if example is not None and (is_set or optional or value is ...):
             value = example
         yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"
@@ -174,8 +225,16 @@ def allowed(field: dict[str, Any]) -> str:
     if kind in ("number", "integer"):
         low, above = field.get("minimum"), field.get("exclusiveMinimum")
         high, below = field.get("maximum"), field.get("exclusiveMaximum")
-        start = f"{low:.9g} " if low is not None else f"above {above:.9g} " if above is not None else ""
-        end = f"to {high:.9g}" if high is not None else f"to below {below:.9g}" if below is not None else "or more"
+        start = (
+            f"{low:.9g} " if low is not None else f"above {above:.9g} " if above is not None else ""
+        )
+        end = (
+            f"to {high:.9g}"
+            if high is not None
+            else f"to below {below:.9g}"
+            if below is not None
+            else "or more"
+        )
         return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
     return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
 
@@ -183,7 +242,11 @@ def allowed(field: dict[str, Any]) -> str:
 def toml_value(value: object) -> str:
     """A value in TOML, which differs from JSON for tables only."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml_value(inner)}" for key, inner in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{json.dumps(key)} = {toml_value(inner)}" for key, inner in value.items())
+            + " }"
+        )
     if isinstance(value, float) and value == int(value) and abs(value) < 1e16:
         return f"{value:.1f}"
     return json.dumps(value, ensure_ascii=False)

@@ -18,9 +18,15 @@ from pixsim.studies.paired import FEWEST_PAIRS
 
 
 def results_document(result: ResultsComparison) -> Document:
-    """Return the answer of `pixsim compare` of two folders: a sentence for each metric, and a table of all differences."""
+    """Return the answer of `pixsim compare` of two folders: a sentence for each metric, and a table
+    of all differences.
+    """
     sentences = verdicts(result)
-    only = [Fact(f"{result.only_in_one} rows are in one of the results only")] if result.only_in_one else []
+    only = (
+        [Fact(f"{result.only_in_one} rows are in one of the results only")]
+        if result.only_in_one
+        else []
+    )
     content = {
         "names": list(result.names),
         "verdicts": sentences,
@@ -41,22 +47,33 @@ def results_document(result: ResultsComparison) -> Document:
 def results_csv(result: ResultsComparison) -> str:
     """Return a row for each metric and place as CSV."""
     rows = (pair_data(pair) for pair in result.differences)
-    return rows_csv([{name: "" if value is None else value for name, value in row.items()} for row in rows])
+    return rows_csv(
+        [{name: "" if value is None else value for name, value in row.items()} for row in rows]
+    )
 
 
-@figure("differences", "Differences of the second result from the first one by the first metric, with 95 % intervals.")
+@figure(
+    "differences",
+    "Differences of the second result from the first one by the first metric, with 95 % intervals.",
+)
 def differences_plate(result: ResultsComparison) -> Drawing:
     """Draw the difference by the first metric at each place."""
     metric = result.differences[0].pairs.metric
     differences = [pair for pair in result.differences if pair.pairs.metric.name == metric.name]
-    labels = [", ".join(f"{name} {value}" for name, value in pair.place.items()) for pair in differences]
+    labels = [
+        ", ".join(f"{name} {value}" for name, value in pair.place.items()) for pair in differences
+    ]
     pairs = [pair.pairs for pair in differences]
     drawing = new_figure(6.0, 0.8 + 0.4 * len(pairs))
     axes = drawing.add_subplot()
     draw_differences(axes, pairs, labels)
     axes.set_xlabel(literal(f"{metric.words}: {result.names[1]} − {result.names[0]}"))
     halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else np.nan for pair in pairs]
-    return drawing, {"place": labels, "difference": [pair.difference for pair in pairs], "half_width": halves}
+    return drawing, {
+        "place": labels,
+        "difference": [pair.difference for pair in pairs],
+        "half_width": halves,
+    }
 
 
 def pair_data(pair: ResultPairs) -> dict[str, Any]:
@@ -74,7 +91,9 @@ def pair_data(pair: ResultPairs) -> dict[str, Any]:
 
 
 def verdicts(result: ResultsComparison) -> list[str]:
-    """Return one sentence for each metric: which result is better, by how much; or at how many places."""
+    """Return one sentence for each metric: which result is better, by how much; or at how many
+    places.
+    """
     by_metric: dict[str, list[ResultPairs]] = {}
     for pair in result.differences:
         by_metric.setdefault(pair.pairs.metric.name, []).append(pair)
@@ -85,8 +104,13 @@ def verdicts(result: ResultsComparison) -> list[str]:
         signs = [pair.pairs.sign(film or 0.0) for pair in differences]
         counts = (signs.count(1), signs.count(-1), signs.count(0))
         first, other, neither = (f"{count} of {len(signs)}" for count in counts)
-        places = f"{result.names[0]} is better at {first} places, {result.names[1]} at {other}, neither surely at {neither}"
-        sentences.append(pair_sentence(pairs, film) if len(signs) == 1 else f"{pairs.metric.words}: {places}")
+        places = (
+            f"{result.names[0]} is better at {first} places, {result.names[1]} at {other}, neither"
+            f" surely at {neither}"
+        )
+        sentences.append(
+            pair_sentence(pairs, film) if len(signs) == 1 else f"{pairs.metric.words}: {places}"
+        )
     return sentences
 
 
@@ -94,12 +118,21 @@ def differences_table(result: ResultsComparison) -> DocumentTable:
     """Return the table of all differences."""
     labels = list(dict.fromkeys(name for pair in result.differences for name in pair.place))
     first, other = result.names
-    head = (*labels, "metric", f"{other} − {first}", "95 % interval", f"probability that {first} is better", "pairs")
+    head = (
+        *labels,
+        "metric",
+        f"{other} − {first}",
+        "95 % interval",
+        f"probability that {first} is better",
+        "pairs",
+    )
     rows = []
     for pair in result.differences:
         place = [str(pair.place.get(name, "")) for name in labels]
         film = result.film_error_of(pair.pairs.metric)
-        rows.append((*place, pair.pairs.metric.name, *pair_cells(pair.pairs, film), str(pair.pairs.a.size)))
+        rows.append(
+            (*place, pair.pairs.metric.name, *pair_cells(pair.pairs, film), str(pair.pairs.a.size))
+        )
     return DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))
 
 

@@ -17,12 +17,14 @@ from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, Uncerta
 MOST_BARS = 30  # of a histogram
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
 DRAWN = (
-    "Numbers of the sensor that are known only within a range are drawn at random from it, all at once. Each draw is a sensor "
-    "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
+    "Numbers of the sensor that are known only within a range are drawn at random from it, all at"
+    " once. Each draw is a sensor type; the study finds its optimum. All types have the same random"
+    " numbers, so that they differ by their inputs only. "
 )
 SHARES = (
-    "Shares of the variance that inputs explain, each with its standard error. The share of the scatter is an upper end: the "
-    "interval of each type's optimum includes errors that all types have in common."
+    "Shares of the variance that inputs explain, each with its standard error. The share of the"
+    " scatter is an upper end: the interval of each type's optimum includes errors that all types"
+    " have in common."
 )
 
 
@@ -34,7 +36,9 @@ def uncertainty_files() -> set[str]:
 
 
 def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Section]:
-    """Yield a section for each optimum over sensor types: its distribution, and the shares of its variance."""
+    """Yield a section for each optimum over sensor types: its distribution, and the shares of its
+    variance.
+    """
     for number, result in enumerate(results[:MOST_RESULTS], 1):
         title = f"Sensor types: {capital(result.label) or 'optimum'}{result.by}"
         drawn = Plot(partial(_numbered_plate, result, number))
@@ -48,17 +52,29 @@ def _numbered_plate(result: UncertaintyResult, number: int) -> Plate:
 
 def uncertainty_csv(results: Sequence[UncertaintyResult]) -> dict[str, str]:
     """Return a file of the sensor types of each optimum, name -> CSV."""
-    return {f"sensor_types_{number}.csv": result.to_csv() for number, result in enumerate(results[:MOST_RESULTS], 1)}
+    return {
+        f"sensor_types_{number}.csv": result.to_csv()
+        for number, result in enumerate(results[:MOST_RESULTS], 1)
+    }
 
 
 def shares_table(result: UncertaintyResult) -> DocumentTable:
-    """Return the shares of the variance of both results that inputs explain alone, and with all interactions if known."""
+    """Return the shares of the variance of both results that inputs explain alone, and with all
+    interactions if known.
+    """
     head = ["input"]
     for name in ("optimal size", result.metric.best):
-        head += [f"{name}: alone", f"{name}: with all interactions"] if result.total else [f"{name}: alone"]
+        head += (
+            [f"{name}: alone", f"{name}: with all interactions"]
+            if result.total
+            else [f"{name}: alone"]
+        )
     labels = input_labels(result.sample) | {SCATTER: SCATTER}
     rows = [
-        (label, *(str(share) for shares in result.shares.values() for share in shares[name].values()))
+        (
+            label,
+            *(str(share) for shares in result.shares.values() for share in shares[name].values()),
+        )
         for name, label in labels.items()
     ]
     return DocumentTable("shares of the variance", head, rows, words=None)
@@ -66,19 +82,30 @@ def shares_table(result: UncertaintyResult) -> DocumentTable:
 
 @figure(
     "uncertainty_distribution",
-    "Numbers of sensor types by their optimal pixel size (left) and their best value (right). Vertical lines: the median; grey: "
-    "nine tenths. An optimum at an end of the sizes tried counts as that size.",
+    "Numbers of sensor types by their optimal pixel size (left) and their best value (right)."
+    " Vertical lines: the median; grey: nine tenths. An optimum at an end of the sizes tried counts"
+    " as that size.",
 )
 def distribution_plate(result: UncertaintyResult) -> Drawing:
-    """Plot histograms of the optimum and of the least ΔE, or of the best value, over the sensor types."""
+    """Plot histograms of the optimum and of the least ΔE, or of the best value, over the sensor
+    types.
+    """
     figure = new_figure(9.0, 3.2)
     unit = f" ({result.metric.unit})" if result.metric.unit else ""
-    distributions = {"optimal pixel size (µm)": result.optimum, f"{result.metric.best}{unit}": result.least_delta_e}
-    for axes, (title, distribution) in zip(figure.subplots(1, 2), distributions.items(), strict=True):
+    distributions = {
+        "optimal pixel size (µm)": result.optimum,
+        f"{result.metric.best}{unit}": result.least_delta_e,
+    }
+    for axes, (title, distribution) in zip(
+        figure.subplots(1, 2), distributions.items(), strict=True
+    ):
         low, median, high = distribution.quantiles.values()
         axes.axvspan(low, high, color="0.9", lw=0)
         axes.hist(
-            distribution.values, bins=MOST_BARS if result.draws > MOST_BARS**2 else "sqrt", color=COLOURS[0], edgecolor="white"
+            distribution.values,
+            bins=MOST_BARS if result.draws > MOST_BARS**2 else "sqrt",
+            color=COLOURS[0],
+            edgecolor="white",
         )
         axes.axvline(median, color="0.2", lw=1.2)
         axes.set(xlabel=literal(title), ylabel="sensor types")
@@ -93,9 +120,21 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
         low, median, high = (f"{size_um:.2f} µm" for size_um in result.optimum.quantiles.values())
         name = f"{result.label}: " if result.label else ""
         types = f"{result.draws} sensor types"
-        at_ends = f"{percent(result.share_at_ends)} at an end of the sizes tried" if result.share_at_ends else ""
+        at_ends = (
+            f"{percent(result.share_at_ends)} at an end of the sizes tried"
+            if result.share_at_ends
+            else ""
+        )
         blocks.append(
-            headline([f"{name}optimum{result.by} of {types}: median {median}, nine tenths from {low} to {high}", at_ends])
+            headline(
+                [
+                    (
+                        f"{name}optimum{result.by} of {types}: median {median}, nine tenths from"
+                        f" {low} to {high}"
+                    ),
+                    at_ends,
+                ]
+            )
         )
         blocks += [
             Fact(f"{name}probability{result.by} that {statement}: {probability}")
@@ -105,21 +144,26 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
 
 
 def pair_words(drawn: PairUncertainty) -> str:
-    """Return how probably the first of two sensors is better over sensor types, their difference, and what matters most."""
+    """Return how probably the first of two sensors is better over sensor types, their difference,
+    and what matters most.
+    """
     first, other = drawn.names
     better, metric = drawn.probability_a_better, drawn.metric
     low, middle, high = (f"{value:+.2g}" for value in drawn.difference.quantiles.values())
     judge = "" if metric.is_delta_e else f"{metric.words}: "
     unit = " ΔE" if metric.is_delta_e else metric.unit and f" {metric.unit}"
     return (
-        f"{judge}over {better.draws} sensor types {first} is better than {other} with the probability {better}; difference "
-        f"{middle}{unit} in the median, nine tenths from {low} to {high}; {largest_share_words(drawn)}"
+        f"{judge}over {better.draws} sensor types {first} is better than {other} with the"
+        f" probability {better}; difference {middle}{unit} in the median, nine tenths from {low} to"
+        f" {high}; {largest_share_words(drawn)}"
     )
 
 
 def largest_share_words(drawn: PairUncertainty) -> str:
     """Return the unknown number with the largest share of the variance of a difference."""
-    shares = {label: drawn.shares[name]["first"] for name, label in input_labels(drawn.sample).items()}
+    shares = {
+        label: drawn.shares[name]["first"] for name, label in input_labels(drawn.sample).items()
+    }
     shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
     if not shares:
         return "no number explains the difference, which does not vary or has too few sensor types"
@@ -128,7 +172,9 @@ def largest_share_words(drawn: PairUncertainty) -> str:
 
 
 def input_labels(sample: Sample) -> dict[str, str]:
-    """Return the names of the inputs for readers: a technology by its label, not the path of its file, where that is unique."""
+    """Return the names of the inputs for readers: a technology by its label, not the path of its
+    file, where that is unique.
+    """
     labels = {}
     for name, members in sample.inputs.items():
         technology = members[0].technology

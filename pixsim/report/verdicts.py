@@ -1,4 +1,6 @@
-"""What is said of pairs of sensors or results, and of what the sensors of a comparison have in common."""
+"""What is said of pairs of sensors or results, and of what the sensors of a comparison have in
+common.
+"""
 
 from __future__ import annotations
 
@@ -30,37 +32,50 @@ from pixsim.viewer.setting import Run
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# --- a pair -----------------------------------------------------------------------------------------------------------------------
+# --- a pair
+# -----------------------------------------------------------------------------------------------------------------------
 
 
 def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
     """Return which of a pair is better by a metric, by how much, and how sure that is.
 
-    film : largest error of the difference that the film may cause, which is part of what follows ±; None if it is unknown
+    film : largest error of the difference that the film may cause, which is part of what follows ±;
+        None if it is unknown
     """
     (first, other), metric, size = pairs.names, pairs.metric, abs(pairs.difference)
     unit = " ΔE" if metric.is_delta_e else f"{metric.unit and f' {metric.unit}'} in {metric.words}"
     if math.isnan(pairs.difference):  # a note says why
-        undefined = [name for name, values in ((first, pairs.a), (other, pairs.b)) if np.isnan(values).any()]
+        undefined = [
+            name for name, values in ((first, pairs.a), (other, pairs.b)) if np.isnan(values).any()
+        ]
         return f"{metric.words} is not given for every frame of {' and '.join(undefined)}"
     if not pairs.differences.any():
-        return f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words} in every pair of frames"
+        return (
+            f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words}"
+            " in every pair of frames"
+        )
     better, worse = (first, other) if metric.worse_by(pairs.difference) >= 0 else (other, first)
     if pairs.a.size < FEWEST_PAIRS:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
     error = pairs.half_width + (film or 0.0)
     amount = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
-    chance = probability(max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size)
+    chance = probability(
+        max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size
+    )
     if size <= error:
-        return f"{first} and {other} cannot be told apart: {better} is better by {amount} (probability {chance})"
+        return (
+            f"{first} and {other} cannot be told apart: {better} is better by {amount} (probability"
+            f" {chance})"
+        )
     is_hidden = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
     visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_hidden else ""
     return f"{better} is better than {worse} by {amount} (probability {chance}){visible}"
 
 
 def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
-    """Return the cells of a table with a pair's difference, its 95 % interval, and the probability that the first one is better.
+    """Return the cells of a table with a pair's difference, its 95 % interval, and the probability
+    that the first one is better.
 
     film : as in `pair_sentence`
 
@@ -77,13 +92,16 @@ def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
 def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) -> None:
     """Draw differences of pairs with their 95 % intervals, one below the other."""
     halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else 0.0 for pair in pairs]
-    axes.errorbar([pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4)
+    axes.errorbar(
+        [pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4
+    )
     axes.axvline(0.0, color="0.5", lw=0.8)
     axes.set_yticks(range(len(labels)), [literal(label) for label in labels])
     axes.set_ylim(len(labels) - 0.5, -0.5)
 
 
-# --- a comparison of sensors ------------------------------------------------------------------------------------------------------
+# --- a comparison of sensors
+# ------------------------------------------------------------------------------------------------------
 
 
 def asked_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
@@ -98,20 +116,32 @@ def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> l
     """
     film = result.film_of_pair(other) if metric.is_delta_e else 0.0
     mean = " on average" if result.groups()[0].first.condition else ""
-    sentence = f"{pair_sentence(result.pairs(other, metric), film)}{mean} with match {result.job.match}"
+    sentence = (
+        f"{pair_sentence(result.pairs(other, metric), film)}{mean} with match {result.job.match}"
+    )
     return [sentence, *(depends(result, other) if metric.is_delta_e else [])]
 
 
 def depends(result: Comparison, other: str) -> list[str]:
-    """Return what turns the answer by mean ΔE for the first sensor and another: the display, the match, or the condition.
+    """Return what turns the answer by mean ΔE for the first sensor and another: the display, the
+    match, or the condition.
 
     other : name of the other sensor
     """
-    weights = {group.first.condition: group.weight for group in result.groups() if group.first.condition and group.weight}
+    weights = {
+        group.first.condition: group.weight
+        for group in result.groups()
+        if group.first.condition and group.weight
+    }
     signs: dict[str, Mapping[str, int]] = {
-        "display": {f"on {display.dots} dots": display.sign for display in result.display_differences(other)},
+        "display": {
+            f"on {display.dots} dots": display.sign for display in result.display_differences(other)
+        },
         "match": {f"with {match}": result.sign(other, match=match) for match in result.job.matches},
-        "condition": {f"in {name} (weight {share:.3g})": result.sign(other, condition=name) for name, share in weights.items()},
+        "condition": {
+            f"in {name} (weight {share:.3g})": result.sign(other, condition=name)
+            for name, share in weights.items()
+        },
     }
     names = {1: result.names[0], -1: other}
     words = []
@@ -124,7 +154,8 @@ def depends(result: Comparison, other: str) -> list[str]:
 
 
 def over_cases(result: Comparison, other: str) -> str:
-    """Return at which values of axes the first sensor is better by the first metric, and at which another one.
+    """Return at which values of axes the first sensor is better by the first metric, and at which
+    another one.
 
     Neither is where the display, the match or the condition turns the answer.
 
@@ -135,17 +166,26 @@ def over_cases(result: Comparison, other: str) -> str:
     for case in result.cases:
         is_turned = metric.is_delta_e and depends(case, other)
         places[0 if is_turned else case.sign(other, metric)].append(case.case.words or BASE)
-    words = {1: f"{first} is better than {other}", -1: f"{other} is better than {first}", 0: "neither is surely better"}
+    words = {
+        1: f"{first} is better than {other}",
+        -1: f"{other} is better than {first}",
+        0: "neither is surely better",
+    }
     parts = []
     for sign, values in places.items():
-        where = f"in all {len(values)} cases" if len(values) == len(result.cases) else f"at {'; '.join(values)}"
+        where = (
+            f"in all {len(values)} cases"
+            if len(values) == len(result.cases)
+            else f"at {'; '.join(values)}"
+        )
         parts += [f"{words[sign]} {where}"] if values else []
     judged = "" if metric.is_delta_e else f" in {metric.words}"
     return f"{', '.join(parts)}{judged} with match {result.job.match}"
 
 
 def mean_words(result: Comparison, name: str, metric: Metric) -> str:
-    """Return the mean of a metric with half of its 95 % interval, to which the film's error adds for ΔE.
+    """Return the mean of a metric with half of its 95 % interval, to which the film's error adds
+    for ΔE.
 
     name : of a sensor
     """
@@ -155,34 +195,50 @@ def mean_words(result: Comparison, name: str, metric: Metric) -> str:
 
 
 def doubts(result: Comparison) -> list[str]:
-    """Return the largest cause of mean ΔE beside the sensors, or error of a render above its limit, in words; none without."""
+    """Return the largest cause of mean ΔE beside the sensors, or error of a render above its limit,
+    in words; none without.
+    """
     sized: list[tuple[float, str]] = []
     for group in result.groups():
         for sensor in result.of_group(group).values():
             where = ", ".join(filter(None, (sensor.name, group.first.condition)))
             sized += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
             errors = noise_error_and_limit(sensor.light.image.header)
-            sized += zip(exceeded(*errors).values(), (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors)), strict=True)
+            sized += zip(
+                exceeded(*errors).values(),
+                (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors)),
+                strict=True,
+            )
     return [words for _, words in sorted(sized)[-1:]]
 
 
 def notes(result: Comparison) -> list[Note]:
-    """Return what a reader should know besides the numbers, each once: warnings, and the notes of all sensors.
+    """Return what a reader should know besides the numbers, each once: warnings, and the notes of
+    all sensors.
 
     Notes that not all cases have name theirs.
     """
     group_notes = {
-        group.words: [note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)]
+        group.words: [
+            note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)
+        ]
         for group in result.all_groups
     }
     first, *others = group_notes.values()
     shared = [note for note in first if all(note in noted for noted in others)]
-    further = [note.of([words]) for words, noted in group_notes.items() for note in noted if note not in shared]
+    further = [
+        note.of([words])
+        for words, noted in group_notes.items()
+        for note in noted
+        if note not in shared
+    ]
     return list(dict.fromkeys([*result.warned, *shared, *further]))
 
 
 def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
-    """Return the causes of a sensor's mean ΔE, a black level that clips dark noise, and what was assumed."""
+    """Return the causes of a sensor's mean ΔE, a black level that clips dark noise, and what was
+    assumed.
+    """
     pixel = sensor.case.settings.pixel
     sensor_notes = [cause.note for cause in sensor.causes]
     sensor_notes += [clip_note(sensor.dark, pixel.model_dump())] if clips_dark(sensor.dark) else []
@@ -190,14 +246,22 @@ def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
     return [note.of([sensor.name]) for note in sensor_notes]
 
 
-# --- what the sensors have in common ----------------------------------------------------------------------------------------------
+# --- what the sensors have in common
+# ----------------------------------------------------------------------------------------------
 
 
 def sensor_words(sensor: Case[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
     rows, columns = pixels_of(sensor)
-    technology = "" if sensor.settings.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.settings.pixel.technology)})"
-    return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {sensor.camera.lens_words}"
+    technology = (
+        ""
+        if sensor.settings.pixel.technology == NO_TECHNOLOGY
+        else f" ({label_of(sensor.settings.pixel.technology)})"
+    )
+    return (
+        f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind"
+        f" {sensor.camera.lens_words}"
+    )
 
 
 def shared_stages(group: SensorGroup) -> list[str]:
@@ -207,17 +271,23 @@ def shared_stages(group: SensorGroup) -> list[str]:
 
 
 def common_words(job: ComparisonJob) -> list[str]:
-    """Return what all sensors of a comparison have in common; what conditions change is that of the shown one."""
+    """Return what all sensors of a comparison have in common; what conditions change is that of the
+    shown one.
+    """
     group = job.shown
     first, camera, display = group.first.sensor, group.first.camera, group.display
     words = []
     if job.study is not None:
         words.append(f"the study {job.study.name}")
     if group.first.condition:
-        weights = ", ".join(f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors())
+        weights = ", ".join(
+            f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors()
+        )
         words.append(f"means over its conditions, with the weights {weights}")
     lens = {
-        "view": f"{f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}",
+        "view": (
+            f"{f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}"
+        ),
         "lens": f"the lens of {first} ({camera.lens_words})",
         "own": "each file's own lens",
     }[job.match]
@@ -227,8 +297,21 @@ def common_words(job: ComparisonJob) -> list[str]:
     dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
     words.append(f"one display of {dots}; {columns} × {rows} are scored")
     if group.first.others and judged_by_delta_e(job.base[0]):
-        words.append(f"checked on {' and '.join(str(other.dots) for other in group.first.others)} dots")
+        words.append(
+            f"checked on {' and '.join(str(other.dots) for other in group.first.others)} dots"
+        )
     words += shared_stages(group)
-    words += filter(None, [developed_words(group.first.settings.develop, [case.settings.pixel for case in group.cases])])
+    words += filter(
+        None,
+        [
+            developed_words(
+                group.first.settings.develop, [case.settings.pixel for case in group.cases]
+            )
+        ],
+    )
     film = " and the film's error" if judged_by_delta_e(job.base[0]) else ""
-    return [*words, f"{job.repeats} pairs of frames with the same seeds", f"± is the 95 % interval{film}"]
+    return [
+        *words,
+        f"{job.repeats} pairs of frames with the same seeds",
+        f"± is the 95 % interval{film}",
+    ]

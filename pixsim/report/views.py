@@ -1,4 +1,6 @@
-"""Pictures of a study: details from every pixel size, whole pictures, ΔE maps and curves of equal ΔE."""
+"""Pictures of a study: details from every pixel size, whole pictures, ΔE maps and curves of equal
+ΔE.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ import numpy as np
 
 from pixsim.base.digits import estimate, pixel_size
 from pixsim.report.pictures import crops, whole_picture
-from pixsim.show.pictures import Picture, contact_sheet_png, display_codes, factor_for, scale_end, window_at, worst_window
+from pixsim.show.pictures import (
+    Picture,
+    contact_sheet_png,
+    display_codes,
+    factor_for,
+    scale_end,
+    window_at,
+    worst_window,
+)
 from pixsim.studies.curve import Curve
 from pixsim.studies.result import StudyResult
 
@@ -47,48 +57,75 @@ def best_place(curve: Curve) -> int:
 
 
 def map_end(result: StudyResult) -> float:
-    """Return the end of the colour scale of a study's ΔE maps, from those of its smallest, best and largest pixels."""
-    largest_p99 = [curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves]
+    """Return the end of the colour scale of a study's ΔE maps, from those of its smallest, best and
+    largest pixels.
+    """
+    largest_p99 = [
+        curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves
+    ]
     return scale_end(float(max(largest_p99)))
 
 
 def study_views(result: StudyResult, curve: Curve) -> Views:
-    """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch."""
+    """Return whole pictures of the smallest, best and largest pixels, and a detail from every
+    pitch.
+    """
     at, last, end = best_place(curve), curve.pitch_um.size - 1, map_end(result)
-    scores = {place: result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in sorted({0, at, last})}
+    scores = {
+        place: result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0]
+        for place in sorted({0, at, last})
+    }
 
     ideal = max((score.ideal for score in scores.values()), key=np.size)
     rows, columns = ideal.shape[:2]
     centre = result.study.detail
-    window = window_at(centre, (rows, columns)) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
+    window = (
+        window_at(centre, (rows, columns))
+        if centre
+        else worst_window([scores[0].delta_e, scores[last].delta_e])
+    )
 
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
     for place, pitch_um in enumerate(curve.pitch_um.tolist()):
-        part = window.of(scores[place].image) if place in scores else result.shown_part(curve.technology, pitch_um, window.of)
+        part = (
+            window.of(scores[place].image)
+            if place in scores
+            else result.shown_part(curve.technology, pitch_um, window.of)
+        )
         tiles.append(Picture(display_codes(part), *labels(curve, place), place == at))
 
     outputs = []
     for place, score in scores.items():
         size, mean = labels(curve, place)
-        outputs.append(replace(whole_picture(score.image, f"{rank(curve, place)}, {size}"), note=mean))
+        outputs.append(
+            replace(whole_picture(score.image, f"{rank(curve, place)}, {size}"), note=mean)
+        )
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         tiles=tuple(tiles),
-        crops=tuple(crops(score, window, rank(curve, place), end) for place, score in scores.items()),
+        crops=tuple(
+            crops(score, window, rank(curve, place), end) for place, score in scores.items()
+        ),
         ideal=whole_picture(ideal, "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(outputs),
-        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LEAST}", tiles),
+        sheet=contact_sheet_png(
+            f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LEAST}", tiles
+        ),
     )
 
 
 def labels(curve: Curve, place: int) -> tuple[str, str]:
     """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
-    return pixel_size(float(curve.pitch_um[place])), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[place]))}"
+    return pixel_size(
+        float(curve.pitch_um[place])
+    ), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[place]))}"
 
 
 def rank(curve: Curve, place: int) -> str:
-    """Return whether a pitch is the smallest, the largest or that of the least error tried, as text."""
+    """Return whether a pitch is the smallest, the largest or that of the least error tried, as
+    text.
+    """
     names = {0: "smallest", curve.pitch_um.size - 1: "largest"}
     return ", ".join(filter(None, (names.get(place), LEAST if place == best_place(curve) else "")))

@@ -1,4 +1,6 @@
-"""Parts of several pages: captions, what suits several conditions, and the light behind a result."""
+"""Parts of several pages: captions, what suits several conditions, and the light behind a
+result.
+"""
 
 from __future__ import annotations
 
@@ -23,37 +25,52 @@ if TYPE_CHECKING:
     pass
 
 DELTA_E = (
-    "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
-    "blur of the eye (S-CIELAB). A ΔE of 1 is about the smallest difference noticeable under ideal conditions."
+    "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the"
+    " CIELAB colour difference after the blur of the eye (S-CIELAB). A ΔE of 1 is about the"
+    " smallest difference noticeable under ideal conditions."
 )
 
 
 def rendered_words(header: Mapping[str, Any]) -> str:
-    """Return the scene that light was rendered from, and how; or the file of another program that it was read from."""
+    """Return the scene that light was rendered from, and how; or the file of another program that
+    it was read from.
+    """
     if "scene_hash" not in header:
         return f"read from {header['source']}" if "source" in header else "given, not rendered"
-    rays = f"{header['spp']} rays for each sample of the film" if header["spp"] else "computed from the chart"
+    rays = (
+        f"{header['spp']} rays for each sample of the film"
+        if header["spp"]
+        else "computed from the chart"
+    )
     return f"{header['scene']} (hash {header['scene_hash']}), {rays}, {header['variant']}"
 
 
 def weighted_answer(regrets: Regrets) -> Answer:
-    """Return the pixel size with the best weighted mean over conditions; that there is none where they share too few sizes."""
+    """Return the pixel size with the best weighted mean over conditions; that there is none where
+    they share too few sizes.
+    """
     weighted = weighted_criterion(regrets)
     if weighted is None:
-        return Answer(f"{regrets.label}: the conditions share too few pixel sizes for one that suits all")
+        return Answer(
+            f"{regrets.label}: the conditions share too few pixel sizes for one that suits all"
+        )
     best, metric = weighted.optimum, weighted.metric
     low, high = best.value_interval
     value = f"{within_error(best.value, (high - low) / 2)} {metric.unit}".rstrip()
     first, _, words = metric.best.partition(" ")
     label = f"{regrets.label}: {first} weighted {words} {value} at "
-    return Answer((label, Strong(pixel_size(best.pitch_um)), f" (95 %: {interval(best.interval_um)})"))
+    return Answer(
+        (label, Strong(pixel_size(best.pitch_um)), f" (95 %: {interval(best.interval_um)})")
+    )
 
 
-# --- the light, the film and the display behind a result --------------------------------------------------------------------------
+# --- the light, the film and the display behind a result
+# --------------------------------------------------------------------------
 
 
 def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
-    """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
+    """Return a line on the errors of a result's light that are above their limits, and what makes
+    them less; none without.
 
     header : of the irradiance
     film : None if its error was not measured
@@ -76,11 +93,16 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
 
 
 def lens_words(camera: Camera) -> str:
-    """Return the real lens of a camera, the focal length to which it is scaled, and its field; empty for a thin lens."""
+    """Return the real lens of a camera, the focal length to which it is scaled, and its field;
+    empty for a thin lens.
+    """
     if camera.lens is None:
         return ""
     lens, name = camera.lens, Path(camera.lens.file).stem
-    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, {f_stop(lens.f_number)}, a field of {camera.field_words}"
+    return (
+        f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, {f_stop(lens.f_number)}, a field of"
+        f" {camera.field_words}"
+    )
 
 
 def thin_lens_words(camera: Camera) -> str:
@@ -89,19 +111,28 @@ def thin_lens_words(camera: Camera) -> str:
 
 
 def film_words(film: dict[str, Any]) -> str:
-    """Return the film of a result, and its error; why it is not finer, where the error is too large."""
+    """Return the film of a result, and its error; why it is not finer, where the error is too
+    large.
+    """
     height, width = film["shape"]
     words = f"film of {width} × {height} samples"
     if film["met"]:
         return f"{words}, its error at most {film['delta_e']:.1g} ΔE"
-    limit = re.sub(r"\b(resolution|max_seconds)\b", lambda name: setting(name[0]), film["limit"])  # as the caller writes it
+    limit = re.sub(
+        r"\b(resolution|max_seconds)\b", lambda name: setting(name[0]), film["limit"]
+    )  # as the caller writes it
     return f"{words} ({limit})"
 
 
 def view_words(
-    display: Display, header: Mapping[str, Any], chosen: Mapping[str, Any], window_mm: float | None, columns: float | None = None
+    display: Display,
+    header: Mapping[str, Any],
+    chosen: Mapping[str, Any],
+    window_mm: float | None,
+    columns: float | None = None,
 ) -> list[str]:
-    """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose frequencies are not the paper's.
+    """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose
+    frequencies are not the paper's.
 
     header : of the irradiance
     chosen : of `choose_view`

@@ -10,18 +10,23 @@ from pixsim.show.pages import Figures
 
 
 def write_report(
-    result: Result, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None, figures: Figures = "svg"
+    result: Result,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
+    figures: Figures = "svg",
 ) -> Path:
     """Write report.html and the other files of a result, as `result.write` and its command do.
 
-    Only the wall times in the report and pixsim.json vary: everything else is reproducible byte for byte.
+    Only the wall times in the report and pixsim.json vary: everything else is reproducible byte for
+    byte.
 
-    result : of `run`, `study`, `compare`, `sweep`, `lens`, `datasheet`, `sfr`, `accuracy` or `evaluate`
+    result : of `run`, `study`, `compare`, `sweep`, `lens`, `datasheet`, `sfr`, `accuracy` or
+        `evaluate`
     folder : created if missing
     seconds : stage -> wall time in s, for the report
     figures : "pdf" writes a PDF beside each SVG
 
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-    pixsim did not write; and for "pdf" of a result without figures.
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a
+    file of such a name that pixsim did not write; and for "pdf" of a result without figures.
     """
     return result.write(folder, figures, seconds)

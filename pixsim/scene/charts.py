@@ -1,6 +1,7 @@
 """Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 at the top.
 
-A chart fills the die. Its frequencies are those on the sensor, so it depends on the width of the die, not on the lens.
+A chart fills the die. Its frequencies are those on the sensor, so it depends on the width of the
+die, not on the lens.
 """
 
 from __future__ import annotations
@@ -37,8 +38,12 @@ MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 CSF_STEPS = 2**18
 CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
-TEXELS_PER_CYCLE = 32  # at the highest frequency: bilinear interpolation keeps its contrast to 0.3 %
-MAX_LP_PER_MM = "max_lp_per_mm"  # scene parameter of the CSF chart: its highest frequency on the sensor
+TEXELS_PER_CYCLE = (
+    32  # at the highest frequency: bilinear interpolation keeps its contrast to 0.3 %
+)
+MAX_LP_PER_MM = (  # scene parameter of the CSF chart: its highest frequency on the sensor
+    "max_lp_per_mm"
+)
 MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
 SLANT_DEG = 5.0  # ISO 12233
 STAR_CYCLES = 72
@@ -46,8 +51,11 @@ TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
 POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
-def csf_frequency_lp_per_mm(x: UnitIntervals, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM) -> Array:
-    """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3 lp/mm (Chen et al. 2000).
+def csf_frequency_lp_per_mm(
+    x: UnitIntervals, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
+) -> Array:
+    """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3
+    lp/mm (Chen et al. 2000).
 
     highest_lp_per_mm : at the right, above 1
 
@@ -57,11 +65,14 @@ def csf_frequency_lp_per_mm(x: UnitIntervals, highest_lp_per_mm: HighestFrequenc
     return MIN_FREQUENCY_LP_PER_MM * (highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
-def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Callable[[ArrayLike], Array] | None:
-    """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
+def csf_frequency_on_sensor(
+    header: Mapping[str, Any], width_mm: DieWidth
+) -> Callable[[ArrayLike], Array] | None:
+    """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a
+    function; None for another scene.
 
-    The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends at `max_lp_per_mm` or at 90.5
-    cycles.
+    The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends
+    at `max_lp_per_mm` or at 90.5 cycles.
 
     header : of the irradiance
     width_mm : of the picture on the sensor
@@ -71,12 +82,17 @@ def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Ca
     if header.get("scene") != "csf.xml" or "chart" in parameters:
         return None
     scale = DIE_MM / width_mm
-    highest = float(parameters[MAX_LP_PER_MM]) / scale if MAX_LP_PER_MM in parameters else MAX_FREQUENCY_LP_PER_MM
+    highest = (
+        float(parameters[MAX_LP_PER_MM]) / scale
+        if MAX_LP_PER_MM in parameters
+        else MAX_FREQUENCY_LP_PER_MM
+    )
     return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
 
 
 def csf_contrast(y: UnitIntervals) -> Array:
-    """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
+    """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the
+    largest to the largest, 0.951.
 
     The largest contrast is 25 to 1000 cd/m² (Chen et al. 2000).
     """
@@ -85,9 +101,13 @@ def csf_contrast(y: UnitIntervals) -> Array:
 
 
 def csf_value(
-    x: UnitIntervals, y: UnitIntervals, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
+    x: UnitIntervals,
+    y: UnitIntervals,
+    die_mm: DieWidth = DIE_MM,
+    highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM,
 ) -> Array:
-    """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
+    """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of
+    2π frequency.
 
     A value of 1 is 1000 cd/m², and the mean is 0.5125 (Chen et al. 2000).
 
@@ -97,23 +117,34 @@ def csf_value(
     """
     low, high = LUMINANCE_CD_PER_M2
     growth = np.log(highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM)
-    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x, highest_lp_per_mm) - MIN_FREQUENCY_LP_PER_MM)
+    cycles = (
+        die_mm / growth * (csf_frequency_lp_per_mm(x, highest_lp_per_mm) - MIN_FREQUENCY_LP_PER_MM)
+    )
     return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
 def csf(
-    width: Side = 8192, height: Side = 256, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
+    width: Side = 8192,
+    height: Side = 256,
+    die_mm: DieWidth = DIE_MM,
+    highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM,
 ) -> NDArray[np.float32]:
-    """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texel centres.
+    """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at
+    the texel centres.
 
-    With 8192 columns bilinear interpolation keeps the highest frequency to 0.06 %. With 256 rows the contrast is at most 0.9 %
-    low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
+    With 8192 columns bilinear interpolation keeps the highest frequency to 0.06 %. With 256 rows
+    the contrast is at most 0.9 % low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of
+    the lowest contrast, which halves the file.
     """
     x, y = (np.arange(width) + 0.5) / width, ((np.arange(height) + 0.5) / height)[:, None]
-    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
+    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * CSF_STEPS) / CSF_STEPS).astype(
+        np.float32
+    )
 
 
-def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: int, dark: float) -> NDArray[np.float32]:
+def _antialiased(
+    inside: Callable[[Array, Array], Array], width: int, height: int, dark: float
+) -> NDArray[np.float32]:
     """Return the area coverage of a shape, from 8 × 8 points per texel."""
     factor = POINTS_PER_TEXEL
     x = (np.arange(width * factor) + 0.5) / (width * factor)
@@ -122,11 +153,16 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 
-def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.1) -> NDArray[np.float32]:
-    """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, `dark` on the left."""
+def slanted_edge(
+    width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.1
+) -> NDArray[np.float32]:
+    """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the
+    right, `dark` on the left.
+    """
     factor, slope = POINTS_PER_TEXEL, np.tan(np.radians(SLANT_DEG))
     x, y = ((np.arange(size * factor) + 0.5) / (size * factor) for size in (width, height))
-    # All points of a line to the right of the edge are inside, so the first one says how many each texel has.
+    # All points of a line to the right of the edge are inside, so the first one says how many each
+    # texel has.
     first = np.searchsorted(x - 0.5, (0.5 - y) * slope, side="right").reshape(height, factor)
     ends, cover = factor * np.arange(1, width + 1), np.zeros((height, width))
     for row, starts in enumerate(first):
@@ -134,8 +170,12 @@ def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 
-def siemens_star(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.025) -> NDArray[np.float32]:
-    """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values 1 and `dark`."""
+def siemens_star(
+    width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.025
+) -> NDArray[np.float32]:
+    """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values
+    1 and `dark`.
+    """
 
     def inside(x: Array, y: Array) -> Array:
         sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
@@ -149,17 +189,27 @@ def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
     return np.ones((height, width), np.float32)
 
 
-def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object) -> NDArray[np.float32]:
-    """Return a target on an even field of relative luminance 1, (height, width): the exact share of each texel that it covers.
+def target(
+    width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object
+) -> NDArray[np.float32]:
+    """Return a target on an even field of relative luminance 1, (height, width): the exact share of
+    each texel that it covers.
 
     die_mm : side of the square die that the field fills
-    fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and `direction`
+    fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and
+        `direction`
 
-    Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels` does.
+    Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels`
+    does.
     """
     drawn = Target.of_parameters(fields, {"size_um": TARGET_UM})
     if drawn.shape != "edge" and drawn.size_um is None:
-        raise invalid("target", repr(drawn), "a size on the sensor, size_um", "The scene 'target' takes the others.")
+        raise invalid(
+            "target",
+            repr(drawn),
+            "a size on the sensor, size_um",
+            "The scene 'target' takes the others.",
+        )
     return drawn.texels((height, width), (die_mm, die_mm), (drawn.size_um or 0.0) / 1e3)
 
 
@@ -170,35 +220,51 @@ CHARTS_OF_A_DIE = (csf.__name__, target.__name__)
 
 
 def make_chart(
-    kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None, **target: object
+    kind: str,
+    width: Side | None = None,
+    height: Side | None = None,
+    die_mm: DieWidth | None = None,
+    **target: object,
 ) -> NDArray[np.float32]:
-    """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
+    """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the
+    packaged textures.
 
     kind : csf, slanted_edge, siemens_star, flat or target
     width, height : in texels
     die_mm : width of the chart on the sensor, for csf and target only
-    target : of the chart target: `shape`, `size_um`, `contrast`, `direction` (`scene.charts.target`)
+    target : of the chart target: `shape`, `size_um`, `contrast`, `direction`
+        (`scene.charts.target`)
 
-    Raises PixsimError for another kind, a size outside 2 to 32768 texels, or options of another chart.
+    Raises PixsimError for another kind, a size outside 2 to 32768 texels, or options of another
+    chart.
 
     >>> make_chart("flat", width=3, height=2).tolist()
     [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
     """
     if kind not in CHARTS:
         raise invalid("chart", f"'{kind}'", ", ".join(CHARTS))
-    size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
+    size = {
+        key: value for key, value in (("width", width), ("height", height)) if value is not None
+    }
     if any(not 2 <= value <= 32768 for value in size.values()):
         got = " and ".join(f"{key} {value}" for key, value in size.items())
         raise invalid("chart size", got, "2 to 32768 texels per side")
     if die_mm is not None and (kind not in CHARTS_OF_A_DIE or not 0 < die_mm < 1000):
-        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(CHARTS_OF_A_DIE)} only")
+        raise invalid(
+            "chart die_mm",
+            f"{die_mm:g} for {kind}",
+            f"0 to 1000 mm, for {' and '.join(CHARTS_OF_A_DIE)} only",
+        )
     if target and kind != "target":
-        raise invalid(f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only")
+        raise invalid(
+            f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only"
+        )
     return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)
 
 
 def write_chart(path: str | os.PathLike[str], texels: Texels) -> None:
-    """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at the top.
+    """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at
+    the top.
 
     path : ends in .exr
     texels : (H, W) relative luminance
@@ -224,7 +290,9 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     try:
         key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
-        raise invalid("content", brief(content), "texts, finite numbers, lists and tables") from None
+        raise invalid(
+            "content", brief(content), "texts, finite numbers, lists and tables"
+        ) from None
     label = {cache.ENTRY: cache.entry_label(KIND, key)}
     path = cache.folder() / KIND / f"{key}.exr"
     if cache.is_unchanged_file(path):
@@ -246,13 +314,20 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
 
 
 def csf_file(highest_lp_per_mm: HighestFrequency, die_mm: DieWidth) -> Path:
-    """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7 cycles across the die.
+    """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7
+    cycles across the die.
 
     Raises PixsimError if that frequency is not above the lowest.
     """
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / die_mm
     if not highest_lp_per_mm >= MIN_CSF_RANGE * lowest:
-        raise invalid(MAX_LP_PER_MM, f"{highest_lp_per_mm:g}", f"at least {MIN_CSF_RANGE * lowest:.3g} on a die of {die_mm:g} mm")
+        raise invalid(
+            MAX_LP_PER_MM,
+            f"{highest_lp_per_mm:g}",
+            f"at least {MIN_CSF_RANGE * lowest:.3g} on a die of {die_mm:g} mm",
+        )
     cycles = highest_lp_per_mm * die_mm
     width = int(min(max(TEXELS_PER_CYCLE * cycles, CSF_WIDTHS[0]), CSF_WIDTHS[1]))
-    return texture_file(["csf", width, cycles], partial(csf, width, highest_lp_per_mm=cycles / DIE_MM))
+    return texture_file(
+        ["csf", width, cycles], partial(csf, width, highest_lp_per_mm=cycles / DIE_MM)
+    )

@@ -1,8 +1,9 @@
-"""The contrast-sensitivity chart in colour: a change of colour in place of luminance, as a scene with three slide projectors.
+"""The contrast-sensitivity chart in colour: a change of colour in place of luminance, as a scene
+with three slide projectors.
 
-Mitsuba has no lamp whose texture and spectrum are both free, but for the spot: each primary of a display shines through a slide
-onto a white screen that fills the die. So the light is three spectra times three pictures. The projectors stand so far away that
-light on the screen is even to 4e-4.
+Mitsuba has no lamp whose texture and spectrum are both free, but for the spot: each primary of a
+display shines through a slide onto a white screen that fills the die. So the light is three spectra
+times three pictures. The projectors stand so far away that light on the screen is even to 4e-4.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ from pixsim.optics.quantities import DieWidth
 from pixsim.scene.charts import LUMINANCE_CD_PER_M2, Side, csf_contrast, make_chart
 
 PRIMARIES = ("red", "green", "blue")
-MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])  # of each slide, as of the grey chart
+MEAN = sum(LUMINANCE_CD_PER_M2) / (
+    2 * LUMINANCE_CD_PER_M2[1]
+)  # of each slide, as of the grey chart
 PROJECTOR_M = 30.0  # from the screen
 BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
 SCENE = """<!-- {title}
@@ -107,27 +110,42 @@ PROJECTOR = """
 
 @lru_cache
 def primaries() -> tuple[Array, Array]:
-    """Return wavelengths in nm, (B,), and the radiance of the primaries at full power, (B, 3) W m⁻² sr⁻¹ nm⁻¹.
+    """Return wavelengths in nm, (B,), and the radiance of the primaries at full power, (B, 3) W m⁻²
+    sr⁻¹ nm⁻¹.
 
     Their sum has the chromaticity of D65 and 1000 cd/m².
     """
-    table = np.loadtxt(str(resources.files("pixsim") / "data/display_primaries.csv"), delimiter=",", skiprows=3)
+    table = np.loadtxt(
+        str(resources.files("pixsim") / "data/display_primaries.csv"), delimiter=",", skiprows=3
+    )
     nm, observer = grid_nm(), colour_matching(grid_nm())
-    xyz = np.stack([np.interp(nm, table[:, 0], power, left=0.0, right=0.0) @ observer for power in table[:, 1:].T], axis=1)
+    xyz = np.stack(
+        [
+            np.interp(nm, table[:, 0], power, left=0.0, right=0.0) @ observer
+            for power in table[:, 1:].T
+        ],
+        axis=1,
+    )
     white = d65(nm) @ observer
     white *= LUMINANCE_CD_PER_M2[1] / (LUMINOUS_EFFICACY_LM_PER_W * white[1])
     return table[:, 0], table[:, 1:] * np.linalg.solve(xyz, white)
 
 
 def primaries_xyz() -> Array:
-    """Return the XYZ of the primaries at full power, (3, 3), a column each, with Y of 1 for their sum."""
+    """Return the XYZ of the primaries at full power, (3, 3), a column each, with Y of 1 for their
+    sum.
+    """
     nm, radiance = primaries()
-    xyz = np.stack([np.interp(grid_nm(), nm, power) @ colour_matching(grid_nm()) for power in radiance.T], axis=1)
+    xyz = np.stack(
+        [np.interp(grid_nm(), nm, power) @ colour_matching(grid_nm()) for power in radiance.T],
+        axis=1,
+    )
     return xyz / xyz[1].sum()
 
 
 def modulation(change_xyz: ArrayLike) -> Array:
-    """Return the change of each primary, over that of the one that changes most, along a change of XYZ (3,); both (3,).
+    """Return the change of each primary, over that of the one that changes most, along a change of
+    XYZ (3,); both (3,).
 
     change_xyz : not 0, in any unit; its sign counts
     """
@@ -136,7 +154,9 @@ def modulation(change_xyz: ArrayLike) -> Array:
 
 
 def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times that of the grey chart (H, W)."""
+    """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times that of the
+    grey chart (H, W).
+    """
     return (MEAN + share * (grey.astype(float) - MEAN)).astype(np.float32)
 
 
@@ -148,32 +168,44 @@ def write_colour_chart(
     height: Side | None = None,
     die_mm: DieWidth | None = None,
 ) -> Sequence[Path]:
-    """Write the CSF chart as a scene, `path`, with a slide of each primary beside it, and return the paths of the slides.
+    """Write the CSF chart as a scene, `path`, with a slide of each primary beside it, and return
+    the paths of the slides.
 
     path : ends in .xml
     shares : change of each primary where the grey chart changes luminance (`modulation`)
     title : of the scene, a comment in it: without two hyphens together
     width, height, die_mm : of `make_chart`
 
-    Raises PixsimError for another ending, a name that Mitsuba would read as a parameter, a size outside 2 to 32768 texels, and
-    where a file cannot be written.
+    Raises PixsimError for another ending, a name that Mitsuba would read as a parameter, a size
+    outside 2 to 32768 texels, and where a file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".xml":
-        raise invalid("colour chart", f"'{path}'", "a scene, a name that ends in .xml", "Its slides are written beside it.")
+        raise invalid(
+            "colour chart",
+            f"'{path}'",
+            "a scene, a name that ends in .xml",
+            "Its slides are written beside it.",
+        )
     if "$" in path.name:
-        raise invalid("colour chart", f"'{path}'", "a name without $, which begins a parameter of a scene")
+        raise invalid(
+            "colour chart", f"'{path}'", "a name without $, which begins a parameter of a scene"
+        )
     grey = make_chart("csf", width, height, die_mm)
     beside = resolved(path)
     slides = [beside.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
     nm, radiance = primaries()
-    intensities = math.pi * PROJECTOR_M**2 * radiance  # of a screen that reflects all light: L = E/π, E = I/r²
+    intensities = (
+        math.pi * PROJECTOR_M**2 * radiance
+    )  # of a screen that reflects all light: L = E/π, E = I/r²
     cutoff_deg = math.degrees(math.atan(BEAM / PROJECTOR_M))
     projectors = [
         PROJECTOR.format(
             name=name,
             distance=PROJECTOR_M,
-            intensity=", ".join(f"{at:g}:{value:.6g}" for at, value in zip(nm, intensity, strict=True)),
+            intensity=", ".join(
+                f"{at:g}:{value:.6g}" for at, value in zip(nm, intensity, strict=True)
+            ),
             cutoff_deg=cutoff_deg,
             beam_deg=0.999 * cutoff_deg,
             slide=quoteattr(file.name),
@@ -185,17 +217,28 @@ def write_colour_chart(
     white = {"white_cd_per_m2": LUMINANCE_CD_PER_M2[1], "white_lamps": ", ".join(PRIMARIES)}
     text = SCENE.format(title=title, **white, projectors="\n".join(projectors))
     try:
-        with ExitStack() as files:  # all are finished before the first one moves; the scene, the first one here, moves last
-            files.enter_context(replacing(path)).write_bytes(text.encode("ascii", "xmlcharrefreplace"))
+        with (
+            ExitStack() as files
+        ):  # all are finished before the first one moves; the scene, the first one here, moves last
+            files.enter_context(replacing(path)).write_bytes(
+                text.encode("ascii", "xmlcharrefreplace")
+            )
             for share, file in zip(shares.tolist(), slides, strict=True):
-                fill_channels(files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {})
+                fill_channels(
+                    files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {}
+                )
     except OSError as error:
-        raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
+        raise invalid(
+            "output file", f"'{path}' ({error.strerror or error})", "a path that can be written"
+        ) from None
     return slides
 
 
-def write_colour_axis(axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None) -> dict[str, Any]:
-    """Write the CSF chart that changes one opponent channel of S-CIELAB, and return what it is, for JSON.
+def write_colour_axis(
+    axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None
+) -> dict[str, Any]:
+    """Write the CSF chart that changes one opponent channel of S-CIELAB, and return what it is, for
+    JSON.
 
     axis : red-green or blue-yellow
     """
@@ -204,9 +247,21 @@ def write_colour_axis(axis: str, output: Path, width: int | None, height: int | 
     shares = modulation(sign * XYZ_FROM_OPPONENT[:, channel])
     title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
     slides = write_colour_chart(output, shares, title, width, height, die_mm)
-    # Michelson contrast of each slide where that of the chart is largest; negative where it falls as the first rises
+    # Michelson contrast of each slide where that of the chart is largest; negative where it falls
+    # as the first rises
     contrasts = dict(zip(PRIMARIES, (shares * float(csf_contrast(1.0))).tolist(), strict=True))
-    opponent = OPPONENT_FROM_XYZ @ (primaries_xyz() @ shares * MEAN * max(map(abs, contrasts.values())))
+    opponent = OPPONENT_FROM_XYZ @ (
+        primaries_xyz() @ shares * MEAN * max(map(abs, contrasts.values()))
+    )
     white = OPPONENT_FROM_XYZ[0] @ primaries_xyz().sum(axis=1)
-    result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
-    return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}
+    result = {
+        "file": str(output),
+        "kind": "csf",
+        "colour_axis": axis,
+        "slides": [path.name for path in slides],
+    }
+    return {
+        **result,
+        "contrasts": contrasts,
+        "opponent_amplitude": abs(float(opponent[channel] / white)),
+    }

@@ -18,7 +18,16 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, Spectrum, grid_nm, tabulated
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LOW_NM,
+    VISIBLE,
+    WHITE_LAMPS,
+    Span,
+    Spectrum,
+    grid_nm,
+    tabulated,
+)
 from pixsim.optics.camera import Camera
 from pixsim.scene.job import AssetFile, irregular
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, warnings_of
@@ -37,8 +46,10 @@ SECOND_RADIATION_NM_K = 1.438776877e7  # hc/k, SI 2019
 class Lamp:
     """Emitters that share one spectrum, or emitters whose spectrum varies over them.
 
-    spectrum : of texel value 1 (or of the strongest emitter), W m⁻² sr⁻¹ nm⁻¹; None if it cannot be separated from a picture
-    pictures : emitter node -> (property, node of its neutral picture, or its power relative to `spectrum`)
+    spectrum : of texel value 1 (or of the strongest emitter), W m⁻² sr⁻¹ nm⁻¹; None if it cannot be
+        separated from a picture
+    pictures : emitter node -> (property, node of its neutral picture, or its power relative to
+        `spectrum`)
     """
 
     spectrum: Spectrum | None
@@ -56,7 +67,9 @@ class Lamp:
 
 
 def find_lamps(state: Tree, variant: str) -> list[Lamp]:
-    """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the last group."""
+    """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the
+    last group.
+    """
     groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
@@ -66,8 +79,11 @@ def find_lamps(state: Tree, variant: str) -> list[Lamp]:
             coloured[index] = name, 1.0
         else:
             key, scale, picture = emission
-            # Pictures cannot be scaled, so emitters with pictures share a group only at the same power.
-            groups.setdefault((key, None if picture is None else scale), []).append((index, name, scale, picture))
+            # Pictures cannot be scaled, so emitters with pictures share a group only at the same
+            # power.
+            groups.setdefault((key, None if picture is None else scale), []).append(
+                (index, name, scale, picture)
+            )
     hosts: dict[tuple[Any, ...], tuple[Any, ...]] = {}  # spectrum -> the first group with pictures
     for key, scale in groups:
         if scale is not None:
@@ -92,14 +108,20 @@ def find_lamp(state: Tree, variant: str) -> Lamp | None:
 
 
 def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int | None] | None:
-    """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if they cannot be separated."""
+    """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if
+    they cannot be separated.
+    """
     name = EMISSION.get(emitter.plugin)
     if name is None:
         return None
     if name not in emitter:  # Mitsuba's default: a d65 of scale 1
         return (("d65",), 1.0, None)
     others = [index for key, index in children(emitter, state).items() if key != name]
-    if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].kind == "Texture"):
+    if any(
+        not is_neutral(state.nodes[index])
+        for index in others
+        if state.nodes[index].kind == "Texture"
+    ):
         return None  # the coloured texture of a spot
     kind = emitter.kind_of(name)
     if kind in ("Float", "Integer"):  # a plain number is a d65 of that scale
@@ -110,7 +132,11 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
         value = emitter[name]
         if value.uniform:
             return (("uniform",), float(value.values[0]), None)
-        return (("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
+        return (
+            ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))),
+            1.0,
+            None,
+        )
     if kind not in ("ResolvedReference", "Reference"):
         return None
     index = children(emitter, state)[name]
@@ -128,7 +154,11 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
     if plugin == "d65":
         return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node else None
     if (table := table_of(node)) is not None:
-        return (("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
+        return (
+            ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())),
+            1.0,
+            picture,
+        )
     if plugin == "blackbody":
         return ((plugin, *sorted(values.items())), 1.0, picture)
     return None
@@ -145,7 +175,9 @@ def parsed_table(value: SpectrumTable) -> Spectrum:
 
 
 def table_of(node: Node) -> Spectrum | None:
-    """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else None."""
+    """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else
+    None.
+    """
     plugin = node.plugin
     if plugin not in ("regular", "irregular"):
         return None
@@ -153,7 +185,11 @@ def table_of(node: Node) -> Spectrum | None:
         values = np.array(numbers(node["values"]))
         if plugin == "irregular":
             return Spectrum(np.array(numbers(node["wavelengths"])), values)
-        ends = (node["wavelength_min"], node["wavelength_max"]) if "wavelength_min" in node else numbers(node["range"])
+        ends = (
+            (node["wavelength_min"], node["wavelength_max"])
+            if "wavelength_min" in node
+            else numbers(node["range"])
+        )
         low, high = map(float, ends)
         return Spectrum(np.linspace(low, high, values.size), values)
     return None
@@ -176,7 +212,12 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     nm = np.arange(*BLACK_BODY_NM)
     whole = planck(nm, described["temperature"])
     with np.errstate(invalid="ignore"):  # 0/0 where it is too cold to shine
-        shape = whole / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[np.where(nm < LOW_NM, 0, 1)]
+        shape = (
+            whole
+            / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[
+                np.where(nm < LOW_NM, 0, 1)
+            ]
+        )
     inside = (nm >= LOW_NM) & (nm <= HIGH_NM)
     ends = np.where(nm < LOW_NM, values[0], values[-1])
     extended = shape * ends
@@ -187,52 +228,80 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
 def planck(wavelength_nm: Array, temperature_k: float) -> Array:
     """Return the spectrum of a black body in any unit, (...) as the wavelengths."""
     with np.errstate(over="ignore", divide="ignore"):
-        return np.asarray(wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k)))
+        return np.asarray(
+            wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k))
+        )
 
 
 def warnings_of_skies(state: Tree, variant: str) -> list[str]:
-    """Return what Mitsuba warns of in the skies of a scene: that the sun is below the horizon, so that they are dark."""
+    """Return what Mitsuba warns of in the skies of a scene: that the sun is below the horizon, so
+    that they are dark.
+    """
     texts = []
     for _, node in nodes_of(state, "Emitter"):
         if node.plugin == "sunsky":
-            simple = {name: value for name, value in plain(node) if isinstance(value, int | float | list)}
-            texts += [f"{node.plugin}: {text}" for text in warnings_of({"type": node.plugin} | simple, variant)]
+            simple = {
+                name: value for name, value in plain(node) if isinstance(value, int | float | list)
+            }
+            texts += [
+                f"{node.plugin}: {text}"
+                for text in warnings_of({"type": node.plugin} | simple, variant)
+            ]
     return texts
 
 
 def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
-    """Return the lamps that emit light in a range. Raises PixsimError if a radiance is negative or not finite."""
+    """Return the lamps that emit light in a range. Raises PixsimError if a radiance is negative or
+    not finite.
+    """
     for lamp in lamps:
         values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
         if not np.isfinite(values).all() or values.min() < 0:
             raise invalid("emitter", f"radiance {values.min():g}", "finite values of 0 or more")
-    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral(span.low_nm, span.high_nm) > 0]
+    return [
+        lamp
+        for lamp in lamps
+        if lamp.spectrum is None or lamp.spectrum.integral(span.low_nm, span.high_nm) > 0
+    ]
 
 
 def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
-    """Return the spectra that add up to the light of the scene's white, in one unit; none if that is unknown.
+    """Return the spectra that add up to the light of the scene's white, in one unit; none if that
+    is unknown.
 
     lamps : of `find_lamps`
-    names : ids of the emitters that shine on the white together, each with a picture of 1; none: all, if they share a spectrum
+    names : ids of the emitters that shine on the white together, each with a picture of 1; none:
+        all, if they share a spectrum
 
-    Raises PixsimError for the id of no emitter, of emitters whose spectra have no common unit, and of dark ones.
+    Raises PixsimError for the id of no emitter, of emitters whose spectra have no common unit, and
+    of dark ones.
     """
     if not names:
         lamp_spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
         return (lamp_spectra[0],) if len(lamps) == len(lamp_spectra) == 1 else ()
-    emitters = {node.id: (index, EMISSION.get(node.plugin)) for index, node in nodes_of(state, "Emitter")}
+    emitters = {
+        node.id: (index, EMISSION.get(node.plugin)) for index, node in nodes_of(state, "Emitter")
+    }
     if unknown := [name for name in names if name not in emitters]:
         allowed = f"ids of emitters of the scene: {', '.join(emitters)}"
         raise invalid(WHITE_LAMPS, f"'{unknown[0]}'", allowed, did_you_mean(unknown[0], emitters))
     units = dict.fromkeys(str(emitters[name][1]) for name in names)
     if len(units) > 1:
-        raise invalid(WHITE_LAMPS, f"'{', '.join(names)}', whose spectra are {' and '.join(units)}", "emitters with one unit")
+        raise invalid(
+            WHITE_LAMPS,
+            f"'{', '.join(names)}', whose spectra are {' and '.join(units)}",
+            "emitters with one unit",
+        )
     spectra = []
     for name in names:
         index = emitters[name][0]
         lamp = next(lamp for lamp in lamps if index in lamp.pictures)
         if lamp.spectrum is None:
-            raise invalid(WHITE_LAMPS, f"'{name}', whose spectrum varies over it", "emitters with one spectrum each")
+            raise invalid(
+                WHITE_LAMPS,
+                f"'{name}', whose spectrum varies over it",
+                "emitters with one spectrum each",
+            )
         power = lamp.pictures[index][1]
         spectra.append(lamp.spectrum * (power if isinstance(power, float) else 1.0))
     if not sum(float(spectrum.values.max()) for spectrum in spectra) > 0:
@@ -248,7 +317,10 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     "diffuse": ("reflectance",),
     **dict.fromkeys(INSIDE, ("diffuse_reflectance", "specular_reflectance")),
     **dict.fromkeys(METALS, ("specular_reflectance",)),
-    **dict.fromkeys(("dielectric", "roughdielectric", "thindielectric"), ("specular_reflectance", "specular_transmittance")),
+    **dict.fromkeys(
+        ("dielectric", "roughdielectric", "thindielectric"),
+        ("specular_reflectance", "specular_transmittance"),
+    ),
     **dict.fromkeys(("twosided", "blendbsdf", "mask", "bumpmap", "normalmap", "null"), ()),
 }
 INTERNAL_REFLECTION = 0.6  # F of a coat of index 1.49, from inside
@@ -256,7 +328,9 @@ METAL_COSINES = (1.0, 0.7, 0.3)
 MAX_POWER = 3  # of a reflectance, for interreflections of similar surfaces; higher orders are weak
 TO_AND_FRO = (0.5, 0.8, 0.95)
 MAX_PRODUCTS = 160
-MAX_SPECTRA = 256  # of surfaces; more take longer to plan than a pass for every band takes to render
+MAX_SPECTRA = (
+    256  # of surfaces; more take longer to plan than a pass for every band takes to render
+)
 NEUTRAL_SPREAD = 1e-6
 
 
@@ -267,13 +341,16 @@ Beyond = Literal["hold", "zero"]
 class Surfaces:
     """The spectra of a scene's surfaces.
 
-    spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if they are unknown
+    spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if
+        they are unknown
     unknown : why they are unknown
     span : range that is computed
-    beyond : what spectra that end within the range are there by the user's word; None if nobody says
+    beyond : what spectra that end within the range are there by the user's word; None if nobody
+        says
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
     ending : surfaces that do not say what they are in all of the range, in words
-    held : (node, property) -> table in place of that of the scene, which goes on to the ends of the range, or ends in 0
+    held : (node, property) -> table in place of that of the scene, which goes on to the ends of the
+        range, or ends in 0
     """
 
     spectra: Array | None = field(default=None, repr=False)
@@ -285,18 +362,33 @@ class Surfaces:
     held: dict[tuple[int, str], Spectrum] = field(default_factory=dict, repr=False)
 
     def products(self, bounces: int) -> Array:
-        """Return the spectra of light after up to `bounces` surfaces (-1: any number), relative to the lamp, (m, G)."""
+        """Return the spectra of light after up to `bounces` surfaces (-1: any number), relative to
+        the lamp, (m, G).
+        """
         if self.spectra is None:
             return np.zeros((0, grid_nm(span=self.span).size))
         single = self.spectra
         if bounces == 1 or not len(single):
             return single
-        # Light after many interreflections, with a small or large probability a of each: ρ/(1 - aρ).
-        series = [single / (1 - part * np.minimum(single, 1.0)) for part in (TO_AND_FRO if bounces < 0 else ())]
-        powers = [single**power for power in range(2, MAX_POWER + 1 if bounces < 0 else min(bounces, MAX_POWER) + 1)]
-        pairs = [single[i] * single[j] for i, j in combinations_with_replacement(range(len(single)), 2) if i != j]
+        # Light after many interreflections, with a small or large probability a of each: ρ/(1 -
+        # aρ).
+        series = [
+            single / (1 - part * np.minimum(single, 1.0))
+            for part in (TO_AND_FRO if bounces < 0 else ())
+        ]
+        powers = [
+            single**power
+            for power in range(2, MAX_POWER + 1 if bounces < 0 else min(bounces, MAX_POWER) + 1)
+        ]
+        pairs = [
+            single[i] * single[j]
+            for i, j in combinations_with_replacement(range(len(single)), 2)
+            if i != j
+        ]
         spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PRODUCTS)).astype(int)
-        return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
+        return np.vstack(
+            [single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])]
+        )
 
     def on_grid(self, table: Spectrum, index: int, name: str, words: str) -> Array:
         """Return a spectrum of a node's property on the grid of the range.
@@ -310,7 +402,9 @@ class Surfaces:
             nodes = [*[self.span.low_nm] * before, *table.nodes_nm, *[self.span.high_nm] * after]
             values = [*[table.values[0]] * before, *table.values, *[table.values[-1]] * after]
             table = self.held[index, name] = Spectrum(np.array(nodes), np.array(values))
-        elif self.beyond == "zero" and (before or after):  # Mitsuba's colours go on beyond their ends
+        elif self.beyond == "zero" and (
+            before or after
+        ):  # Mitsuba's colours go on beyond their ends
             self.held[index, name] = table
         elif self.beyond is None:
             if (low > LOW_NM and table.values[0] > 0) or (high < HIGH_NM and table.values[-1] > 0):
@@ -324,11 +418,14 @@ class _UnknownError(Exception):
     """A surface has spectra that nothing in the scene states."""
 
 
-def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyond | None = None) -> Surfaces:
+def find_surfaces(
+    state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyond | None = None
+) -> Surfaces:
     """Return the spectra that BSDFs multiply light with, from the parsed tree.
 
     span : range that is computed
-    beyond : what a spectrum that ends within the range is there: its last value, or 0; None: nobody says
+    beyond : what a spectrum that ends within the range is there: its last value, or 0; None: nobody
+        says
     """
     surfaces = Surfaces(span=span, beyond=beyond)
     try:
@@ -360,7 +457,9 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
         if plugin in METALS:
             try:
                 metal = _metal(state, node, variant, surfaces.span)
-            except PixsimError as error:  # of a description that pixsim makes, in which Mitsuba names no element
+            except (
+                PixsimError
+            ) as error:  # of a description that pixsim makes, in which Mitsuba names no element
                 raise PixsimError(f"the index of {words_of(node)}: {error}") from None
             if surfaces.span != VISIBLE:
                 surfaces.ending.append(f"the metal of {words_of(node)}")
@@ -368,7 +467,9 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
 
         for name in SPECTRA[plugin]:
             if name in node:
-                colours = _property(state, index, name, variant, surfaces, f"{name} of {words_of(node)}")
+                colours = _property(
+                    state, index, name, variant, surfaces, f"{name} of {words_of(node)}"
+                )
                 spectra += colours
                 if plugin in INSIDE:
                     spectra += [rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours]
@@ -376,8 +477,12 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
     return spectra
 
 
-def _property(state: Tree, at: int, name: str, variant: str, surfaces: Surfaces, words: str) -> list[Array]:
-    """Return the spectra that a property of a node may have; none if it is neutral. Raises _UnknownError."""
+def _property(
+    state: Tree, at: int, name: str, variant: str, surfaces: Surfaces, words: str
+) -> list[Array]:
+    """Return the spectra that a property of a node may have; none if it is neutral. Raises
+    _UnknownError.
+    """
     node = state.nodes[at]
     kind = node.kind_of(name)
     if kind in ("Float", "Integer"):
@@ -402,13 +507,17 @@ def _property(state: Tree, at: int, name: str, variant: str, surfaces: Surfaces,
             return [surfaces.on_grid(table, at, name, words)]
         if texture.plugin == "checkerboard":
             colours = [colour for colour in ("color0", "color1") if colour in texture]
-            parts = [_property(state, child, colour, variant, surfaces, words) for colour in colours]
+            parts = [
+                _property(state, child, colour, variant, surfaces, words) for colour in colours
+            ]
             return [rho for part in parts for rho in part]
     raise _UnknownError(f"an unknown texture in {words}")
 
 
 def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
-    """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba. Raises _UnknownError."""
+    """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba. Raises
+    _UnknownError.
+    """
     described: dict[str, Any] = {"type": "conductor"}
     textures = children(node, state)
     for key in ("material", "eta", "k"):
@@ -424,7 +533,10 @@ def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
                 value = uniform if value.uniform else irregular(value.wavelengths, value.values)
             described[key] = value
     # Beyond its tables, where a metal renders as a mirror, its reflectance along the normal is 0/0.
-    return [np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0) for cosine in METAL_COSINES]
+    return [
+        np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0)
+        for cosine in METAL_COSINES
+    ]
 
 
 FLAT = ("rectangle", "disk")
@@ -451,16 +563,21 @@ class Body:
         return float(self.corners[:, 2].min()), float(self.corners[:, 2].max())
 
     def in_view(self, camera: Camera, aspect: float) -> bool:
-        """Return whether the shape may be in the picture, blur included: not all of it is beyond one side."""
+        """Return whether the shape may be in the picture, blur included: not all of it is beyond
+        one side.
+        """
         if self.corners is None:
             return True
         x, y, z = self.corners.T
         tan_x = camera.die_mm / (2 * camera.image_distance_mm)
         a = camera.aperture_radius_m
         for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
-            # The edge rays of the outermost sample start at the far rim of the lens and cross in the plane in focus.
+            # The edge rays of the outermost sample start at the far rim of the lens and cross in
+            # the plane in focus.
             focus = tangent * camera.object_distance_m
-            edge_m = np.maximum(*(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a)))
+            edge_m = np.maximum(
+                *(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a))
+            )
             if np.all(across > edge_m) or np.all(across < -edge_m):
                 return False
         return bool(np.any(z > IN_FRONT_M))
@@ -471,9 +588,13 @@ def matrix_of(node: Node, name: str = "to_world") -> Array:
 
 
 def find_bodies(state: Tree, sensor: Node) -> list[Body]:
-    """Return every shape that may be in view; the members of a shape group are placed at its instances."""
+    """Return every shape that may be in view; the members of a shape group are placed at its
+    instances.
+    """
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
-    groups = [(index, node) for index, node in nodes_of(state, "Shape") if node.plugin == "shapegroup"]
+    groups = [
+        (index, node) for index, node in nodes_of(state, "Shape") if node.plugin == "shapegroup"
+    ]
     members = {child: index for index, node in groups for child in children(node, state).values()}
     bodies = []
     for index, node in nodes_of(state, "Shape"):
@@ -486,10 +607,22 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
             boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].kind == "Shape"]
             stated = [box for box in boxes if box is not None]
             place = to_camera @ matrix_of(node)
-            bodies.append(Body(index, _moved(place, np.vstack(stated)) if stated and len(stated) == len(boxes) else None, None))
+            bodies.append(
+                Body(
+                    index,
+                    _moved(place, np.vstack(stated))
+                    if stated and len(stated) == len(boxes)
+                    else None,
+                    None,
+                )
+            )
         else:
             box = _box(node)
-            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _facing(to_camera, node)))
+            bodies.append(
+                Body(
+                    index, None if box is None else _moved(to_camera, box), _facing(to_camera, node)
+                )
+            )
     return bodies
 
 
@@ -502,7 +635,9 @@ def _box(node: Node) -> Array | None:
         unit = np.array(list(product((-1.0, 1.0), repeat=3)))
     elif plugin == "sphere":
         centre = np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel()
-        unit = centre + float(node.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
+        unit = centre + float(node.get("radius", 1.0)) * np.array(
+            list(product((-1.0, 1.0), repeat=3))
+        )
     elif plugin == "cylinder":
         ends = [np.array(node.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
         radius = float(node.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -529,32 +664,58 @@ def _moved(matrix: Array, points: Array) -> Array:
 
 
 def blur_um(camera: Camera, depth_m: float) -> float:
-    """Return the diameter on the sensor of the blur disc of a point at a depth; infinite at and behind the lens."""
+    """Return the diameter on the sensor of the blur disc of a point at a depth; infinite at and
+    behind the lens.
+    """
     if depth_m <= 0:
         return np.inf
     u = camera.object_distance_m
     # The disc is 2a |d - u|/d in the plane in focus, times the magnification of that plane.
-    return float(2 * camera.aperture_radius_m * abs(depth_m - u) / depth_m * camera.image_distance_mm * 1e3 / u)
+    return float(
+        2
+        * camera.aperture_radius_m
+        * abs(depth_m - u)
+        / depth_m
+        * camera.image_distance_mm
+        * 1e3
+        / u
+    )
 
 
 def greatest_blur_um(camera: Camera, body: Body) -> float:
-    return np.inf if body.corners is None else max(blur_um(camera, depth) for depth in body.depths_m)
+    return (
+        np.inf if body.corners is None else max(blur_um(camera, depth) for depth in body.depths_m)
+    )
 
 
 def face_one_way(bodies: list[Body]) -> bool:
-    """Return whether all shapes are flat, parallel and face the same way, so that they do not light each other."""
+    """Return whether all shapes are flat, parallel and face the same way, so that they do not light
+    each other.
+    """
     normals = [body.normal for body in bodies if body.normal is not None]
     if len(normals) < len(bodies) or not normals:
         return False
     first = normals[0]
-    return all(float(first @ normal) > 0 and float(np.linalg.norm(np.cross(first, normal))) < PARALLEL for normal in normals)
+    return all(
+        float(first @ normal) > 0 and float(np.linalg.norm(np.cross(first, normal))) < PARALLEL
+        for normal in normals
+    )
 
 
 PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
 # Maps that are neither light nor reflectance may have any values and channels.
 MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
 NUMBERS_OF_TEXTURES = ("value", "values", "color0", "color1")
-MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
+MAP_NAMES = (
+    "alpha",
+    "alpha_u",
+    "alpha_v",
+    "roughness",
+    "metallic",
+    "anisotropic",
+    "weight",
+    "opacity",
+)
 
 
 def named_files(state: Tree) -> list[Path]:
@@ -575,7 +736,10 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
         for name, index in children(node, state).items():
             (maps if _takes_map(node, name) else others).add(index)
             if _is_share(node, name):
-                for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
+                for part in (
+                    index,
+                    *children(state.nodes[index], state).values(),
+                ):  # of a checkerboard
                     shares[part] = f"{node.plugin}.{name}"
     files = []
     for index, node in enumerate(state.nodes):
@@ -583,17 +747,30 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
             path = _file_of(node)
             has_light = node.kind != "Shape" and index not in maps - others
             shape_index = int(node.get("shape_index", 0))
-            files.append(AssetFile(str(path), digest_of(path), node.plugin, shape_index, has_light, shares.get(index, "")))
+            files.append(
+                AssetFile(
+                    str(path),
+                    digest_of(path),
+                    node.plugin,
+                    shape_index,
+                    has_light,
+                    shares.get(index, ""),
+                )
+            )
     return tuple(files)
 
 
 def _is_share(node: Node, name: str) -> bool:
     """Return whether a property of a node is a share of the light that a surface sends back."""
-    return node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color")
+    return node.kind == "BSDF" and (
+        name.endswith(("reflectance", "transmittance")) or name == "base_color"
+    )
 
 
 def check_shares(state: Tree) -> None:
-    """Warn of reflectances above 1, and raise PixsimError above 1.5, where the XML has their numbers."""
+    """Warn of reflectances above 1, and raise PixsimError above 1.5, where the XML has their
+    numbers.
+    """
     for node in state.nodes:
         for name in node:
             if _is_share(node, name):
@@ -606,7 +783,9 @@ def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
     index = children(node, state).get(name)
     if index is not None:
         texture = state.nodes[index]
-        parts = [_numbers_of(state, texture, part) for part in NUMBERS_OF_TEXTURES if part in texture]
+        parts = [
+            _numbers_of(state, texture, part) for part in NUMBERS_OF_TEXTURES if part in texture
+        ]
         return [number for part in parts for number in part]
     match node.kind_of(name):
         case "Spectrum":
@@ -625,19 +804,26 @@ def words_of(node: Node) -> str:
 
 
 def _takes_map(node: Node, name: str) -> bool:
-    """Return whether a property of a node takes any numbers, such as normals and roughness, not light or reflectance."""
+    """Return whether a property of a node takes any numbers, such as normals and roughness, not
+    light or reflectance.
+    """
     return node.plugin in MAPS or name in MAP_NAMES
 
 
 @lru_cache(maxsize=1)
 def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
-    """Return the texels of a neutral EXR, not to be changed: a render asks several times. `digest` is that of the file.
+    """Return the texels of a neutral EXR, not to be changed: a render asks several times. `digest`
+    is that of the file.
 
     Raises PixsimError if it has several channels, or texels that are no light.
     """
     channels = read_channels(path)[0]
     if len(channels) > 1:
-        raise invalid(f"texture '{path}'", f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
+        raise invalid(
+            f"texture '{path}'",
+            f"channels {', '.join(names_in(channels))} with raw = true",
+            "one channel, Y",
+        )
     texels = next(iter(channels.values()))
     check_texels(path, texels)
     return texels
@@ -647,23 +833,48 @@ RAW = 'Write <boolean name="raw" value="true"/> in its <bitmap>.'
 
 
 def check_textures(state: Tree) -> None:
-    """Raise PixsimError for textures that Mitsuba would take for colours where numbers are needed, or the reverse."""
+    """Raise PixsimError for textures that Mitsuba would take for colours where numbers are needed,
+    or the reverse.
+    """
     for node in state.nodes:
         for name, index in children(node, state).items():
             texture = state.nodes[index]
             is_bitmap, is_raw = texture.plugin == "bitmap", is_neutral(texture)
             if is_bitmap and not is_raw and node.plugin == "normalmap":
                 what = f"normalmap '{_file_of(texture).name}'"
-                raise invalid(what, "a picture without raw = true", "numbers as they are in the file", RAW)
-            if node.plugin in METALS and name in ("eta", "k") and (texture.plugin == "srgb" or (is_bitmap and not is_raw)):
+                raise invalid(
+                    what, "a picture without raw = true", "numbers as they are in the file", RAW
+                )
+            if (
+                node.plugin in METALS
+                and name in ("eta", "k")
+                and (texture.plugin == "srgb" or (is_bitmap and not is_raw))
+            ):
                 allowed = "a number, a spectrum, or a bitmap with raw = true"
-                raise invalid(f"{node.plugin}.{name}", f"a colour, of a texture {texture.plugin}", allowed, METAL_BY_NAME)
-            if is_raw and not _takes_map(node, name) and _file_of(texture).suffix.lower() in EIGHT_BIT:
+                raise invalid(
+                    f"{node.plugin}.{name}",
+                    f"a colour, of a texture {texture.plugin}",
+                    allowed,
+                    METAL_BY_NAME,
+                )
+            if (
+                is_raw
+                and not _takes_map(node, name)
+                and _file_of(texture).suffix.lower() in EIGHT_BIT
+            ):
                 allowed = "a linear float32 EXR of one channel, as written by pixsim chart"
-                raise invalid(f"texture '{_file_of(texture)}'", f"{_file_of(texture).suffix} with raw = true", allowed)
+                raise invalid(
+                    f"texture '{_file_of(texture)}'",
+                    f"{_file_of(texture).suffix} with raw = true",
+                    allowed,
+                )
 
 
-BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
+BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {
+    "clamp": "edge",
+    "repeat": "wrap",
+    "mirror": "symmetric",
+}
 KNOWN_OF_BITMAPS = {"filename", "raw", "wrap_mode", "filter_type", "to_uv"}
 
 
@@ -673,7 +884,8 @@ class EmittedPicture:
 
     texels : (rows, columns), as in the file
     along_u, along_v : 1, or -1 if columns or rows run against the shape's u or v
-    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not known how they are interpolated
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not
+        known how they are interpolated
     source : hash of its file
     nearest : whether each texel is even, not interpolated linearly
     """
@@ -705,11 +917,17 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
     if "filename" not in node:
         return None
     path = _file_of(node)
-    whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
+    whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(
+        to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5
+    )
     if path.suffix.lower() != ".exr" or not whole:
         return None
     nearest = node.get("filter_type", "bilinear") == "nearest"
-    beyond = BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= KNOWN_OF_BITMAPS else None
+    beyond = (
+        BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= KNOWN_OF_BITMAPS else None
+    )
     source = digest_of(path)
     texels = _texels_of(path, source).astype(float)
-    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest)
+    return EmittedPicture(
+        texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest
+    )

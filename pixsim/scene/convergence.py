@@ -1,4 +1,6 @@
-"""Render until the render noise is small compared with the sensor noise, and report what remains."""
+"""Render until the render noise is small compared with the sensor noise, and report what
+remains.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +39,15 @@ RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR, PAIRS_A_LEVEL = 2, 2
-FIRST_LEVEL = -1  # with a time limit: a picture of a quarter of the samples comes sooner, and more are added to it
-UNKNOWN = 8.0  # times the samples of the first pair: what a render is expected to take before its noise is known
-GRACE, GRACE_S = 0.5, 1.5  # of a time limit and beyond it, for the first pair, without which there is no picture
+FIRST_LEVEL = (
+    -1
+)  # with a time limit: a picture of a quarter of the samples comes sooner, and more are added to it
+# times the samples of the first pair: what a render is expected to take before its noise is known
+UNKNOWN = 8.0
+GRACE, GRACE_S = (
+    0.5,
+    1.5,
+)  # of a time limit and beyond it, for the first pair, without which there is no picture
 EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 
@@ -47,13 +55,14 @@ EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 class RenderNoise:
     """Noise of the mean of independent renders, estimated from two halves of them.
 
-    fraction : RMS over pixels of the standard error of the mean electrons over the sensor's temporal noise
+    fraction : RMS over pixels of the standard error of the mean electrons over the sensor's
+        temporal noise
     relative : RMS of the standard error over the RMS of the mean electrons
     target : limit for `fraction`
     runs : number of renders, each with its own seed
     ended_by : why rendering ended
-    delta_e : half of the mean ΔE between noise-free pictures of the two halves, a limit of the error of a mean ΔE; None if it was
-        not measured
+    delta_e : half of the mean ΔE between noise-free pictures of the two halves, a limit of the
+        error of a mean ΔE; None if it was not measured
     tolerance_delta_e : limit for `delta_e`, which takes the place of `target`; None means none
     """
 
@@ -88,26 +97,30 @@ def render_until(
     progress: Progress | None = None,  # fraction done, and the current noise as text
     keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
-    """Return the mean of as many independent renders as the sensor noise requires, at least two, and its noise.
+    """Return the mean of as many independent renders as the sensor noise requires, at least two,
+    and its noise.
 
     Parameters
     ----------
     pixels : the noise is compared with that of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
-    max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
-        `Plan.most_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
+    max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples
+        instead, to `Plan.most_samples`, so that the result does not depend on the machine. What the
+        limit finds unfinished is given up.
     tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`; None means none
     delta_e_between : returns the mean ΔE between noise-free pictures of two lights
     progress : called with the fraction done and the current noise
     keep : use the cache of renders; the result is the same bit for bit
 
-    Renders are summed in two independent halves; half of their difference has the variance of their mean, pixel by pixel.
-    Samples are added in pairs of renders, weighted by their samples. Far from the target every second pair has four times
-    the samples of the one before, so that they stay stratified. Memory does not grow with the number of renders. What is
-    added depends on the noise only, never on the clock. A picture that the time limit ended is reproduced, bit for bit, by
-    its noise as the target, or by cached renders with the same limits.
+    Renders are summed in two independent halves; half of their difference has the variance of their
+    mean, pixel by pixel. Samples are added in pairs of renders, weighted by their samples. Far from
+    the target every second pair has four times the samples of the one before, so that they stay
+    stratified. Memory does not grow with the number of renders. What is added depends on the noise
+    only, never on the clock. A picture that the time limit ended is reproduced, bit for bit, by its
+    noise as the target, or by cached renders with the same limits.
 
-    Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the time limit leaves no picture.
+    Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the
+    time limit leaves no picture.
     """
     begun_s = time.monotonic()
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
@@ -118,19 +131,28 @@ def render_until(
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
         return job.image(pictures, spp, render_noise=asdict(noise)), noise
 
-    derived = [derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
+    derived = [
+        derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
+        for pixel in pixels
+    ]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
-    limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
+    limits = content_hash(
+        [sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
+    )
     runs_in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
     max_samples = math.inf
     if max_seconds is None:
-        max_samples = plan.most_samples / (PAIR * math.prod(job.size) * plan.light.passes)  # per film cell
+        max_samples = plan.most_samples / (
+            PAIR * math.prod(job.size) * plan.light.passes
+        )  # per film cell
 
     halves: list[list[Array]] = [[], []]
     runs, level, at_level = 0, 0 if max_seconds is None else FIRST_LEVEL, 0
     weight, samples = 0.0, 0  # samples per film cell of each half, and of both
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    needed = max_samples if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
+    needed = (
+        max_samples if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
+    )
     note, progress = "", progress and _never_back(progress)
     ended: EndedBy | None = None
     while ended is None:
@@ -151,14 +173,25 @@ def render_until(
         weight, at_level = weight + spp, at_level + 1
 
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
-        delta_e = _halves_delta_e(job, halves, weight, delta_e_between if tolerance_delta_e else None)
-        noise = RenderNoise(fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e)
+        delta_e = _halves_delta_e(
+            job, halves, weight, delta_e_between if tolerance_delta_e else None
+        )
+        noise = RenderNoise(
+            fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e
+        )
         is_far = noise.excess**2 > LEVEL_FACTOR / 2
         samples_left = max_samples - weight
-        if level < 0 or (is_far and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= samples_left):
+        if level < 0 or (
+            is_far
+            and at_level >= PAIRS_A_LEVEL
+            and spp < MAX_SPP
+            and spp * LEVEL_FACTOR <= samples_left
+        ):
             level, at_level = level + 1, 0
         spent_s = time.monotonic() - begun_s
-        is_late = max_seconds is not None and (runs >= runs_in_time if runs_in_time else spent_s > max_seconds)
+        is_late = max_seconds is not None and (
+            runs >= runs_in_time if runs_in_time else spent_s > max_seconds
+        )
         ended = _ended_by(noise, no_samples_left=spp > samples_left, is_late=is_late)
         noise = replace(noise, ended_by=ended or "target")
 
@@ -175,7 +208,10 @@ def render_until(
         warn(_limit_note(ended, plan, noise, max_seconds))
     _average(halves[0], halves[1], weight)
     halves.pop()
-    rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
+    rounded = {
+        key: float(f"{value:.6g}") if isinstance(value, float) else value
+        for key, value in asdict(noise).items()
+    }
     return job.image(halves[0], samples, render_noise=rounded), noise
 
 
@@ -191,7 +227,9 @@ def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> En
 
 
 def _never_back(progress: Progress) -> Progress:
-    """Return a progress that never goes back, though what is left of a render is known from its noise only."""
+    """Return a progress that never goes back, though what is left of a render is known from its
+    noise only.
+    """
     most_done = 0.0
 
     def report(done: float, note: str) -> None:
@@ -203,7 +241,13 @@ def _never_back(progress: Progress) -> Progress:
 
 
 def _pair(
-    job: Renderer, runs: int, level: int, weight: float, needed: float, progress: Progress | None, note: str
+    job: Renderer,
+    runs: int,
+    level: int,
+    weight: float,
+    needed: float,
+    progress: Progress | None,
+    note: str,
 ) -> Iterator[tuple[list[Any], int]]:
     """Iterate over the next two renders.
 
@@ -242,11 +286,14 @@ def _halves_delta_e(
     weight: float,
     delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None,
 ) -> float | None:
-    """Return half of the mean ΔE between the pictures of two halves; None where it is not asked for, or one of them is black.
+    """Return half of the mean ΔE between the pictures of two halves; None where it is not asked
+    for, or one of them is black.
 
     weight : samples of each half
     """
-    if delta_e_between is None or not all(any(job.lit(picture) for picture in half) for half in halves):
+    if delta_e_between is None or not all(
+        any(job.lit(picture) for picture in half) for half in halves
+    ):
         return None
     first, second = (job.image(_means(half, weight), 0) for half in halves)
     return delta_e_between(first, second) / 2
@@ -267,7 +314,8 @@ def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
 def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> Note:
     """Return a note on why a render ended before its target, and how much noise it has.
 
-    Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
+    Without the seconds that have passed: the text belongs to the result, which a cached render
+    reproduces.
     """
     causes = {
         "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
@@ -275,15 +323,30 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
-        remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
-        return Note("render_noise", words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e")
-    remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
-    factor = f"; about {samples_factor(noise.fraction, noise.target):.15g} times as many samples reach it"
-    return Note("render_noise", words=f"{causes[ended]}: {remains}{factor}. Raise --max-seconds or --render-noise")
+        remains = "render noise makes up to {} ΔE, {} tolerated".format(
+            *told_apart(noise.delta_e, noise.tolerance_delta_e)
+        )
+        return Note(
+            "render_noise",
+            words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e",
+        )
+    remains = "render noise is {} of the sensor noise, target {}".format(
+        *told_apart(noise.fraction, noise.target)
+    )
+    factor = (
+        f"; about {samples_factor(noise.fraction, noise.target):.15g} times as many samples"
+        " reach it"
+    )
+    return Note(
+        "render_noise",
+        words=f"{causes[ended]}: {remains}{factor}. Raise --max-seconds or --render-noise",
+    )
 
 
 def samples_factor(noise: float, target: float) -> float:
-    """Return how many times as many samples bring a render noise to its target: its variance falls with their number."""
+    """Return how many times as many samples bring a render noise to its target: its variance falls
+    with their number.
+    """
     return float(f"{(noise / target) ** 2:.2g}")
 
 
@@ -293,9 +356,11 @@ Settings = TypeVar("Settings", bound=Effort)
 
 
 def without_clock(asked: Settings, image: SpectralImage) -> Settings:
-    """Return the settings that make the same picture again, whatever the clock says; those asked for if they have no time limit.
+    """Return the settings that make the same picture again, whatever the clock says; those asked
+    for if they have no time limit.
 
-    A time limit may have ended the render, whose noise is then the target, and may have chosen the film.
+    A time limit may have ended the render, whose noise is then the target, and may have chosen the
+    film.
 
     asked : with `max_seconds` as the user gave it
     image : of a render with these settings
@@ -310,32 +375,51 @@ def without_clock(asked: Settings, image: SpectralImage) -> Settings:
 
 
 def noise_of(
-    job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[PixelPhysics], exposure: Exposure
+    job: Renderer,
+    halves: list[list[Array]],
+    weight: float,
+    pixels: Sequence[PixelPhysics],
+    exposure: Exposure,
 ) -> tuple[float, float]:
-    """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for the worst pixel.
+    """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for
+    the worst pixel.
 
-    Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED` pixels, those of `PARTS` × `PARTS`
-    parts are measured, spread evenly over the picture.
+    Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
+    pixels, those of `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
     """
     worst = worst_relative = 0.0
     for physics in pixels:
         side = physics.pitch_um, physics.aperture_side_um
         parts = measured_parts(job.size, job.pitch_um / physics.pitch_um, job.margin)
-        rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
+        rates = [
+            [
+                integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side)
+                for part in parts
+            ]
+            for half in halves
+        ]
         first, second = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
         rate, error_rate = np.maximum((first + second) / 2, 0.0), (first - second) / 2
         readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
         time_s = integration_time_s(exposure, readout, float(rate.max()))
-        variance_e2 = frame_variance_dn2(rate * time_s, time_s, readout, fixed_pattern=False) / readout.dn_per_e**2
+        variance_e2 = (
+            frame_variance_dn2(rate * time_s, time_s, readout, fixed_pattern=False)
+            / readout.dn_per_e**2
+        )
         error_e = error_rate * time_s
         worst = max(worst, math.sqrt(float(np.mean(error_e**2 / variance_e2))))
         power = float(np.mean((rate * time_s) ** 2))
-        worst_relative = max(worst_relative, math.sqrt(float(np.mean(error_e**2)) / power) if power else 0.0)
+        worst_relative = max(
+            worst_relative, math.sqrt(float(np.mean(error_e**2)) / power) if power else 0.0
+        )
     return worst, worst_relative
 
 
-def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int = 0) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or parts with `MEASURED` pixels.
+def measured_parts(
+    shape: tuple[int, int], pixels_per_cell: float, margin: int = 0
+) -> list[tuple[slice, slice]]:
+    """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or
+    parts with `MEASURED` pixels.
 
     pixels_per_cell : along each side
     margin : cells at each side of the film to which rows and columns are counted
@@ -345,19 +429,31 @@ def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int =
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 
     cells_per_pixel = math.ceil(1 / pixels_per_cell)
-    down, across = (spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner))) for count in shape)
-    rows, columns = ([slice(part.start + margin, part.stop + margin) for part in side] for side in (down, across))
+    down, across = (
+        spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner)))
+        for count in shape
+    )
+    rows, columns = (
+        [slice(part.start + margin, part.stop + margin) for part in side] for side in (down, across)
+    )
     return list(product(rows, columns))
 
 
-def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Array:
-    """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory for all bands.
+def _rate(
+    job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]
+) -> Array:
+    """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory
+    for all bands.
 
-    Pictures in a file are read row by row: the system maps more around each place than a few columns of a row.
+    Pictures in a file are read row by row: the system maps more around each place than a few
+    columns of a row.
     """
     rows, columns = part
     # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
-    units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
+    units = np.split(
+        ideal_rate(job.units, physics)[0],
+        np.cumsum([picture.shape[2] for picture in pictures])[:-1],
+    )
 
     rate = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     for strip in strips(*rate.shape):

@@ -1,8 +1,10 @@
-"""The film: how many samples across the die a pixel, a lens and a display need, and what a film takes of memory.
+"""The film: how many samples across the die a pixel, a lens and a display need, and what a film
+takes of memory.
 
-The display shows nothing finer than its dots, and the lens passes nothing finer than half a period of its cut-off. What the
-photodiodes of smaller pixels see comes back, as aliasing, only down to half a dot. The film has two samples for the finest of
-these; its error is then measured in the rendered picture (`studies/film_error.py`).
+The display shows nothing finer than its dots, and the lens passes nothing finer than half a period
+of its cut-off. What the photodiodes of smaller pixels see comes back, as aliasing, only down to
+half a dot. The film has two samples for the finest of these; its error is then measured in the
+rendered picture (`studies/film_error.py`).
 """
 
 from __future__ import annotations
@@ -19,9 +21,13 @@ SAMPLES_PER_DETAIL = 2
 DETAIL_PER_DOT = 2  # aliasing of finer detail than half a dot averages out over the dots
 MAX_ACROSS = 4096
 MAX_BYTES = 2 << 30
-# Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the lens, and of paths.
+# Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the
+# lens, and of paths.
 CHART_SAMPLES, PATH_SAMPLES = 1 << 27, 20_000_000
-BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24  # float64 light, its transforms and integrals; each pulse in two halves and the result
+BYTES_PER_CELL, BYTES_PER_VALUE = (
+    48,
+    24,
+)  # float64 light, its transforms and integrals; each pulse in two halves and the result
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
@@ -35,7 +41,11 @@ def dots_across(camera: Camera, display: Display, pitch_um: float) -> float:
 
 
 def details_across(
-    camera: Camera, aperture_side_um: float, display: Display, pitch_um: float, of_chart: float | None = None
+    camera: Camera,
+    aperture_side_um: float,
+    display: Display,
+    pitch_um: float,
+    of_chart: float | None = None,
 ) -> tuple[float, str]:
     """Return how many of the finest details that matter fit across the die, and what they are.
 
@@ -46,36 +56,55 @@ def details_across(
     dots = dots_across(camera, display, pitch_um)
     finer = {
         "photodiodes": die_um / aperture_side_um,
-        "half periods of the lens's cut-off": 2 * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) * camera.die_mm,
+        "half periods of the lens's cut-off": 2
+        * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
+        * camera.die_mm,
         "half dots of the display": DETAIL_PER_DOT * dots,
     }
     name = min(finer, key=lambda name: finer[name])
     details, name = (finer[name], name) if finer[name] > dots else (dots, "dots of the display")
-    return (details, name) if of_chart is None or of_chart >= details else (of_chart, "details of the chart")
+    return (
+        (details, name)
+        if of_chart is None or of_chart >= details
+        else (of_chart, "details of the chart")
+    )
 
 
 def film_bytes(cells: float, planes: int) -> float:
-    """Return the memory and disk that a film takes, estimated from its cells and its pictures (bands or pulses)."""
+    """Return the memory and disk that a film takes, estimated from its cells and its pictures
+    (bands or pulses).
+    """
     return PROGRAM_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
 
 
 def film_memory_bytes(cells: float, planes: int) -> float:
-    """Return the memory alone: two planes of float64, work arrays, and what of the pictures is not in a file (`base/mapped.py`)."""
+    """Return the memory alone: two planes of float64, work arrays, and what of the pictures is not
+    in a file (`base/mapped.py`).
+    """
     arrays = 8 * cells * planes, 8 * cells * planes, 4 * cells * planes, 4 * cells * planes
-    return PROGRAM_BYTES + STRIP_BYTES + 16 * cells + sum(size for size in arrays if size <= MOST_BYTES)
+    return (
+        PROGRAM_BYTES
+        + STRIP_BYTES
+        + 16 * cells
+        + sum(size for size in arrays if size <= MOST_BYTES)
+    )
 
 
 def largest_film(height_over_width: float, planes: int, cells_in_time: float = math.inf) -> int:
-    """Return the widest film within `MAX_ACROSS` and `MAX_BYTES`; it depends on the settings only, not on the machine.
+    """Return the widest film within `MAX_ACROSS` and `MAX_BYTES`; it depends on the settings only,
+    not on the machine.
 
     cells_in_time : of a film that the limit of samples allows
     """
-    cells = min((MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes), cells_in_time)
+    cells = min(
+        (MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes), cells_in_time
+    )
     return min(MAX_ACROSS, math.isqrt(int(cells / height_over_width)) // BLOCK * BLOCK)
 
 
 def fitting_width(height_over_width: float, width: float, most: int) -> int:
-    """Return the width, at least `width` if `most` allows it, whose whole cells end closest beyond the lower edge of the die.
+    """Return the width, at least `width` if `most` allows it, whose whole cells end closest beyond
+    the lower edge of the die.
 
     On a square die that is the next multiple of `BLOCK`.
     """

@@ -1,7 +1,9 @@
-"""The illuminance that a lit scene states, and all of its lamps made stronger or weaker by one factor.
+"""The illuminance that a lit scene states, and all of its lamps made stronger or weaker by one
+factor.
 
-A scene states it by `<default name="lux" value="E"/>`, which only pixsim reads: what a lux meter shows at a place that the
-scene's author chose, with the lamps as the file has them. Light is linear in its lamps, so another illuminance is a factor.
+A scene states it by `<default name="lux" value="E"/>`, which only pixsim reads: what a lux meter
+shows at a place that the scene's author chose, with the lamps as the file has them. Light is linear
+in its lamps, so another illuminance is a factor.
 """
 
 from __future__ import annotations
@@ -12,17 +14,27 @@ from pixsim.base.errors import invalid
 from pixsim.light.quantities import ILLUMINANCE
 from pixsim.scene.contents import Lamp
 
-ALLOWED_LUX = (1e-9, 1e9)  # starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light
+ALLOWED_LUX = (
+    1e-9,
+    1e9,
+)  # starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light
 BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
 
 
-def strength(lux: float, stated_lux: float, as_written: Sequence[Lamp], now: Sequence[Lamp], parameters: Sequence[str]) -> float:
+def strength(
+    lux: float,
+    stated_lux: float,
+    as_written: Sequence[Lamp],
+    now: Sequence[Lamp],
+    parameters: Sequence[str],
+) -> float:
     """Return the factor for all lamps that gives the scene's place an illuminance of `lux`.
 
     stated_lux : of the scene's place, with the lamps `as_written` in its file
     now : the lamps with the parameters of the user, named `parameters`
 
-    Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or invisible.
+    Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or
+    invisible.
     """
     before, after = luminances(as_written), luminances(now)
     got = f"'{lux:g}' beside {', '.join(parameters)}" if parameters else f"'{lux:g}'"
@@ -30,17 +42,35 @@ def strength(lux: float, stated_lux: float, as_written: Sequence[Lamp], now: Seq
         raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{ALLOWED_LUX[0]:g} to {ALLOWED_LUX[1]:g} lx")
     is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
     if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
-        raise invalid(ILLUMINANCE, f"{got}, but the light of the emitters is unknown or 0", "emitters of visible light, in tables")
-    ratios = [after[index] / before[index] for index in before.keys() & after.keys() if before[index] > 0]
-    same = before.keys() == after.keys() and all(after[index] == 0 for index in before if before[index] == 0)
+        raise invalid(
+            ILLUMINANCE,
+            f"{got}, but the light of the emitters is unknown or 0",
+            "emitters of visible light, in tables",
+        )
+    ratios = [
+        after[index] / before[index] for index in before.keys() & after.keys() if before[index] > 0
+    ]
+    same = before.keys() == after.keys() and all(
+        after[index] == 0 for index in before if before[index] == 0
+    )
     if not same or max(ratios) - min(ratios) > BALANCE * max(ratios):
-        allowed = "the balance of the lamps in the scene's file, at whose place alone the illuminance is known"
-        raise invalid(ILLUMINANCE, f"{got}, with another balance of the lamps", allowed, "Set the lamps' own parameters alone.")
+        allowed = (
+            "the balance of the lamps in the scene's file, at whose place alone the illuminance is"
+            " known"
+        )
+        raise invalid(
+            ILLUMINANCE,
+            f"{got}, with another balance of the lamps",
+            allowed,
+            "Set the lamps' own parameters alone.",
+        )
     return lux / stated_lux / max(ratios)
 
 
 def luminances(lamps: Sequence[Lamp]) -> dict[int, float]:
-    """Return the luminance of each emitter, by its node; of a picture that of texel value 1; of distant ones the illuminance."""
+    """Return the luminance of each emitter, by its node; of a picture that of texel value 1; of
+    distant ones the illuminance.
+    """
     luminance_of_emitter = {}
     for lamp in lamps:
         luminance = lamp.luminance_cd_per_m2

@@ -1,4 +1,6 @@
-"""Inspect a scene before its render is planned: what shines, what reflects, what is in view, and in which wavelengths."""
+"""Inspect a scene before its render is planned: what shines, what reflects, what is in view, and in
+which wavelengths.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from pixsim.base.digits import percent
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note
 from pixsim.light.quantities import LUMINANCE
-from pixsim.light.spectral import HIGH_NM, LEAST_LM_PER_W, VISIBLE, WHITE_RADIANCE, WIDEST, Span, Spectrum, photons_per_joule
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LEAST_LM_PER_W,
+    VISIBLE,
+    WHITE_RADIANCE,
+    WIDEST,
+    Span,
+    Spectrum,
+    photons_per_joule,
+)
 from pixsim.optics.camera import Camera
 from pixsim.scene.contents import (
     Body,
@@ -81,15 +92,28 @@ class Inspection:
 
     @property
     def chart_white(self) -> dict[str, float]:
-        """The entry of an irradiance's header on texel value 1 of an emissive chart; empty where the scene is more than a chart.
+        """The entry of an irradiance's header on texel value 1 of an emissive chart; empty where
+        the scene is more than a chart.
 
         Its luminance in cd/m², or the radiance of light without one in W m⁻² sr⁻¹.
         """
         emitters = nodes_of(self.state, "Emitter")
-        if len(emitters) != 1 or len(self.bodies) != 1 or emitters[0][1].plugin != "area" or self.lamps[0].spectrum is None:
+        if (
+            len(emitters) != 1
+            or len(self.bodies) != 1
+            or emitters[0][1].plugin != "area"
+            or self.lamps[0].spectrum is None
+        ):
             return {}
-        luminance, radiance = self.lamps[0].luminance_cd_per_m2, self.lamps[0].spectrum.integral(*astuple(self.span))
-        name, value = (LUMINANCE, luminance) if luminance > LEAST_LM_PER_W * radiance else (WHITE_RADIANCE, radiance)
+        luminance, radiance = (
+            self.lamps[0].luminance_cd_per_m2,
+            self.lamps[0].spectrum.integral(*astuple(self.span)),
+        )
+        name, value = (
+            (LUMINANCE, luminance)
+            if luminance > LEAST_LM_PER_W * radiance
+            else (WHITE_RADIANCE, radiance)
+        )
         return {name: float(f"{value:.9g}")} if value > 0 else {}
 
     @property
@@ -98,9 +122,15 @@ class Inspection:
         words = []
         if self.surfaces.short:
             ranges = ", ".join(sorted(self.surfaces.short))
-            words.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
+            words.append(
+                f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them"
+                " to 360-830 nm"
+            )
         if self.surfaces.ending:
-            words.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(self.surfaces.ending)}")
+            words.append(
+                f"outside {VISIBLE.words} these are what Mitsuba makes of them:"
+                f" {_named(self.surfaces.ending)}"
+            )
         words += [*warnings_of_skies(self.state, self.scene.choice.reading), *light_that_ends(self)]
         return [Note("scene", words=text) for text in words]
 
@@ -110,8 +140,8 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
 
     pixels : whose response decides on the range that is computed
 
-    Raises PixsimError for a scene without light in that range, for a lamp that is negative or not finite, and for a surface of
-    which nobody says what it is there.
+    Raises PixsimError for a scene without light in that range, for a lamp that is negative or not
+    finite, and for a surface of which nobody says what it is there.
     """
     state, reading = scene.for_camera(camera), scene.choice.reading
     sensor = sensor_node(state, scene.sensor_id)[1]
@@ -143,14 +173,23 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
 
 
 def light_that_ends(inspection: Inspection) -> list[str]:
-    """Return what to say of lamps whose data end where a sensor sees light, with the share of its electrons that may lack."""
-    span, channels = inspection.span, [channel for physics in inspection.pixels for channel in physics.channels]
+    """Return what to say of lamps whose data end where a sensor sees light, with the share of its
+    electrons that may lack.
+    """
+    span, channels = (
+        inspection.span,
+        [channel for physics in inspection.pixels for channel in physics.channels],
+    )
 
     def share(light: Array, beyond: NDArray[np.bool_]) -> float:
-        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from the cells beyond."""
+        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from
+        the cells beyond.
+        """
         shares = [0.0]
         for channel in channels:
-            electrons = light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
+            electrons = (
+                light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
+            )
             if electrons.sum() > 0:
                 shares.append(float(electrons[beyond].sum() / electrons.sum()))
         return max(shares)
@@ -169,45 +208,67 @@ def light_that_ends(inspection: Inspection) -> list[str]:
         ):
             if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
                 warnings.append(
-                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken as 0 beyond; "
-                    f"if it stayed so, {percent(part)} of the electrons would come from there"
+                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken"
+                    f" as 0 beyond; if it stayed so, {percent(part)} of the electrons would come"
+                    " from there"
                 )
 
-    pictures = [inspection.state.nodes[index] for lamp in inspection.all_lamps if lamp.spectrum is None for index in lamp.pictures]
+    pictures = [
+        inspection.state.nodes[index]
+        for lamp in inspection.all_lamps
+        if lamp.spectrum is None
+        for index in lamp.pictures
+    ]
     if pictures and span != VISIBLE:
         names = ", ".join(dict.fromkeys(f"'{node.plugin}'" for node in pictures))
-        warnings.append(f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts here: {names}")
+        warnings.append(
+            f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts"
+            f" here: {names}"
+        )
 
     if any(node.plugin == "sunsky" for node in pictures):
         # Air lets little of the sun through below 320 nm.
         part = share(planck(CENTRES_NM, SUN_K), SKY_NM[1] < CENTRES_NM)
         if part > SHOWN_SHARE:
             warnings.append(
-                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of sunlight (a black body of "
-                f"{SUN_K:g} K), {percent(part, 1)} of the electrons come from there; a filter keeps it out "
-                f"({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
+                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of"
+                f" sunlight (a black body of {SUN_K:g} K), {percent(part, 1)} of the electrons come"
+                " from there; a filter keeps it out"
+                f" ({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
             )
     return list(dict.fromkeys(warnings))
 
 
 def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
-    """Return the error for surfaces of which nobody says what they are in all of the range that is computed."""
-    got = f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in {surfaces.span.words}"
+    """Return the error for surfaces of which nobody says what they are in all of the range that is
+    computed.
+    """
+    got = (
+        f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in"
+        f" {surfaces.span.words}"
+    )
     allowed = f"tables of reflectance that cover {surfaces.span.words}"
     hint = (
-        f"Extend them; or state {parameter('beyond_tables', 'hold')} or 'zero'; or keep that light out "
-        f"({setting('pixel.infrared_cut_nm', HIGH_NM)})."
+        f"Extend them; or state {parameter('beyond_tables', 'hold')} or 'zero'; or keep that light"
+        f" out ({setting('pixel.infrared_cut_nm', HIGH_NM)})."
     )
     return invalid("scene", got, allowed, hint)
 
 
 def _named(surfaces: Sequence[str]) -> str:
     """Return the first of some surfaces, as text."""
-    return "; ".join(surfaces[:MAX_NAMED]) + f"; and {len(surfaces) - MAX_NAMED} more" * (len(surfaces) > MAX_NAMED)
+    return "; ".join(surfaces[:MAX_NAMED]) + f"; and {len(surfaces) - MAX_NAMED} more" * (
+        len(surfaces) > MAX_NAMED
+    )
 
 
 def _no_light(span: Span) -> PixsimError:
     """Return the error for a scene without light in the range that is computed."""
-    allowed = f"a lamp, a chart or a sky with light in {VISIBLE.words}, or in {WIDEST.words} where the sensor sees it"
-    hint = "Check that its scale is above 0, and that no filter keeps it out (pixel.infrared_cut_nm)."
+    allowed = (
+        f"a lamp, a chart or a sky with light in {VISIBLE.words}, or in {WIDEST.words} where the"
+        " sensor sees it"
+    )
+    hint = (
+        "Check that its scale is above 0, and that no filter keeps it out (pixel.infrared_cut_nm)."
+    )
     return invalid("scene", f"no emitter with light in {span.words}", allowed, hint)

@@ -1,4 +1,6 @@
-"""What is to be traced: a scene, its lamps, its film's passes, as plain numbers and texts that can be sent to another process."""
+"""What is to be traced: a scene, its lamps, its film's passes, as plain numbers and texts that can
+be sent to another process.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ class Lamps:
     """The emitters that shine in one scene of a job; the others are dark.
 
     pictures : emitter node -> (property, node of its neutral picture, or its power)
-    neutral : whether an emitter becomes its picture or power, since the film's pulses have its spectrum
+    neutral : whether an emitter becomes its picture or power, since the film's pulses have its
+        spectrum
     """
 
     pictures: dict[int, tuple[str, int | float]]
@@ -59,7 +62,9 @@ class Passes:
 
     @property
     def shifts(self) -> NDArray[np.float64]:
-        """Shares of a pulse's area that lie between its first wavelength and each of the four, (passes, 4): they are stratified."""
+        """Shares of a pulse's area that lie between its first wavelength and each of the four,
+        (passes, 4): they are stratified.
+        """
         same = self.lanes[:, :, None] == self.lanes[:, None, :]
         return np.tril(same, -1).sum(axis=2) / same.sum(axis=2)
 
@@ -72,12 +77,16 @@ class Passes:
         return whole
 
     def means(self, values: list[NDArray[np.float32]], spp: int) -> NDArray[np.float32]:
-        """Return the mean of each pulse in each cell, (cells, pulses): the same on any number of threads.
+        """Return the mean of each pulse in each cell, (cells, pulses): the same on any number of
+        threads.
 
         values : (cells · passes · spp,) at each of the four wavelengths
         """
         count = len(self.groups)
-        sums, numbers = np.zeros((len(self.pulses), values[0].size // (count * spp))), np.zeros(len(self.pulses))
+        sums, numbers = (
+            np.zeros((len(self.pulses), values[0].size // (count * spp))),
+            np.zeros(len(self.pulses)),
+        )
         for lane, lane_values in zip(self.lanes.T, values, strict=True):
             means = lane_values.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
             for pulse, mean in zip(lane, means.T, strict=True):
@@ -139,7 +148,10 @@ class TraceJob:
 def irregular(nodes_nm: Iterable[float], values: Iterable[float]) -> dict[str, Any]:
     """Describe a spectrum with steps of any size."""
     columns = {"wavelengths": nodes_nm, "values": values}
-    return {"type": "irregular"} | {name: ", ".join(repr(float(number)) for number in numbers) for name, numbers in columns.items()}
+    return {"type": "irregular"} | {
+        name: ", ".join(repr(float(number)) for number in numbers)
+        for name, numbers in columns.items()
+    }
 
 
 def regular(low_nm: float, high_nm: float, values: Iterable[float]) -> dict[str, Any]:

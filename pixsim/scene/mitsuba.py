@@ -1,4 +1,6 @@
-"""Access to Mitsuba: import, errors as PixsimError, the parsed tree, and spectra of plugins. No other module imports it."""
+"""Access to Mitsuba: import, errors as PixsimError, the parsed tree, and spectra of plugins. No
+other module imports it.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ _process: int | None = None  # in which Mitsuba works
 
 @lru_cache
 def mitsuba_folder() -> Path:
-    """Return the folder of Mitsuba's package, which holds its plugins and tables, without importing it."""
+    """Return the folder of Mitsuba's package, which holds its plugins and tables, without importing
+    it.
+    """
     spec = importlib.util.find_spec("mitsuba")
     assert spec is not None
     assert spec.origin is not None
@@ -45,12 +49,18 @@ def import_mitsuba(variant: str) -> ModuleType:
 
     A process whose first variant is not for graphics cards cannot take one later.
 
-    Raises PixsimError in a process that was forked from one in which Mitsuba works: its threads are not there, and it would hang.
+    Raises PixsimError in a process that was forked from one in which Mitsuba works: its threads are
+    not there, and it would hang.
     """
     global _process
     if _process not in (None, os.getpid()):
         hint = "Start it with multiprocessing.get_context('spawn')."
-        raise invalid("process", "one that was forked after a render", "a process of its own for Mitsuba", hint)
+        raise invalid(
+            "process",
+            "one that was forked after a render",
+            "a process of its own for Mitsuba",
+            hint,
+        )
     _process = os.getpid()
     with nullcontext() if variant == graphics.CUDA else graphics.without_driver():
         import drjit as dr
@@ -63,8 +73,12 @@ def import_mitsuba(variant: str) -> ModuleType:
             mi.set_variant(variant)
         except ImportError as error:
             reason = " ".join(str(error).split())
-            raise invalid("variant", f"'{variant}' ({reason})", "a variant that runs here", UNUSABLE_HINT) from None
-    mi.set_log_level(mi.LogLevel.Error)  # it writes warnings to stdout, which is reserved for results
+            raise invalid(
+                "variant", f"'{variant}' ({reason})", "a variant that runs here", UNUSABLE_HINT
+            ) from None
+    mi.set_log_level(
+        mi.LogLevel.Error
+    )  # it writes warnings to stdout, which is reserved for results
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread
     return mi
@@ -85,7 +99,8 @@ def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
 
 @contextmanager
 def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
-    """Give Mitsuba with only its own folder on its search path, and turn its errors into PixsimError.
+    """Give Mitsuba with only its own folder on its search path, and turn its errors into
+    PixsimError.
 
     Mitsuba looks for its plugins on that path too, and runs what it finds there.
     """
@@ -98,15 +113,21 @@ def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
     try:
         yield mi
     except UnicodeDecodeError:  # Mitsuba quotes a file that is no text
-        raise PixsimError("Mitsuba cannot load or render the scene: a file in it is damaged") from None
+        raise PixsimError(
+            "Mitsuba cannot load or render the scene: a file in it is damaged"
+        ) from None
     except RuntimeError as error:
         chain = list(_causes(error))
-        if any(isinstance(cause, KeyboardInterrupt) for cause in chain):  # while a kernel of Dr.Jit runs
+        if any(
+            isinstance(cause, KeyboardInterrupt) for cause in chain
+        ):  # while a kernel of Dr.Jit runs
             raise KeyboardInterrupt from None
         # Dr.Jit says "(see above)" of an error in a kernel, whose cause has the words.
         cause = next((cause for cause in chain if "(see above)" not in str(cause)), error)
         text = re.sub(r'\[\w+\.(cpp|h):\d+\] |At dictionary node "root": ', "", str(cause).strip())
-        raise PixsimError("Mitsuba cannot load or render the scene: " + " ".join(text.split())) from None
+        raise PixsimError(
+            "Mitsuba cannot load or render the scene: " + " ".join(text.split())
+        ) from None
     finally:
         mi.set_file_resolver(before)
 
@@ -119,13 +140,17 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def parse(text: str, variant: str) -> ParserState:
-    """Return Mitsuba's parser state, the tree of nodes before objects are built, of an inspected text."""
+    """Return Mitsuba's parser state, the tree of nodes before objects are built, of an inspected
+    text.
+    """
     with speaking_mitsuba(variant) as mi:
         return mi.parser.parse_string(mi.parser.ParserConfig(variant), text)
 
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm; from the cache where it is known."""
+    """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm; from
+    the cache where it is known.
+    """
 
     def compute() -> Array:
         with speaking_mitsuba(variant) as mi:
@@ -135,7 +160,9 @@ def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
         return np.array(content["values"], float)
 
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, description])
-    return cache.load_or_compute("spectra", key, read, compute, lambda values: {"values": values.tolist()})
+    return cache.load_or_compute(
+        "spectra", key, read, compute, lambda values: {"values": values.tolist()}
+    )
 
 
 def warnings_of(description: dict[str, Any], variant: str) -> list[str]:
@@ -166,12 +193,18 @@ def warnings_of(description: dict[str, Any], variant: str) -> list[str]:
 
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, description])
     return cache.load_or_compute(
-        "warnings", key, lambda content: list(map(str, content["texts"])), compute, lambda texts: {"texts": texts}
+        "warnings",
+        key,
+        lambda content: list(map(str, content["texts"])),
+        compute,
+        lambda texts: {"texts": texts},
     )
 
 
 def _listener(mi: ModuleType) -> Any:
-    """Return an appender of Mitsuba's log that keeps the texts of warnings, without time and class."""
+    """Return an appender of Mitsuba's log that keeps the texts of warnings, without time and
+    class.
+    """
 
     class Listener(mi.Appender):  # type: ignore[misc,name-defined]
         def __init__(self) -> None:
@@ -188,8 +221,12 @@ def _listener(mi: ModuleType) -> Any:
     return Listener()
 
 
-def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str, span: Span = VISIBLE) -> Array:
-    """Return the reflectance of a smooth conductor at an angle to its normal, over a range in steps of 1 nm."""
+def evaluate_reflection(
+    description: dict[str, Any], cosine: float, variant: str, span: Span = VISIBLE
+) -> Array:
+    """Return the reflectance of a smooth conductor at an angle to its normal, over a range in steps
+    of 1 nm.
+    """
     with speaking_mitsuba(variant) as mi:
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
@@ -202,13 +239,20 @@ def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str
 
 
 def _at_each_wavelength(
-    mi: ModuleType, variant: str, value: Callable[[SurfaceInteraction3f], Spectrum], span: Span = VISIBLE
+    mi: ModuleType,
+    variant: str,
+    value: Callable[[SurfaceInteraction3f], Spectrum],
+    span: Span = VISIBLE,
 ) -> Array:
-    """Evaluate `value` for surface interactions that differ in wavelength only, (G,) over a range in steps of 1 nm."""
+    """Evaluate `value` for surface interactions that differ in wavelength only, (G,) over a range
+    in steps of 1 nm.
+    """
     import drjit as dr
 
     wavelengths = grid_nm(span=span)
-    rows = np.resize(wavelengths, (-(-wavelengths.size // 4), 4))  # a ray of Mitsuba has four wavelengths
+    rows = np.resize(
+        wavelengths, (-(-wavelengths.size // 4), 4)
+    )  # a ray of Mitsuba has four wavelengths
     if variant.startswith("scalar"):
         values = []
         for row in rows:

@@ -1,4 +1,6 @@
-"""A picture of the user as a chart: its luminance, linear in light, with a grey border that keeps its aspect on the die."""
+"""A picture of the user as a chart: its luminance, linear in light, with a grey border that keeps
+its aspect on the die.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,10 @@ ALLOWED = "an 8- or 16-bit PNG, JPEG, TIFF, Radiance HDR or EXR picture, grey or
 LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
 GREY = 0.18  # of white: the border, as a photographer's grey card
 MAX_TEXELS = 1 << 27  # with the border: 512 MiB
-GREY_MODES, SIXTEEN_BIT_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr"), ("I;16", "I;16B", "I;16L", "I")
+GREY_MODES, SIXTEEN_BIT_MODES = (
+    ("1", "L", "P", "RGB", "CMYK", "YCbCr"),
+    ("I;16", "I;16B", "I;16L", "I"),
+)
 ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
 
 
@@ -35,7 +40,8 @@ ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
 class OwnChart:
     """A picture file that becomes the chart of a scene.
 
-    linear : whether its numbers are proportional to light; else they are encoded as sRGB, but for HDR and EXR
+    linear : whether its numbers are proportional to light; else they are encoded as sRGB, but for
+        HDR and EXR
     """
 
     path: Path
@@ -49,9 +55,14 @@ class OwnChart:
         Raises PixsimError if the picture cannot be read.
         """
         status = self.path.stat() if self.path.exists() else None
-        file, share = _texture(self, aspect, (status.st_mtime_ns, status.st_size) if status else (0, 0))
+        file, share = _texture(
+            self, aspect, (status.st_mtime_ns, status.st_size) if status else (0, 0)
+        )
         if warn and share > 0:
-            words = f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border"
+            words = (
+                f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart"
+                " is a grey border"
+            )
             notes.warn(notes.Note("file_as_read", words=words))
         return file
 
@@ -74,14 +85,18 @@ def is_own_chart(path: Path) -> bool:
 
 
 def read_luminance(path: str | os.PathLike[str], linear: bool = False) -> NDArray[np.float32]:
-    """Read a picture as relative luminance, (H, W), row 0 at the top; the largest code of 8 or 16 bits is 1.
+    """Read a picture as relative luminance, (H, W), row 0 at the top; the largest code of 8 or 16
+    bits is 1.
 
-    path : PNG, JPEG or TIFF, decoded as sRGB (IEC 61966-2-1), or a Radiance HDR or EXR, which are linear
+    path : PNG, JPEG or TIFF, decoded as sRGB (IEC 61966-2-1), or a Radiance HDR or EXR, which are
+        linear
     linear : take the numbers of a PNG, JPEG or TIFF as proportional to light
 
-    The luminance of linear RGB is 0.2126 R + 0.7152 G + 0.0722 B (Rec. ITU-R BT.709). Embedded colour profiles are not used.
+    The luminance of linear RGB is 0.2126 R + 0.7152 G + 0.0722 B (Rec. ITU-R BT.709). Embedded
+    colour profiles are not used.
 
-    Raises PixsimError if the file is missing, damaged, too large, transparent, or holds other values than light.
+    Raises PixsimError if the file is missing, damaged, too large, transparent, or holds other
+    values than light.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -112,24 +127,34 @@ def srgb_decoded(values: Array) -> Array:
 
 
 def with_border(picture: NDArray[np.float32], aspect: float) -> tuple[NDArray[np.float32], float]:
-    """Return a picture with a border of 18 % grey on two sides, so that width over height is `aspect`, and its share of the area.
+    """Return a picture with a border of 18 % grey on two sides, so that width over height is
+    `aspect`, and its share of the area.
 
     Raises PixsimError if the result would be too large.
     """
     height, width = picture.shape
     rows, columns = max(height, round(width / aspect)), max(width, round(height * aspect))
     if rows * columns > MAX_TEXELS:
-        raise invalid("chart picture", f"{columns} × {rows} texels with its border", f"up to {MAX_TEXELS}", "Scale it down.")
+        raise invalid(
+            "chart picture",
+            f"{columns} × {rows} texels with its border",
+            f"up to {MAX_TEXELS}",
+            "Scale it down.",
+        )
     above, left = (rows - height) // 2, (columns - width) // 2
     margins = (above, rows - height - above), (left, columns - width - left)
-    return np.pad(picture, margins, constant_values=np.float32(GREY)), 1 - height * width / (rows * columns)
+    return np.pad(picture, margins, constant_values=np.float32(GREY)), 1 - height * width / (
+        rows * columns
+    )
 
 
 def _luminance(values: Array) -> Array:
     """Return the luminance of grey (H, W) or linear RGB (H, W, 3)."""
     if values.ndim == 2:
         return values
-    red, green, blue = (weight * values[:, :, index].astype(float) for index, weight in enumerate(LUMINANCE_OF_RGB))
+    red, green, blue = (
+        weight * values[:, :, index].astype(float) for index, weight in enumerate(LUMINANCE_OF_RGB)
+    )
     return red + green + blue
 
 
@@ -139,23 +164,38 @@ def _codes(path: Path) -> Array:
 
     judge_picture(path)
     try:
-        with warnings.catch_warnings(action="ignore"), opened(path, "chart picture", ALLOWED) as file, Image.open(file) as image:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            opened(path, "chart picture", ALLOWED) as file,
+            Image.open(file) as image,
+        ):
             mode = image.mode
             if mode in ALPHA_MODES or "transparency" in image.info:
                 low = image.convert("RGBA").getchannel("A").getextrema()[0]
                 if not isinstance(low, int | float) or low < 255:
                     hint = "Flatten it onto a background."
-                    raise invalid(f"chart picture '{path}'", "transparent parts", "an opaque picture", hint)
+                    raise invalid(
+                        f"chart picture '{path}'", "transparent parts", "an opaque picture", hint
+                    )
             if mode in SIXTEEN_BIT_MODES:
                 return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
             if mode not in (*GREY_MODES, *ALPHA_MODES):
                 raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
-            if image.format == "PNG" and _png_depth(path) == 16:  # in colour, which Pillow cuts to 8 bits
+            if (
+                image.format == "PNG" and _png_depth(path) == 16
+            ):  # in colour, which Pillow cuts to 8 bits
                 return np.asarray(_of_mitsuba(path)) / 65535
 
-            has_16_bits = 16 in np.atleast_1d(getattr(image, "tag_v2", {}).get(258, 8))  # BitsPerSample
+            has_16_bits = 16 in np.atleast_1d(
+                getattr(image, "tag_v2", {}).get(258, 8)
+            )  # BitsPerSample
             grey = mode in ("1", "L", "LA")
-            codes = np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
+            codes = (
+                np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(
+                    float
+                )
+                / 255
+            )
     except PixsimError:
         raise
     except Exception as error:  # a decoder may raise anything for a damaged file
@@ -180,11 +220,15 @@ def _of_exr(path: Path) -> Array:
         return _luminance(np.stack([channels[names[name]] for name in "RGB"], axis=2).astype(float))
     if len(channels) == 1 or "Y" in names:
         return channels[names["Y"] if "Y" in names else next(iter(channels))].astype(float)
-    raise invalid(f"chart picture '{path}'", f"channels {', '.join(sorted(channels)[:8])}", "R, G and B, or Y")
+    raise invalid(
+        f"chart picture '{path}'", f"channels {', '.join(sorted(channels)[:8])}", "R, G and B, or Y"
+    )
 
 
 def _of_mitsuba(path: Path) -> Array:
-    """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of 16 bits in colour."""
+    """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of
+    16 bits in colour.
+    """
     from pixsim.scene.mitsuba import read_bitmap
     from pixsim.scene.variants import variant
 

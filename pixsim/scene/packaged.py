@@ -9,7 +9,9 @@ from pathlib import Path
 
 @cache
 def packaged_folder() -> Path:
-    """Return the folder, in the wheel or in a checkout. A scene elsewhere may name its files: `spectra/led_850nm.spd`."""
+    """Return the folder, in the wheel or in a checkout. A scene elsewhere may name its files:
+    `spectra/led_850nm.spd`.
+    """
     root = Path(str(resources.files("pixsim")))
     packaged = root / "data/scenes"
     return packaged if packaged.is_dir() else root.parent / "scenes"

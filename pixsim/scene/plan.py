@@ -43,7 +43,13 @@ from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
+from pixsim.sensor.outside import (
+    SHOWN_SHARE,
+    outside_header,
+    outside_hint,
+    outside_share,
+    outside_words,
+)
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -53,13 +59,17 @@ from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
-# Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
+# Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
+# (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
 COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
 MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
 MIN_RENDERS = 2  # whose difference shows their noise
-RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
+RESPONSES = (
+    "0.35um",
+    "4t-bsi",
+)  # technologies with the two packaged response curves, for a plan without a pixel
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,11 @@ class WhitePlate(NamedTuple):
     def lens(self) -> dict[str, object]:
         """The sensor in Mitsuba that sees nothing but the plate."""
         fov_deg = math.degrees(2 * math.atan(white_plate.HALF_VIEW / (1 - white_plate.BEFORE)))
-        return {"type": "perspective", "fov": fov_deg, "near_clip": white_plate.NEAR_CLIP * self.distance_m}
+        return {
+            "type": "perspective",
+            "fov": fov_deg,
+            "near_clip": white_plate.NEAR_CLIP * self.distance_m,
+        }
 
 
 @checked_methods
@@ -100,12 +114,16 @@ class LightPlan:
     bands : of the result
     full_passes : passes over all lamps with nothing left out
     regular_tables : whether tables with equal steps are converted to regular spectra
-    held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
-    outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
+    held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as
+        `beyond_tables = "hold"` has it
+    outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there
+        is none
     white : spectra that add up to the light of the scene's white; none if it is unknown
     white_lamps : ids of the emitters that are it, if the scene names them
-    chart_white : entry of an irradiance's header on texel value 1 of an emissive chart; empty for other scenes
-    plate : how a white plate is rendered beside the scene, if the scene asks for it and is no emissive chart
+    chart_white : entry of an irradiance's header on texel value 1 of an emissive chart; empty for
+        other scenes
+    plate : how a white plate is rendered beside the scene, if the scene asks for it and is no
+        emissive chart
     """
 
     lamps: tuple[FittedLamp, ...]
@@ -131,8 +149,12 @@ class LightPlan:
 
     @property
     def factored(self) -> bool:
-        """Whether the image is stored as factors: fewer pictures than bands, or spectra with negative values."""
-        return self.planes < self.bands.width_nm.size or any(bool(light.fit.spectra.min() < 0) for light in self.lamps)
+        """Whether the image is stored as factors: fewer pictures than bands, or spectra with
+        negative values.
+        """
+        return self.planes < self.bands.width_nm.size or any(
+            bool(light.fit.spectra.min() < 0) for light in self.lamps
+        )
 
     @property
     def white_name(self) -> str:
@@ -140,7 +162,8 @@ class LightPlan:
         return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
 
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
-        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
+        """Return the entries of an irradiance's header on the light of the scene's white, in bands
+        between edges (B + 1,).
 
         And on the lamps' light outside the bands' range.
         """
@@ -148,7 +171,11 @@ class LightPlan:
         header |= self.outside
         if not self.white:
             return header
-        return {LAMP: np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()} | header
+        return {
+            LAMP: (
+                np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()
+            )
+        } | header
 
 
 @checked_methods
@@ -160,8 +187,10 @@ class FilmPlan:
     chart : an emissive chart that is alone and fills the film, or None
     diffraction : whether diffraction is computed
     tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
-    ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
-    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most; None without a pixel
+    ends : whether the scene ends with the film, above and below, and at the left and the right:
+        there a margin mirrors the film
+    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most;
+        None without a pixel
     """
 
     resolution: FilmSamples | None = None
@@ -176,7 +205,8 @@ class FilmPlan:
         return without_lens(camera) if self.tiling is None else camera
 
     def margin(self, shape: tuple[Count, Count], pitch_um: Pitch) -> int:
-        """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
+        """Return the cells at each side of a film that are rendered beyond it, as far as the blur
+        of a real lens reaches.
 
         shape : (H, W) of the film in cells
         pitch_um : of its cells
@@ -230,17 +260,23 @@ class Plan:
 
     @property
     def most_samples(self) -> int:
-        """Limit of the samples of all renders together, in place of a time limit: it does not depend on the machine."""
+        """Limit of the samples of all renders together, in place of a time limit: it does not
+        depend on the machine.
+        """
         return film.PATH_SAMPLES if self.film.chart is None else film.CHART_SAMPLES
 
     @property
     def many_bounces(self) -> bool:
-        """Whether paths of any length are traced, whose noise is rarely below that of the sensor."""
+        """Whether paths of any length are traced, whose noise is rarely below that of the
+        sensor.
+        """
         return self.samples.integrator is None and self.film.chart is None
 
     @property
     def cells_in_time(self) -> float:
-        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
+        """Number of film cells for which the fewest renders, two with the fewest samples, stay
+        within `most_samples`.
+        """
         if self.samples.exact:
             return math.inf
         fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
@@ -254,13 +290,18 @@ class Plan:
 
     @property
     def spare_e(self) -> float:
-        """What the other decisions leave of the tolerance for the pixels' stack; 0 if nothing may be left out.
+        """What the other decisions leave of the tolerance for the pixels' stack; 0 if nothing may
+        be left out.
 
         The film of a scene without detail takes its part where the plan does not choose it.
         """
         others = [decision for decision in self.decisions if decision.subject != STACK]
         chart = self.film.chart
-        chosen = chart is None or not chart.uniform or any(decision.subject == FILM for decision in others)
+        chosen = (
+            chart is None
+            or not chart.uniform
+            or any(decision.subject == FILM for decision in others)
+        )
         if self.full or not chosen or not all(decision.bounded for decision in others):
             return 0.0
         return max(0.0, self.tolerance_e - sum(decision.bound_e for decision in others))
@@ -273,20 +314,39 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for `pixsim plan --json`."""
         bands = self.light.bands
-        table: dict[str, Any] = {"decisions": [asdict(decision) for decision in self.decisions], "tolerance_e": self.tolerance_e}
-        table |= {"bound_e": self.bound_e, "bounded": self.bounded, "lamp_spectra": len(self.light.lamps)}
+        table: dict[str, Any] = {
+            "decisions": [asdict(decision) for decision in self.decisions],
+            "tolerance_e": self.tolerance_e,
+        }
+        table |= {
+            "bound_e": self.bound_e,
+            "bounded": self.bounded,
+            "lamp_spectra": len(self.light.lamps),
+        }
         table |= {"passes": self.light.passes, "passes_full": self.light.full_passes}
         table |= {"spp": self.samples.spp, "spp_full": self.samples.full_spp}
-        table |= {"resolution": self.film.resolution, "diffraction": self.film.diffraction, "warnings": list(self.warnings)}
-        table |= {"lens": self.samples.lens, "integrator": self.samples.integrator, "white_spectrum": self.light.white_name}
+        table |= {
+            "resolution": self.film.resolution,
+            "diffraction": self.film.diffraction,
+            "warnings": list(self.warnings),
+        }
+        table |= {
+            "lens": self.samples.lens,
+            "integrator": self.samples.integrator,
+            "white_spectrum": self.light.white_name,
+        }
         if self.film.in_focus_m is not None:
             table["in_focus_m"] = finite_or_none(self.film.in_focus_m)
-        return table | {"wavelength_nm": bands.wavelength_nm.tolist(), "band_width_nm": bands.width_nm.tolist()}
+        return table | {
+            "wavelength_nm": bands.wavelength_nm.tolist(),
+            "band_width_nm": bands.width_nm.tolist(),
+        }
 
     def __repr__(self) -> str:
         return (
-            f"<Plan {self.light.passes} of {self.light.full_passes} passes, {self.samples.spp} of {self.samples.full_spp} samples, "
-            f"{self.samples.lens}, error of mean electrons up to {self.bound_e:.1e}>"
+            f"<Plan {self.light.passes} of {self.light.full_passes} passes, {self.samples.spp} of"
+            f" {self.samples.full_spp} samples, {self.samples.lens}, error of mean electrons up to"
+            f" {self.bound_e:.1e}>"
         )
 
 
@@ -304,43 +364,67 @@ def make_render_plan(
 
     Parameters
     ----------
-    pixel : the tolerance is for its electrons, or those of several; None takes the packaged response curves
+    pixel : the tolerance is for its electrons, or those of several; None takes the packaged
+        response curves
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
     exact : whether to compute the film cells of a chart that is alone and in focus, without samples
-    aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed; None takes that of the pixel
+    aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed;
+        None takes that of the pixel
 
-    Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0 and 1.
+    Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0
+    and 1.
     """
     if not 0 < tolerance_e < 1:
-        raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
+        raise invalid(
+            "tolerance_e",
+            f"{tolerance_e:g}",
+            "above 0 and below 1, a relative error of mean electrons",
+        )
     options = [pixel] if isinstance(pixel, Pixel) else pixel or []
     pixels = [derive(option, load_technology(option.technology)) for option in options]
     camera = camera or scene.camera()
-    tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um)
+    tiling, real_lens = decide_real_lens(
+        scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um
+    )
     thin_camera = rendered_camera(camera if tiling else without_lens(camera))
     inspection = inspect_scene(scene, thin_camera, pixels or _packaged_pixels())
     plan = _plan_of(inspection, camera, pixels, tolerance_e, full, tiling, real_lens)
     if scene.diffuser and not inspection.chart_white:
-        plan = replace(plan, light=replace(plan.light, plate=_plate_of(inspection, pixels, tolerance_e)))
+        plan = replace(
+            plan, light=replace(plan.light, plate=_plate_of(inspection, pixels, tolerance_e))
+        )
     return _without_samples(plan) if exact and not full else plan
 
 
 def _packaged_pixels() -> list[PixelPhysics]:
     """Return pixels of the packaged response curves, which stand for those that nobody states."""
-    return [derive(Pixel(technology=name, pitch_um=10.0), load_technology(name)) for name in RESPONSES]
+    return [
+        derive(Pixel(technology=name, pitch_um=10.0), load_technology(name)) for name in RESPONSES
+    ]
 
 
-def _plate_of(inspection: Inspection, pixels: Sequence[PixelPhysics], tolerance_e: float) -> WhitePlate:
+def _plate_of(
+    inspection: Inspection, pixels: Sequence[PixelPhysics], tolerance_e: float
+) -> WhitePlate:
     """Return how a white plate in a scene is rendered."""
     camera, sensor = inspection.camera, inspection.sensor
     focus_m = camera.object_distance_m
     distance_m = distance_of_plate_m(inspection.state, sensor, focus_m)
     place = place_of_plate(sensor, distance_m, focus_m)
-    scene = replace(inspection.scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={})
+    scene = replace(
+        inspection.scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={}
+    )
     plan = _plan_of(inspect_scene(scene, camera, inspection.pixels), camera, pixels, tolerance_e)
-    samples = replace(plan.samples, lens="perspective", spp=white_plate.FIRST_SPP, sampler="multijitter")
-    return WhitePlate(scene, replace(plan, samples=samples, film=replace(plan.film, chart=None)), camera, distance_m)
+    samples = replace(
+        plan.samples, lens="perspective", spp=white_plate.FIRST_SPP, sampler="multijitter"
+    )
+    return WhitePlate(
+        scene,
+        replace(plan, samples=samples, film=replace(plan.film, chart=None)),
+        camera,
+        distance_m,
+    )
 
 
 def _plan_of(
@@ -358,7 +442,12 @@ def _plan_of(
     pixels : whose electrons have the tolerance; none where nobody states one
     tiling, real_lens : from `decide_real_lens`
     """
-    scene, state, bodies, thin_camera = inspection.scene, inspection.state, inspection.bodies, inspection.camera
+    scene, state, bodies, thin_camera = (
+        inspection.scene,
+        inspection.state,
+        inspection.bodies,
+        inspection.camera,
+    )
     physics = pixels[0] if pixels else None
     rendered = camera if tiling else without_lens(camera)
 
@@ -369,17 +458,31 @@ def _plan_of(
     passes = sum(len(light.fit.passes) for light in lamps)
 
     # Samples. An unfocused chart differs from its picture, and the lens needs samples too.
-    lens, focus = rules.decide_lens(state, thin_camera, bodies, inspection.aspect, physics, tolerance_e, full)
-    chart = rules.lone_chart(state, thin_camera, bodies, inspection.shape) if lens == "perspective" else None
+    lens, focus = rules.decide_lens(
+        state, thin_camera, bodies, inspection.aspect, physics, tolerance_e, full
+    )
+    chart = (
+        rules.lone_chart(state, thin_camera, bodies, inspection.shape)
+        if lens == "perspective"
+        else None
+    )
     scene_spp = sample_count(state, inspection.sensor)
     given_spp = "spp" in scene.parameters
     finer = (inspection.shape[1] / max(1, film_size(state, inspection.sensor)[1])) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, full, given_spp, finer)
 
     # Film. What is left out does not change where the scene ends.
-    sharp = rules.decide_lens(state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False)[0] if full else lens
+    sharp = (
+        rules.decide_lens(state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False)[
+            0
+        ]
+        if full
+        else lens
+    )
     ends = (
-        rules.ends_with_film(state, thin_camera, bodies, inspection.shape) if tiling and sharp == "perspective" else (False, False)
+        rules.ends_with_film(state, thin_camera, bodies, inspection.shape)
+        if tiling and sharp == "perspective"
+        else (False, False)
     )
     film_um = 1e3 * rendered.die_mm / inspection.shape[1]
     diffraction = rules.decide_diffraction(
@@ -395,18 +498,31 @@ def _plan_of(
         warnings.append(note)
     left_out = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
     if left_out > SHOWN_SHARE:
-        warnings.append(Note("light_left_out", words=outside_words(left_out, inspection.span), hint=outside_hint()))
+        warnings.append(
+            Note(
+                "light_left_out",
+                words=outside_words(left_out, inspection.span),
+                hint=outside_hint(),
+            )
+        )
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     if bound_e > tolerance_e:
-        limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
-        warnings.append(Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits))
+        limits = (
+            f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or"
+            f" {spectral_bands.MAX_BANDS} bands"
+        )
+        warnings.append(
+            Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits)
+        )
     return Plan(
         light=LightPlan(
             lamps=tuple(lamps),
             bands=bands,
             full_passes=full_passes,
             regular_tables=by_index,
-            held=tuple((index, name, table) for (index, name), table in inspection.surfaces.held.items()),
+            held=tuple(
+                (index, name, table) for (index, name), table in inspection.surfaces.held.items()
+            ),
             outside=outside,
             white=inspection.white,
             white_lamps=scene.white_lamps,
@@ -428,20 +544,27 @@ def _plan_of(
 
 
 def _without_samples(plan: Plan) -> Plan:
-    """Return the plan with film cells that are computed, if it is of a chart in focus that is seen straight; else the plan."""
+    """Return the plan with film cells that are computed, if it is of a chart in focus that is seen
+    straight; else the plan.
+    """
     chart, integrator = plan.film.chart, plan.samples.integrator
     straight = integrator is not None and integrator.get("max_depth") == 1
     if chart is None or chart.beyond is None or not straight or plan.samples.given_spp:
         return plan
     between = "even over each of its texels" if chart.nearest else "linear between its texels"
     reason = f"none: each film cell is the exact mean of the chart, which is {between}"
-    exact = Decision("texture samples", False, reason, f"all {plan.samples.full_spp} samples, and their noise")
-    decisions = tuple(exact if decision.subject == exact.subject else decision for decision in plan.decisions)
+    exact = Decision(
+        "texture samples", False, reason, f"all {plan.samples.full_spp} samples, and their noise"
+    )
+    decisions = tuple(
+        exact if decision.subject == exact.subject else decision for decision in plan.decisions
+    )
     return replace(plan, samples=replace(plan.samples, spp=0, exact=True), decisions=decisions)
 
 
 def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
-    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and the luminance.
+    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and
+    the luminance.
 
     Of colour sensors, those of each channel, and XYZ.
     """
@@ -456,20 +579,30 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
     if not any(physics.layout for physics in derived):
         return [*map(Witness, responses), Witness(photopic_efficiency, LUMINANCE_SLACK)]
 
-    # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and lines.
-    channels = [Witness(channel, slack=COLOUR_SLACK, least=MIN_SHARE_OF_WHITE) for channel in responses]
-    return [*channels, *(Witness(observer(number), least=MIN_SHARE_OF_WHITE) for number in range(3))]
+    # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and
+    # lines.
+    channels = [
+        Witness(channel, slack=COLOUR_SLACK, least=MIN_SHARE_OF_WHITE) for channel in responses
+    ]
+    return [
+        *channels,
+        *(Witness(observer(number), least=MIN_SHARE_OF_WHITE) for number in range(3)),
+    ]
 
 
 def _lights(
     inspection: Inspection, bounces: int, tolerance_e: float, full: bool
 ) -> tuple[list[FittedLamp], Bands, int, list[Decision]]:
-    """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
+    """Return the pulses of each lamp, the bands, the number of passes without leaving out any band,
+    and the reasons.
+    """
     lamps, surfaces = inspection.lamps, inspection.surfaces
     witnesses = _witnesses(inspection.pixels)
     products = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
-    bands = spectral_bands.place_bands(spectra, products, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
+    bands = spectral_bands.place_bands(
+        spectra, products, witnesses, tolerance_e * BANDS_SHARE, surfaces.span
+    )
 
     has_spectra = surfaces.spectra is not None or bounces == 0
     in_colour = any(physics.pixel.colour for physics in inspection.pixels)
@@ -480,21 +613,40 @@ def _lights(
         full_passes += len(every_band.passes)
         fitted: Fit | None = None
         if lamp.spectrum:
-            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), witnesses)
+            errors = spectral_bands.band_errors(
+                bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), witnesses
+            )
             bands_error = max(bands_error, float(np.abs(errors.sum(axis=2)).max()))
             if has_spectra and not full:
-                fitted = spectral_bands.fit(lamp.spectrum, bands, products, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
+                fitted = spectral_bands.fit(
+                    lamp.spectrum,
+                    bands,
+                    products,
+                    witnesses,
+                    tolerance_e * SPECTRUM_SHARE,
+                    stiffness,
+                )
         lights.append(FittedLamp(lamp, fitted or every_band))
 
     widths = bands.width_nm
-    reason = f"{widths.size} bands of {widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
+    reason = (
+        f"{widths.size} bands of {widths.min():g} to {widths.max():g} nm, finer where lamps or"
+        " surfaces change"
+    )
     placing = Decision("wavelength bands", True, reason, bound_e=bands_error)
     passes = sum(len(light.fit.passes) for light in lights)
     saved = f"{passes} of {full_passes} passes" if passes < full_passes else ""
     is_bounded = all(lamp.spectrum is not None for lamp in lamps) and has_spectra
     # The fit's error includes that of its bands.
     error = max(0.0, max(light.fit.error for light in lights) - bands_error)
-    rank = Decision("spectral rank", passes >= full_passes, _rank_reason(lights, surfaces, full), saved, error, is_bounded)
+    rank = Decision(
+        "spectral rank",
+        passes >= full_passes,
+        _rank_reason(lights, surfaces, full),
+        saved,
+        error,
+        is_bounded,
+    )
     return lights, bands, full_passes, [placing, rank]
 
 
@@ -511,7 +663,9 @@ def _rank_reason(lights: Sequence[FittedLamp], surfaces: Surfaces, full: bool) -
     return f"{reason}, which determine all bands for {len(surfaces.spectra)} surface spectra"
 
 
-UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
+UNIFORM_RESOLUTION = (
+    64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
+)
 
 
 def make_plan(
@@ -531,8 +685,10 @@ def make_plan(
     scene : from `load_scene`
     camera : None takes the camera of the file
     pixel : None takes the default pixel
-    exposure : None takes the default; its longest time sets the charge at which a photodiode saturates
-    display : chooses a film fine enough for its dots, as `resolution` of the plan; None keeps the scene's film
+    exposure : None takes the default; its longest time sets the charge at which a photodiode
+        saturates
+    display : chooses a film fine enough for its dots, as `resolution` of the plan; None keeps the
+        scene's film
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out
 
@@ -547,43 +703,76 @@ def make_plan(
     exposure = exposure or Exposure()
     physics = derive(pixel, load_technology(pixel.technology))
     readout = Readout.of(physics, exposure)
-    options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
-    plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)  # the film does not depend on a real lens's blur
+    options: dict[str, Any] = {
+        "tolerance_e": tolerance_e,
+        "full": full,
+        "exact": display is not None,
+    }
+    plan = make_render_plan(
+        scene, rendered_camera(camera), pixel, **options
+    )  # the film does not depend on a real lens's blur
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution or camera.lens is not None:
-        plan = make_render_plan(scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options)
-    longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames  # of each exposure
+        plan = make_render_plan(
+            scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options
+        )
+    longest_s = (
+        exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames
+    )  # of each exposure
     saturation = decide_saturation(readout, longest_s)
     others = *plan.decisions, sampling
-    plan = replace(plan, film=replace(plan.film, resolution=resolution), decisions=(*others, saturation))
+    plan = replace(
+        plan, film=replace(plan.film, resolution=resolution), decisions=(*others, saturation)
+    )
     stack = decide_stack(physics, camera, plan.spare_e, full)
     return replace(plan, decisions=(*others, stack, saturation))
 
 
 def decide_oversampling(
-    scene: Scene, plan: Plan, camera: Camera, physics: PixelPhysics, display: Display | None, full: bool
+    scene: Scene,
+    plan: Plan,
+    camera: Camera,
+    physics: PixelPhysics,
+    display: Display | None,
+    full: bool,
 ) -> tuple[int | None, Decision]:
     """Choose the film's samples across the die, and describe them; None keeps the scene's film.
 
-    A scene without detail takes a coarser film than the XML's. Every other film has at least two samples for each detail that
-    matters on the display, within its limits, if the display is given; the XML's film is the least.
+    A scene without detail takes a coarser film than the XML's. Every other film has at least two
+    samples for each detail that matters on the display, within its limits, if the display is given;
+    the XML's film is the least.
     """
-    height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera))))
+    height, width = (
+        max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera)))
+    )
     chart = plan.film.chart
     is_uniform, is_free = chart is not None and chart.uniform, scene.resolution is None
     is_stated = not is_free or "resolution" in scene.parameters
-    # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
+    # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width
+    # squared, so halve the samples.
     n = UNIFORM_RESOLUTION
-    middle, parts = (camera_factor(camera, (side, side), 1e3 * camera.die_mm / side) for side in (n, 2 * n))
+    middle, parts = (
+        camera_factor(camera, (side, side), 1e3 * camera.die_mm / side) for side in (n, 2 * n)
+    )
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
-    if is_uniform and not full and not is_stated and width > n and plan.bound_e + error <= plan.tolerance_e:
+    if (
+        is_uniform
+        and not full
+        and not is_stated
+        and width > n
+        and plan.bound_e + error <= plan.tolerance_e
+    ):
         reason = f"a scene without detail: {n} samples across resolve the fall-off of the lens"
         return n, Decision(FILM, False, reason, f"{n}² of {width}² samples", error)
     if display is None or full or is_uniform:
         return None, Decision(FILM, True, _sampling(camera, physics, width))
 
     details, name = film.details_across(
-        camera, physics.aperture_side_um, display, physics.pitch_um, chart.details if chart else None
+        camera,
+        physics.aperture_side_um,
+        display,
+        physics.pitch_um,
+        chart.details if chart else None,
     )
     widest = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
@@ -592,21 +781,33 @@ def decide_oversampling(
         set_by = "" if is_free else "; as set by --resolution"
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}{set_by}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, widest)
-    limits = f"{film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures, {amount(plan.most_samples, 2)} rays"
+    limits = (
+        f"{film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures,"
+        f" {amount(plan.most_samples, 2)} rays"
+    )
     limit = f", the limit ({limits})" if needed > widest else ""
-    return chosen, Decision(FILM, True, f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}")
+    return chosen, Decision(
+        FILM,
+        True,
+        f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}",
+    )
 
 
 def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
     """Compare the samples of a film with the photodiode."""
     pitch_um = 1e3 * camera.die_mm / width
-    return f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g} per photodiode or microlens"
+    return (
+        f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g}"
+        " per photodiode or microlens"
+    )
 
 
 def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bool) -> Decision:
-    """Describe what the pixel's stack collects on axis and in the corner of the die, from green light.
+    """Describe what the pixel's stack collects on axis and in the corner of the die, from green
+    light.
 
-    It is left out, but for one scale of all pixels, where the bound of that (`scale_error`) is at most `spare_e`.
+    It is left out, but for one scale of all pixels, where the bound of that (`scale_error`) is at
+    most `spare_e`.
 
     Raises PixsimError if the quantum efficiency exceeds what the stack passes.
     """
@@ -617,23 +818,46 @@ def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bo
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
-    reason = f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis, {percent(corner)} "
+    reason = (
+        f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis,"
+        f" {percent(corner)} "
+    )
     reason += f"in the corner ({GREEN_NM:g} nm)"
-    error = scale_error(physics, camera_pupil(camera), half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)), spare_e)
+    error = scale_error(
+        physics,
+        camera_pupil(camera),
+        half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)),
+        spare_e,
+    )
     if error is None:
         return Decision(STACK, True, reason)
-    return Decision(STACK, False, f"{reason}; it is one scale for all pixels", "its neighbours' light and its shading", error)
+    return Decision(
+        STACK,
+        False,
+        f"{reason}; it is one scale for all pixels",
+        "its neighbours' light and its shading",
+        error,
+    )
 
 
 def decide_saturation(readout: Readout, integration_s: float) -> Decision:
-    """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the well, holds below that limit."""
+    """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the
+    well, holds below that limit.
+    """
     pixel, diode, full_well_e = readout.physics.pixel, readout.physics.diode, readout.full_well_e
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"
-        return Decision("saturation", True, f"a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-")
+        return Decision(
+            "saturation",
+            True,
+            f"a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-",
+        )
 
     limit_e = linear_limit_e(diode, full_well_e, integration_s)
-    limit = f"{rounded(limit_e, 3)} e- in {rounded(integration_s, 3)} s ({percent(limit_e / full_well_e)} of the well)"
+    limit = (
+        f"{rounded(limit_e, 3)} e- in {rounded(integration_s, 3)} s"
+        f" ({percent(limit_e / full_well_e)} of the well)"
+    )
     if pixel.conversion == "junction" and not diode.constant:
         return Decision("saturation", True, f"the diode turns forward above {limit}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"

@@ -1,4 +1,6 @@
-"""Decide what of a real lens a render needs: a thin lens in its place, or its distortion and its blur by tiles."""
+"""Decide what of a real lens a render needs: a thin lens in its place, or its distortion and its
+blur by tiles.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +18,32 @@ from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics
 
-SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
+SEEN_NM = np.arange(
+    400.0, 701.0, 10.0
+)  # light for which tiles are chosen: even in energy, as the sensor sees it
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
 DEFOCUS = "defocus of the lens"  # subject of a decision
-BLUR_TOLERANCES = 10.0  # of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
+# of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
+BLUR_TOLERANCES = 10.0
 
 
 def decide_real_lens(
-    scene: Scene, camera: Camera, pixel: PixelPhysics | None, tolerance_e: float, full: bool, aperture_um: float | None = None
+    scene: Scene,
+    camera: Camera,
+    pixel: PixelPhysics | None,
+    tolerance_e: float,
+    full: bool,
+    aperture_um: float | None = None,
 ) -> tuple[Tiling | None, list[Decision]]:
-    """Return how the blur of a real lens is computed, and the decision; None and no decision for a thin lens.
+    """Return how the blur of a real lens is computed, and the decision; None and no decision for a
+    thin lens.
 
-    None too if a thin lens of its image distance and f-number gives the same electrons within the tolerance. All films with a
-    sample or more across a photodiode have one tiling, that of two: photodiodes average what finer films add.
+    None too if a thin lens of its image distance and f-number gives the same electrons within the
+    tolerance. All films with a sample or more across a photodiode have one tiling, that of two:
+    photodiodes average what finer films add.
 
-    aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film without one
+    aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film
+        without one
     """
     if camera.lens is None or camera.chief_ray_angle is None:
         return None, []
@@ -39,26 +52,43 @@ def decide_real_lens(
     aperture_um = aperture_um or (pixel.aperture_side_um if pixel else SAMPLES_PER_DETAIL * film_um)
     pitch_um = film_um if film_um > aperture_um else aperture_um / SAMPLES_PER_DETAIL
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
-    name = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm {f_stop(camera.lens.f_number)}"
+    name = (
+        f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm"
+        f" {f_stop(camera.lens.f_number)}"
+    )
     if not full:
         error = thin_lens_error(camera, pitch_um, SEEN_NM, weight, aperture_um)
         if error <= tolerance_e * THIN_LENS_SHARE:
             reason = f"{name}: a thin lens gives the same electrons"
             return None, [Decision("real lens", False, reason, "distortion and tiles", error)]
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
-    tiling = choose_tiling(camera, (height, width), pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
+    tiling = choose_tiling(
+        camera,
+        (height, width),
+        pitch_um,
+        tuple(SEEN_NM.tolist()),
+        tuple(weight.tolist()),
+        aperture_um,
+        target,
+    )
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
     blur = f"no blur, on film cells of {pitch_um:.3g} µm"
     if tiling.psf_um:
         blur = (
-            f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {percent(tiling.lacking, 1)} of the light"
+            f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to"
+            f" {percent(tiling.lacking, 1)} of the light"
         )
-    reason = f"{name}: {blur}; rms error up to {tiling.error:.1e} of the contrast of detail, {tiling.worst:.1e} where it is largest"
+    reason = (
+        f"{name}: {blur}; rms error up to {tiling.error:.1e} of the contrast of detail,"
+        f" {tiling.worst:.1e} where it is largest"
+    )
     return tiling, [Decision("real lens", True, reason, bounded=False)]
 
 
 def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float) -> list[Note]:
-    """Return what a real lens does to the picture that the simulation cannot show rightly, or that a user may not expect."""
+    """Return what a real lens does to the picture that the simulation cannot show rightly, or that
+    a user may not expect.
+    """
     if camera.lens is None:
         return []
     notes = []
@@ -68,14 +98,28 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float
     if tiling is not None and tiling.error > tolerance:
         reason = "the film is too coarse for it, and it is left out. Take a finer film"
         if tiling.psf_um:
-            reason = f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the light"
-        size = f"up to {percent(tiling.error, 1)} of the picture's contrast, above {percent(tolerance, 1)}"
-        notes.append(Note("lens_blur", words=f"the blur of the real lens has an rms error of {size}: {reason}"))
+            reason = (
+                f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the"
+                " light"
+            )
+        size = (
+            f"up to {percent(tiling.error, 1)} of the picture's contrast, above"
+            f" {percent(tolerance, 1)}"
+        )
+        notes.append(
+            Note(
+                "lens_blur", words=f"the blur of the real lens has an rms error of {size}: {reason}"
+            )
+        )
     return notes
 
 
 def out_of_focus() -> tuple[Decision, Note]:
     """Return the decision on what is out of focus behind a real lens, and the note on it."""
     blur = "the disc of a thin lens and then the blur that the real lens has in focus"
-    decision = Decision(DEFOCUS, False, f"what is out of focus gets {blur}", "a trace for each depth", bounded=False)
-    return decision, Note("lens_blur", words=f"what is out of focus gets {blur}; its error is not known")
+    decision = Decision(
+        DEFOCUS, False, f"what is out of focus gets {blur}", "a trace for each depth", bounded=False
+    )
+    return decision, Note(
+        "lens_blur", words=f"what is out of focus gets {blur}; its error is not known"
+    )

@@ -1,4 +1,6 @@
-"""Render a plan in Mitsuba: radiance on an oversampled film, then spectral irradiance on the sensor plane."""
+"""Render a plan in Mitsuba: radiance on an oversampled film, then spectral irradiance on the sensor
+plane.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,16 @@ from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
 from pixsim.light.quantities import LUMINANCE
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, RINGS, VISIBLE, WHOLE, Span, SpectralImage, Spectrum
+from pixsim.light.spectral import (
+    DIFFUSER,
+    DIFFUSER_W,
+    RINGS,
+    VISIBLE,
+    WHOLE,
+    Span,
+    SpectralImage,
+    Spectrum,
+)
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
@@ -41,11 +52,26 @@ from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import dark_plate
 
 
-def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
-    """Describe a specfilm for some rows: float32 with a box filter, so that cells are means and runs are reproducible."""
+def film(
+    responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int
+) -> dict[str, Any]:
+    """Describe a specfilm for some rows: float32 with a box filter, so that cells are means and
+    runs are reproducible.
+    """
     height, width = size
-    whole = {"type": "specfilm", "width": width, "height": height, "component_format": "float32", "rfilter": {"type": "box"}}
-    crop = {"crop_offset_x": 0, "crop_offset_y": int(top), "crop_width": width, "crop_height": int(bottom - top)}
+    whole = {
+        "type": "specfilm",
+        "width": width,
+        "height": height,
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+    }
+    crop = {
+        "crop_offset_x": 0,
+        "crop_offset_y": int(top),
+        "crop_width": width,
+        "crop_height": int(bottom - top),
+    }
     return whole | crop | {f"band{channel}": response for channel, response in enumerate(responses)}
 
 
@@ -54,11 +80,16 @@ def film_response(pulse: Pulse) -> dict[str, Any]:
 
 
 def passes_of(fit: Fit, span: Span = VISIBLE) -> Passes | None:
-    """Return the passes of a light in a range; None if there is one, or none, which nothing can be shared with."""
+    """Return the passes of a light in a range; None if there is one, or none, which nothing can be
+    shared with.
+    """
     if len(fit.passes) < 2:
         return None
     step_nm = fit.pulses[0].step_nm
-    pulses = tuple((round((pulse.low_nm - span.low_nm) / step_nm), tuple(pulse.values.tolist())) for pulse in fit.pulses)
+    pulses = tuple(
+        (round((pulse.low_nm - span.low_nm) / step_nm), tuple(pulse.values.tolist()))
+        for pulse in fit.pulses
+    )
     return Passes(step_nm, pulses, tuple(map(tuple, fit.passes)), span)
 
 
@@ -67,25 +98,57 @@ KIND = "render"
 
 
 def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
-    """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and display act by the plan."""
+    """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and
+    display act by the plan.
+    """
     lights = []
     samples = plan.samples
     for light in plan.light.lamps:
-        pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
-        lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
-    settings: list[Any] = [samples.lens, samples.integrator, samples.spp, samples.sampler, plan.light.regular_tables]
+        pulses = [
+            [pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses
+        ]
+        lights.append(
+            [
+                light.lamp.spectrum is None,
+                sorted(light.lamp.pictures.items()),
+                pulses,
+                light.fit.passes,
+            ]
+        )
+    settings: list[Any] = [
+        samples.lens,
+        samples.integrator,
+        samples.spp,
+        samples.sampler,
+        plan.light.regular_tables,
+    ]
     tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
     margin = plan.film.margin(size, 1e3 * camera.die_mm / size[1])
     settings += [margin, *plan.film.ends] if margin else []
-    settings.extend([index, name, table.nodes_nm.tolist(), table.values.tolist()] for index, name, table in plan.light.held)
+    settings.extend(
+        [index, name, table.nodes_nm.tolist(), table.values.tolist()]
+        for index, name, table in plan.light.held
+    )
     return content_hash(
-        [tree, size, scene.sensor_id, scene.choice.variant, camera.without_veil.model_dump(), lights, settings, seed, version]
+        [
+            tree,
+            size,
+            scene.sensor_id,
+            scene.choice.variant,
+            camera.without_veil.model_dump(),
+            lights,
+            settings,
+            seed,
+            version,
+        ]
     )
 
 
 class CachedRenders:
-    """The cached runs of one job: the first ones, as many as fit into the cache's share of one entry."""
+    """The cached runs of one job: the first ones, as many as fit into the cache's share of one
+    entry.
+    """
 
     def __init__(self, job: str) -> None:
         self.job, self.size_bytes = job, 0
@@ -106,7 +169,9 @@ class CachedRenders:
             cache.store_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
 
     def runs_in_time(self, limits: str) -> int | None:
-        """Return the number of runs after which time ran out under the same limits, or None; the clock is not reproducible."""
+        """Return the number of runs after which time ran out under the same limits, or None; the
+        clock is not reproducible.
+        """
         content = cache.arrays(KIND, f"{self.job}-{limits}")
         return None if content is None else int(content["runs"])
 
@@ -120,26 +185,38 @@ class CachedRenders:
 Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 SAMPLES_PER_KERNEL = 1 << 25
-SAMPLES_TOGETHER = 1 << 22  # of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart
-CELLS_PER_KERNEL = 1 << 23  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
+SAMPLES_TOGETHER = (
+    1 << 22
+)  # of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart
+CELLS_PER_KERNEL = (
+    1 << 23
+)  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
 SCALAR_STRIPS = 16
-SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
-SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
+SAMPLES_PER_STRIP = (
+    1 << 16
+)  # of scalar variants; with fewer, the start of a render takes longer than the samples
+# Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
+SPP_PER_RENDER = 4096
 BLACK_HINT = (
-    "Check that shapes are in view and face the camera, and that lamps face them: area lights and most surfaces are one-sided; "
-    "that the camera is in no shape; that no picture of a lamp is 0; and that hide_emitters is off."
+    "Check that shapes are in view and face the camera, and that lamps face them: area lights and"
+    " most surfaces are one-sided; that the camera is in no shape; that no picture of a lamp is 0;"
+    " and that hide_emitters is off."
 )
 DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
 PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
-# Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
-# a strip, modulo 2³². Consecutive runs take consecutive seeds.
+# Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by
+# the number of samples of a strip, modulo 2³². Consecutive runs take consecutive seeds.
 SEED_STRIDE = 2654435761
 LEVEL_STRIDE = 1000003
-LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
+LEVEL_FACTOR = (
+    4  # keeps sample counts for which the result is the same bit for bit on any number of threads
+)
 
 
 class FilmRows(NamedTuple):
-    """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows, columns, pulses)."""
+    """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows,
+    columns, pulses).
+    """
 
     rows: slice
     pulses: list[int]
@@ -147,7 +224,9 @@ class FilmRows(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Parts of the pictures of a light, each the average of some renders; `spp`: samples per film cell and pass."""
+    """Parts of the pictures of a light, each the average of some renders; `spp`: samples per film
+    cell and pass.
+    """
 
     renders: int
     spp: int
@@ -164,18 +243,22 @@ def render(
     diffuser: bool = False,
     progress: Progress | None = None,
 ) -> SpectralImage:
-    """Render the spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
+    """Render the spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over
+    each sample and band.
 
-    Each call renders, since only the commands cache renders: keep the result, or store it with `write_exr`.
+    Each call renders, since only the commands cache renders: keep the result, or store it with
+    `write_exr`.
 
     Parameters
     ----------
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
     camera : replaces the camera of the file; None takes that of the file
-    seed : of the sampler; equal seeds give bit-identical results, but for the rounding of float32 sums on a graphics card
+    seed : of the sampler; equal seeds give bit-identical results, but for the rounding of float32
+        sums on a graphics card
     full : leave nothing out (every band, the scene's integrator, a sampled lens)
     plan : from `make_plan`; None makes the default plan
-    diffuser : also render what a white plate at the object's distance shows, for `Display(white="diffuser")`
+    diffuser : also render what a white plate at the object's distance shows, for
+        `Display(white="diffuser")`
     progress : called with the fraction done
 
     Raises PixsimError if Mitsuba cannot render the scene, or if the picture is black or not finite.
@@ -201,11 +284,19 @@ class Renderer:
     """Independent renders of one scene, loaded once per lamp spectrum on first use.
 
     keep : use the cache of renders
-    ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`); None waits for it
+    ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`); None waits
+        for it
     """
 
     def __init__(
-        self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False, ends_at_s: float | None = None
+        self,
+        scene: Scene,
+        camera: Camera,
+        plan: Plan,
+        seed: int,
+        *,
+        keep: bool = False,
+        ends_at_s: float | None = None,
     ) -> None:
         camera = plan.film.camera_of(camera)
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
@@ -217,30 +308,61 @@ class Renderer:
             check_resolution(side)
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.margin = plan.film.margin(self.size, self.pitch_um)
-        self.field = self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin  # cells that are rendered
-        self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
+        self.field = (
+            self.size[0] + 2 * self.margin,
+            self.size[1] + 2 * self.margin,
+        )  # cells that are rendered
+        self.on_axis = (
+            float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+            * camera.transmittance
+        )
         wide = (
-            self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]}) if self.margin else self.seen
+            self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]})
+            if self.margin
+            else self.seen
         )
         lens: dict[str, Any] = {"type": plan.samples.lens, "fov": wide.fov_deg}
         if plan.samples.lens == "thinlens":
-            lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
-        lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.light.lamps)
+            lens |= {
+                "aperture_radius": camera.aperture_radius_m,
+                "focus_distance": camera.object_distance_m,
+            }
+        lamps = tuple(
+            Lamps(light.lamp.pictures, light.lamp.spectrum is not None)
+            for light in plan.light.lamps
+        )
         sensor = sensor_node(state, scene.sensor_id)[0]
         equal_steps = irregular_tables(state) if plan.light.regular_tables else {}
         tables = tuple(
             (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
             for (index, name), (table, values) in equal_steps.items()
         )
-        tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.light.held)
+        tables += tuple(
+            (index, name, irregular(table.nodes_nm, table.values))
+            for index, name, table in plan.light.held
+        )
         passes = tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps)
         files = asset_files(state)
         self.job = TraceJob(
-            scene.choice.variant, text.text, lamps, sensor, lens, plan.samples.integrator, tables, self.field, passes, files
+            scene.choice.variant,
+            text.text,
+            lamps,
+            sensor,
+            lens,
+            plan.samples.integrator,
+            tables,
+            self.field,
+            passes,
+            files,
         )
-        self.packaged, self.ends_at_s = is_packaged(text, [Path(file.path) for file in files]), ends_at_s
+        self.packaged, self.ends_at_s = (
+            is_packaged(text, [Path(file.path) for file in files]),
+            ends_at_s,
+        )
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
-        self.sees_infinity = any(node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter"))
+        self.sees_infinity = any(
+            node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter")
+        )
 
     @cached_property
     def tracer(self) -> OwnTracer | ChildTracer:
@@ -248,30 +370,53 @@ class Renderer:
 
         Else it is a child, which can be killed, and which a failing card may end too.
         """
-        in_this_process = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        return OwnTracer(self.job) if in_this_process else ChildTracer(self.job, lambda: self.ends_at_s)
+        in_this_process = (
+            self.packaged and self.source.choice.processors is None and self.ends_at_s is None
+        )
+        return (
+            OwnTracer(self.job)
+            if in_this_process
+            else ChildTracer(self.job, lambda: self.ends_at_s)
+        )
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
-        """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""
-        return camera_factor(self.camera, self.field, self.pitch_um, (rows, columns)) * (self.camera.transmittance / self.on_axis)
-
-    def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
-        """Return pictures (H, W, pulses) of each light with their margin, relative to its lamp, and the samples per film cell.
-
-        Runs of different index or level are independent. Each level has four times the samples of the one before, rounded up to
-        one of `SAMPLE_COUNTS`.
+        """Return the irradiance relative to that on the axis, at the centre of each rendered cell
+        of some rows and columns.
         """
-        result = self.cache.find(index, level) if self.cache and not self.plan.samples.exact else None
+        return camera_factor(self.camera, self.field, self.pitch_um, (rows, columns)) * (
+            self.camera.transmittance / self.on_axis
+        )
+
+    def run(
+        self, index: int, progress: Progress | None = None, level: int = 0
+    ) -> tuple[Pictures, int]:
+        """Return pictures (H, W, pulses) of each light with their margin, relative to its lamp, and
+        the samples per film cell.
+
+        Runs of different index or level are independent. Each level has four times the samples of
+        the one before, rounded up to one of `SAMPLE_COUNTS`.
+        """
+        result = (
+            self.cache.find(index, level) if self.cache and not self.plan.samples.exact else None
+        )
         if result is None:
             try:
                 _ = self.depths_m  # now: behind the renders no time may be left
                 result = self._rendered(index, level, progress)
             except PixsimError as error:
-                card = self.source.choice.processors is not None and not isinstance(error, OutOfTimeError)
-                hint = f" To render without the graphics card: --variant {self.source.choice.reading}." if card else ""
+                card = self.source.choice.processors is not None and not isinstance(
+                    error, OutOfTimeError
+                )
+                hint = (
+                    f" To render without the graphics card: --variant {self.source.choice.reading}."
+                    if card
+                    else ""
+                )
                 error.args = (self.text.with_place(str(error)) + hint,)
                 raise
-            if self.cache and not self.plan.samples.exact:  # which takes no longer than reading a file
+            if (
+                self.cache and not self.plan.samples.exact
+            ):  # which takes no longer than reading a file
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
@@ -279,9 +424,11 @@ class Renderer:
 
     @cached_property
     def depths_m(self) -> list[float]:
-        """Depths of what is in view in m: the nearest, the one least out of focus, and the farthest.
+        """Depths of what is in view in m: the nearest, the one least out of focus, and the
+        farthest.
 
-        Empty where the plan needs no lens, since all is in focus, and where a depth in view is not known.
+        Empty where the plan needs no lens, since all is in focus, and where a depth in view is not
+        known.
         """
         if self.plan.samples.lens == "perspective":
             return []
@@ -295,16 +442,23 @@ class Renderer:
         if not seen_m.size or np.isnan(seen_m).any():
             return []
         defocus = np.abs(1 / seen_m - 1 / self.camera.object_distance_m)
-        return [float(depth_m) for depth_m in (seen_m.min(), seen_m.flat[defocus.argmin()], seen_m.max())]
+        return [
+            float(depth_m)
+            for depth_m in (seen_m.min(), seen_m.flat[defocus.argmin()], seen_m.max())
+        ]
 
     def distorted(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return pictures (H, W, pulses) as the chief rays of a real lens show them; as they are for a thin lens."""
+        """Return pictures (H, W, pulses) as the chief rays of a real lens show them; as they are
+        for a thin lens.
+        """
         if self.distortion is None:
             return planes
         widening = self.seen.die_mm / self.camera.die_mm
         result: NDArray[np.float32] = zeros(planes.shape, np.float32)
         for pulse in range(planes.shape[2]):
-            result[:, :, pulse] = self.distortion.applied(planes[:, :, pulse], self.pitch_um, widening)
+            result[:, :, pulse] = self.distortion.applied(
+                planes[:, :, pulse], self.pitch_um, widening
+            )
             release(planes, result)
         return result
 
@@ -335,7 +489,8 @@ class Renderer:
         return pictures, works[0].spp
 
     def _work(self, scene: int, asked: int) -> Work:
-        """Divide the traces of a light: its passes together, or a pass at a time; strips; averages of shorter renders.
+        """Divide the traces of a light: its passes together, or a pass at a time; strips; averages
+        of shorter renders.
 
         asked : samples per film cell and pass; most samplers round the number up, to stratify them
         """
@@ -344,28 +499,46 @@ class Renderer:
         spp = self.tracer.sample_count(sampler, -(-asked // renders))
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
-        samples, samples_per_kernel = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
+        samples, samples_per_kernel = (
+            (spp * len(light.fit.passes), SAMPLES_TOGETHER)
+            if together
+            else (spp, SAMPLES_PER_KERNEL)
+        )
         parts: list[FilmRows] = []
-        film_strips = [slice(*borders) for borders in pairwise(self._strip_borders(samples, samples_per_kernel))]
+        film_strips = [
+            slice(*borders)
+            for borders in pairwise(self._strip_borders(samples, samples_per_kernel))
+        ]
         if together:
             pulses = list(range(len(light.fit.pulses)))
             for rows in film_strips:
-                trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
+                trace = partial(
+                    self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp
+                )
                 parts.append(FilmRows(rows, pulses, trace))
             return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
             for rows in film_strips:
                 crop = film(responses, self.field, rows.start, rows.stop)
-                parts.append(FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
+                parts.append(
+                    FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp))
+                )
         return Work(renders, renders * spp, parts)
 
     def _exact(self) -> Pictures:
-        """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
+        """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp,
+        so they are all alike.
+        """
         assert self.plan.film.chart is not None
-        picture = (replace(self.plan.film.chart, shape=self.field) if self.margin else self.plan.film.chart).picture()
+        picture = (
+            replace(self.plan.film.chart, shape=self.field) if self.margin else self.plan.film.chart
+        ).picture()
         mirror_margins(picture, self.margin, self.plan.film.ends)
-        return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.light.lamps]
+        return [
+            np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses)))
+            for light in self.plan.light.lamps
+        ]
 
     def _strip_borders(self, spp: int, samples_per_kernel: int) -> list[int]:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
@@ -378,14 +551,34 @@ class Renderer:
         return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
-        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header."""
+        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into
+        the header.
+        """
         if not any(self.lit(picture) for picture in pictures):
-            dark_skies = warnings_of_skies(parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading)
-            raise invalid("rendered picture", "a black picture", "some light", " ".join(dark_skies) or BLACK_HINT)
-        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | self.diffuser | more
-        header |= {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])} if self.depths_m else {}
+            dark_skies = warnings_of_skies(
+                parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading
+            )
+            raise invalid(
+                "rendered picture",
+                "a black picture",
+                "some light",
+                " ".join(dark_skies) or BLACK_HINT,
+            )
+        header = (
+            provenance(self.source, self.camera, self.plan, self.seed, spp)
+            | {"film": list(self.size)}
+            | self.diffuser
+            | more
+        )
+        header |= (
+            {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])}
+            if self.depths_m
+            else {}
+        )
         if self.plan.light.factored:
-            planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
+            planes = [
+                picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])
+            ]
             stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)
             for rows in strips(*self.field):
                 fall_off = self.fall_off(rows)
@@ -395,12 +588,16 @@ class Renderer:
                 release(*(picture[rows] for picture in pictures))
             return self._image(header, factors=(self.spectra, stored), margin=self.margin)
         bands = self.plan.light.bands.width_nm.size
-        if 4 * bands * math.prod(self.field) > mapped.MOST_BYTES:  # in a file each band has a place of its own
+        if (
+            4 * bands * math.prod(self.field) > mapped.MOST_BYTES
+        ):  # in a file each band has a place of its own
             data = np.moveaxis(zeros((bands, *self.field), np.float32), 0, 2)
         else:
             data = np.empty((*self.field, bands), np.float32)
         for rows in strips(*self.field):
-            for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
+            for band, values in enumerate(
+                self._bands([picture[rows] for picture in pictures], self.fall_off(rows))
+            ):
                 data[rows, :, band] = values
                 release(data[rows, :, band])
             release(*(picture[rows] for picture in pictures))
@@ -408,7 +605,8 @@ class Renderer:
 
     @cached_property
     def diffuser(self) -> dict[str, Any]:
-        """The entry of a header on a white plate at the object's distance, or on texel value 1 of an emissive chart, if asked for.
+        """The entry of a header on a white plate at the object's distance, or on texel value 1 of
+        an emissive chart, if asked for.
 
         Raises PixsimError if no light reaches the plate.
         """
@@ -420,7 +618,10 @@ class Renderer:
         spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
         per_nm = spectrum.cell_means(light.bands.edges_nm)
         return {
-            DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{band_w:.9g}") for band_w in per_nm]}
+            DIFFUSER: {
+                "distance_m": float(f"{plate.distance_m:.6g}"),
+                DIFFUSER_W: [float(f"{band_w:.9g}") for band_w in per_nm],
+            }
         }
 
     def lit(self, picture: Picture) -> bool:
@@ -448,16 +649,26 @@ class Renderer:
 
     @property
     def units(self) -> SpectralImage:
-        """An image with one sample per pulse: the irradiance on the axis of a unit of its picture."""
+        """An image with one sample per pulse: the irradiance on the axis of a unit of its
+        picture.
+        """
         return self._image({}, factors=(self.spectra, np.eye(len(self.spectra))[:, None, :]))
 
     def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
         b = self.plan.light.bands
-        return SpectralImage(b.wavelength_nm, b.width_nm, self.pitch_um, within=(b.nodes_nm, b.shares), header=header, **light)
+        return SpectralImage(
+            b.wavelength_nm,
+            b.width_nm,
+            self.pitch_um,
+            within=(b.nodes_nm, b.shares),
+            header=header,
+            **light,
+        )
 
 
 def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> None:
-    """Continue pictures (H, W, ...) in place where the scene ends with the film: by their mirror image.
+    """Continue pictures (H, W, ...) in place where the scene ends with the film: by their mirror
+    image.
 
     margin : cells at each side beyond the film, at most half of its sides
     ends : as in `Plan`
@@ -473,21 +684,42 @@ def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> Non
 def _checked(values: NDArray[np.float32], channels: int) -> Array:
     """Return the values of a render. Raises PixsimError if one is negative or not finite."""
     if values.shape[2] != channels:
-        raise invalid("integrator", f"{values.shape[2]} channels per pixel", "an integrator for radiance only, such as path")
+        raise invalid(
+            "integrator",
+            f"{values.shape[2]} channels per pixel",
+            "an integrator for radiance only, such as path",
+        )
     if not np.isfinite(values).all() or values.min() < 0:
         hint = "Check the scene's spectra and textures."
-        raise invalid("rendered picture", "NaN, infinite or negative values", "finite values of 0 or more", hint)
+        raise invalid(
+            "rendered picture",
+            "NaN, infinite or negative values",
+            "finite values of 0 or more",
+            hint,
+        )
     return values.astype(float)
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
-    decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
+    decisions = [
+        f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions
+    ]
     variant = scene.choice.variant
     if plan.samples.exact:  # nothing is traced: a graphics card has no part in it
         variant = scene.choice.reading
-    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
-    header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": variant, "plan": decisions}
+    header: dict[str, Any] = {
+        "scene": scene.path.name,
+        "scene_hash": scene.content_hash,
+        "parameters": scene.shown_parameters,
+    }
+    header |= {
+        "camera": camera.model_dump(),
+        "seed": seed,
+        "spp": spp,
+        "variant": variant,
+        "plan": decisions,
+    }
     header |= {
         "bound_e": plan.bound_e if plan.bounded else None,
         "spare_e": plan.spare_e,
@@ -502,21 +734,30 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     return header | plan.light.chart_white
 
 
-def plate_spectrum(plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None) -> Spectrum:
-    """Return the radiance of a white plate in a scene, W m⁻² sr⁻¹ nm⁻¹, constant within each band of its plan.
+def plate_spectrum(
+    plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None
+) -> Spectrum:
+    """Return the radiance of a white plate in a scene, W m⁻² sr⁻¹ nm⁻¹, constant within each band
+    of its plan.
 
-    Samples are added until the standard error over the cells of its picture is at most a thousandth of it.
+    Samples are added until the standard error over the cells of its picture is at most a thousandth
+    of it.
 
     keep, ends_at_s : as of `Renderer`
 
     Raises PixsimError if no light reaches it.
     """
-    job = Renderer(plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s)
+    job = Renderer(
+        plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s
+    )
     job.job = replace(job.job, lens=plate.lens)
     bands, per_nm = plate.plan.light.bands, np.zeros(0)
     for level in range(white_plate.LEVELS):
         pictures, _ = job.run(0, level=level)
-        parts = [picture.astype(float) @ light.fit.spectra for light, picture in zip(plate.plan.light.lamps, pictures, strict=True)]
+        parts = [
+            picture.astype(float) @ light.fit.spectra
+            for light, picture in zip(plate.plan.light.lamps, pictures, strict=True)
+        ]
         cells = np.sum(parts, axis=0).reshape(-1, bands.width_nm.size)
         per_nm, power = cells.mean(axis=0), cells @ bands.width_nm
         if power.std(ddof=1) / math.sqrt(power.size) <= white_plate.NOISE * power.mean():

@@ -1,4 +1,6 @@
-"""Read a Mitsuba 3 XML: parameters, camera and contents, before Mitsuba builds or renders the scene."""
+"""Read a Mitsuba 3 XML: parameters, camera and contents, before Mitsuba builds or renders the
+scene.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,15 @@ from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
-from pixsim.scene.contents import Beyond, check_textures, find_lamp, find_lamps, is_neutral, named_files, white_of
+from pixsim.scene.contents import (
+    Beyond,
+    check_textures,
+    find_lamp,
+    find_lamps,
+    is_neutral,
+    named_files,
+    white_of,
+)
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.files import ASSETS
 from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
@@ -36,14 +46,20 @@ from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
-CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = "chart", "chart_linear", "target.exr", "beyond_tables"
+CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = (
+    "chart",
+    "chart_linear",
+    "target.exr",
+    "beyond_tables",
+)
 # Parameters that only pixsim reads, of the packaged charts that have some.
 PARAMETERS_OF_CHARTS = {"csf.exr": (charts.MAX_LP_PER_MM,), TARGET_FILE: tuple(Target.model_fields)}
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
-WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
+# a <default> that only pixsim reads: the luminance that the display shows as white
+WHITE = "white_cd_per_m2"
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
@@ -58,13 +74,17 @@ class Scene:
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
-    white_lamps : ids of the emitters whose light together is that of white, if the file names them in its <default> white_lamps
-    shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
-    shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the cells of the film
-    beyond_tables : what a surface is where its spectrum ends within the range that is computed: "hold" its last value, or
-        "zero"; None: nobody says
+    white_lamps : ids of the emitters whose light together is that of white, if the file names them
+        in its <default> white_lamps
+    shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter
+        `max_lp_per_mm` sets
+    shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the
+        cells of the film
+    beyond_tables : what a surface is where its spectrum ends within the range that is computed:
+        "hold" its last value, or "zero"; None: nobody says
     strength : factor on all lamps that the parameter `lux` asks for
-    diffuser : whether a render also says what a white plate at the object's distance would show, for `display.white`
+    diffuser : whether a render also says what a white plate at the object's distance would show,
+        for `display.white`
     plate : transform of a white plate in the scene, 16 numbers, row by row
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
@@ -89,9 +109,13 @@ class Scene:
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
     def text(self, **more: object) -> SceneText:
-        """Return the inspected text of the scene, with `more` parameters unless the user set them."""
+        """Return the inspected text of the scene, with `more` parameters unless the user set
+        them.
+        """
         values = {**{k: str(v) for k, v in more.items()}, **self.parameters}
-        for name in chain.from_iterable(PARAMETERS_OF_CHARTS.values()):  # of pixsim: `for_camera` makes the chart
+        for name in chain.from_iterable(
+            PARAMETERS_OF_CHARTS.values()
+        ):  # of pixsim: `for_camera` makes the chart
             values.pop(name, None)
         if self.strength is not None:
             values.pop(ILLUMINANCE, None)
@@ -99,19 +123,26 @@ class Scene:
             values[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         key = _key_of_text(values, self.strength, self.plate)
         if key not in self._texts:  # a render asks ten times
-            self._texts[key] = open_scene(self.path, values, strength=self.strength, plate=self.plate)
+            self._texts[key] = open_scene(
+                self.path, values, strength=self.strength, plate=self.plate
+            )
         return self._texts[key]
 
     def parse(self, **more: object) -> Tree:
-        """Return the parsed tree of the inspected text, with `more` parameters unless the user set them."""
+        """Return the parsed tree of the inspected text, with `more` parameters unless the user set
+        them.
+        """
         return self._tree(self.text(**more))
 
-    def camera(self, options: CameraOptions | None = None, lens: LensOptions | None = None) -> Camera:
-        """Return the camera of the file, overridden by the options, with a real lens if `lens` names one.
+    def camera(
+        self, options: CameraOptions | None = None, lens: LensOptions | None = None
+    ) -> Camera:
+        """Return the camera of the file, overridden by the options, with a real lens if `lens`
+        names one.
 
-        A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
-        lens is given by parameters, the focal length stays and the field of view changes. The die has the shape of the film,
-        unless an option gives its height.
+        A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales
+        the focal length; if the lens is given by parameters, the focal length stays and the field
+        of view changes. The die has the shape of the film, unless an option gives its height.
 
         Raises PixsimError if the lens is invalid, and as `camera_with_lens` does.
         """
@@ -122,10 +153,18 @@ class Scene:
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
         # A real lens replaces the aperture as an option does.
-        usual = {"f_number": Camera().f_number} if lens and lens.file and options.f_number is None else {}
-        scene_camera = read_camera(sensor, die_mm, width / max(height, 1), options.model_copy(update=usual))
+        usual = (
+            {"f_number": Camera().f_number}
+            if lens and lens.file and options.f_number is None
+            else {}
+        )
+        scene_camera = read_camera(
+            sensor, die_mm, width / max(height, 1), options.model_copy(update=usual)
+        )
         if options.die_height_mm is None and height != width and height > 0:
-            height_mm = (scene_camera.die_mm if options.die_mm is None else options.die_mm) * height / width
+            height_mm = (
+                (scene_camera.die_mm if options.die_mm is None else options.die_mm) * height / width
+            )
             options = options.model_copy(update={"die_height_mm": height_mm})
         return camera_with_lens(options.over(scene_camera), options, lens or LensOptions())
 
@@ -134,7 +173,9 @@ class Scene:
         return self._tree(self.text_for_camera(camera))
 
     def _tree(self, text: SceneText) -> Tree:
-        """Return the parsed tree of an inspected text. Raises PixsimError with the place of what Mitsuba cannot parse."""
+        """Return the parsed tree of an inspected text. Raises PixsimError with the place of what
+        Mitsuba cannot parse.
+        """
         try:
             return parse_tree(text.text, self.choice.reading)
         except PixsimError as error:
@@ -142,61 +183,111 @@ class Scene:
 
     def text_for_camera(self, camera: Camera) -> SceneText:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""
-        lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
+        lens = dict(
+            zip(
+                LENS_PARAMETERS,
+                (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m),
+                strict=True,
+            )
+        )
         named = {name: repr(value) for name, value in lens.items() if name in self.names}
         film_camera = camera
         if camera.die_height_mm is not None or self.shows_target:
             height, width = self.film_shape(camera, self.parse(**named))
-        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
-            film_camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
-        named |= {name: repr(value) for name, value in chart_parameters(film_camera).items() if name in self.names}
+        if (
+            camera.die_height_mm is not None
+        ):  # whole cells of the film may end a little beyond the die
+            film_camera = camera.model_copy(
+                update={"die_height_mm": camera.die_mm * height / max(width, 1)}
+            )
+        named |= {
+            name: repr(value)
+            for name, value in chart_parameters(film_camera).items()
+            if name in self.names
+        }
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            height_mm = film_camera.height_mm if CHART_HALF_HEIGHT in self.names else film_camera.die_mm
+            height_mm = (
+                film_camera.height_mm if CHART_HALF_HEIGHT in self.names else film_camera.die_mm
+            )
             named[CHART] = str(self.own_chart.texture(film_camera.die_mm / height_mm, warn=True))
         if charts.MAX_LP_PER_MM in self.parameters:
             width_mm = camera.die_mm
             if CHART_HALF_WIDTH in self.parameters:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
-            named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
+            named[CHART] = str(
+                charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm)
+            )
         if self.shows_target:
-            named[CHART] = str(self._target_file(camera, chart_parameters(film_camera), (height, width)))
+            named[CHART] = str(
+                self._target_file(camera, chart_parameters(film_camera), (height, width))
+            )
         return self.text(**named)
 
-    def _target_file(self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]) -> Path:
+    def _target_file(
+        self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]
+    ) -> Path:
         """Return the texture of its target, whose texels are the cells of a film (H, W).
 
         fitting : parameters of a chart that fills the film; a larger one has more texels
         """
-        half_m = {name: float(self.parameters.get(name, fitting[name])) for name in (CHART_HALF_HEIGHT, CHART_HALF_WIDTH)}
+        half_m = {
+            name: float(self.parameters.get(name, fitting[name]))
+            for name in (CHART_HALF_HEIGHT, CHART_HALF_WIDTH)
+        }
         for side in film:
             check_resolution(side)
-        counts = (round(count * half_m[name] / fitting[name]) for count, name in zip(film, half_m, strict=True))
+        counts = (
+            round(count * half_m[name] / fitting[name])
+            for count, name in zip(film, half_m, strict=True)
+        )
         height, width = (min(max(count, 1), ALLOWED_RESOLUTION[1]) for count in counts)
         down_mm, across_mm = (2e3 * half_side_m for half_side_m in half_m.values())
         target, size_mm = self.target, self.target.size_in_scene_mm(camera)
-        content = ["target", target.shape, target.direction, target.contrast, size_mm, down_mm, across_mm, height, width]
-        return charts.texture_file(content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm))
+        content = [
+            "target",
+            target.shape,
+            target.direction,
+            target.contrast,
+            size_mm,
+            down_mm,
+            across_mm,
+            height,
+            width,
+        ]
+        return charts.texture_file(
+            content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm)
+        )
 
     @property
     def target(self) -> Target:
-        """The target that its chart shows. Raises PixsimError for parameters that are none, and for another chart."""
+        """The target that its chart shows. Raises PixsimError for parameters that are none, and for
+        another chart.
+        """
         if not self.shows_target:
-            raise invalid("target", f"the chart of '{self.path.name}', which is another", f"a scene whose chart is {TARGET_FILE}")
+            raise invalid(
+                "target",
+                f"the chart of '{self.path.name}', which is another",
+                f"a scene whose chart is {TARGET_FILE}",
+            )
         return Target.of_parameters(self.parameters, self.text().defaults)
 
     def film_shape(self, camera: Camera, state: Tree) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
 
-        The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
-        `die_height_mm` it follows the shape of the film in the XML.
+        The width is `resolution`, or else that in the XML. The height follows the die's shape,
+        rounded up; without a `die_height_mm` it follows the shape of the film in the XML.
 
         state : the parsed tree, as from `parse`
         """
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
             return height, width
-        ratio = height / max(width, 1) if camera.die_height_mm is None else camera.height_mm / camera.die_mm
+        ratio = (
+            height / max(width, 1)
+            if camera.die_height_mm is None
+            else camera.height_mm / camera.die_mm
+        )
         film_width = width if self.resolution is None else self.resolution
         return max(1, math.ceil(film_width * ratio - FILM_ROUNDING)), film_width
 
@@ -206,12 +297,17 @@ class Scene:
 
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
-        return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
+        return replace(
+            self,
+            parameters={**self.parameters, **{name: str(value) for name, value in more.items()}},
+        )
 
     @property
     def shown_parameters(self) -> dict[str, str]:
         """The parameters for a header: files by their name, without the folder."""
-        files = {name: Path(value).name for name, value in self.parameters.items() if os.sep in value}
+        files = {
+            name: Path(value).name for name, value in self.parameters.items() if os.sep in value
+        }
         linear = {CHART_LINEAR: "1"} if self.own_chart and self.own_chart.linear else {}
         beyond = {BEYOND_TABLES: self.beyond_tables} if self.beyond_tables else {}
         return self.parameters | files | linear | beyond
@@ -227,12 +323,16 @@ class Scene:
         return f"<Scene {self.path.name}{parameters}, {self.choice.variant}>"
 
 
-def _key_of_text(values: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None) -> str:
+def _key_of_text(
+    values: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None
+) -> str:
     return repr((sorted(values.items()), strength, plate))
 
 
 def chart_parameters(camera: Camera) -> dict[str, float]:
-    """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in the plane in focus."""
+    """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in
+    the plane in focus.
+    """
     width, height = camera.chart_half_width_m, camera.chart_half_height_m
     shorter = min(width, height)
     return {
@@ -250,11 +350,14 @@ def _packaged_texts() -> frozenset[str]:
 
 
 def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
-    """Return whether a scene's XML equals that of a packaged one, and its files are packaged or made by pixsim.
+    """Return whether a scene's XML equals that of a packaged one, and its files are packaged or
+    made by pixsim.
 
     files : absolute paths of those that its text names
     """
-    allowed_folders = [Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())]
+    allowed_folders = [
+        Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())
+    ]
     places = [Path(os.path.realpath(file)) for file in files]
     return text.content in _packaged_texts() and all(
         any(place.is_relative_to(folder) for folder in allowed_folders) for place in places
@@ -262,60 +365,96 @@ def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
 
 
 def scene_path(scene: str | os.PathLike[str]) -> Path:
-    """Return the file of a scene, which may be a packaged one. Raises PixsimError if there is none."""
+    """Return the file of a scene, which may be a packaged one. Raises PixsimError if there is
+    none.
+    """
     path = packaged_scenes().get(str(scene)) or Path(scene)
     if path.suffix == ".toml":
         hint = f"To use a parameter file: pixsim run csf --config {path}"
-        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
+        raise invalid(
+            "scene",
+            f"'{scene}', a TOML file",
+            f"an XML file, or one of {', '.join(packaged_scenes())}",
+            hint,
+        )
     if not os.path.lexists(path) or path.is_dir():
         names, is_path = packaged_scenes(), path.parent != Path() or path.suffix
-        got = f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
+        got = (
+            f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
+        )
         hint = did_you_mean(str(scene), names)
         if path.suffix.lower() in SUFFIXES:
-            hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
+            hint = (
+                f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
+            )
         raise invalid("scene", got, f"an XML file, or one of {', '.join(names)}", hint)
     return path
 
 
 def load_scene(
-    scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
+    scene: str | os.PathLike[str],
+    *,
+    variant: str | None = None,
+    sensor: str | None = None,
+    **parameters: object,
 ) -> Scene:
     """Load a scene from an XML file, or a packaged one by its name.
 
     Parameters
     ----------
     scene : path, or a name as in `pixsim run`
-    variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the processors
+    variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the
+        processors
     sensor : id of the sensor, if the scene has several
-    parameters : values of the scene's <default> parameters; in a scene with a parameter `emitter_scale`, `luminance_cd_per_m2`
-        sets the luminance of texel value 1, and `lux` the illuminance in which a white diffuser has it, π times as much; in a
-        scene with a <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one factor;
-        `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the fields of `scene.target.Target` set
-        what the scene target shows, on a background of `luminance_cd_per_m2`; `chart` may name a picture
-        (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says
-        what surfaces are where lamps shine and their spectra end; `assets` names a folder whose files the scene may name, besides
-        those of its own
+    parameters : values of the scene's <default> parameters; in a scene with a parameter
+        `emitter_scale`, `luminance_cd_per_m2` sets the luminance of texel value 1, and `lux` the
+        illuminance in which a white diffuser has it, π times as much; in a scene with a <default>
+        `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one
+        factor; `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the
+        fields of `scene.target.Target` set what the scene target shows, on a background of
+        `luminance_cd_per_m2`; `chart` may name a picture (`scene.own_chart.read_luminance`),
+        decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says what
+        surfaces are where lamps shine and their spectra end; `assets` names a folder whose files
+        the scene may name, besides those of its own
 
-    Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
-    one, the sensor is not a thin lens, or LLVM is too old.
+    Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there
+    is no sensor or more than one, the sensor is not a thin lens, or LLVM is too old.
 
     >>> load_scene("csf", resolution=64).camera().focal_length_mm
     3.86
     """
     path = scene_path(scene)
-    special = {name: parameters.pop(name, None) for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)}
+    special = {
+        name: parameters.pop(name, None)
+        for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)
+    }
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
     values = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, values)
     text = open_scene(path, values)
     special[ILLUMINANCE] = None if ILLUMINANCE in text.names else values.pop(ILLUMINANCE, None)
-    packaged_chart = Path(text.defaults.get(CHART, "")).name if CHART in text.names and CHART not in values else ""
-    _check_names(text, [*values, *(name for name, value in special.items() if value is not None)], packaged_chart)
+    packaged_chart = (
+        Path(text.defaults.get(CHART, "")).name
+        if CHART in text.names and CHART not in values
+        else ""
+    )
+    _check_names(
+        text,
+        [*values, *(name for name, value in special.items() if value is not None)],
+        packaged_chart,
+    )
     luminance, white, lamps, highest_lp_per_mm, lux = special.values()
     if lux is not None and luminance is not None:
-        raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
-    if lux is not None and ILLUMINANCE not in text.defaults:  # a chart, whose white a diffuser is as bright as
+        raise invalid(
+            ILLUMINANCE,
+            f"'{lux}' beside {LUMINANCE}",
+            "one of them",
+            "A white diffuser in E lx has E / π cd/m².",
+        )
+    if (
+        lux is not None and ILLUMINANCE not in text.defaults
+    ):  # a chart, whose white a diffuser is as bright as
         luminance = _positive(ILLUMINANCE, lux) / math.pi
         lux = None
 
@@ -326,7 +465,16 @@ def load_scene(
     # The text is that of the resolved file, unless a link's folder has the files that it names.
     texts = {_key_of_text(values): text} if picture is None and path == path.resolve() else {}
     shows_csf = packaged_chart == "csf.exr"
-    loaded = Scene(path.resolve(), values, text.names, sensor, choice, white_cd_per_m2, shows_csf=shows_csf, _texts=texts)
+    loaded = Scene(
+        path.resolve(),
+        values,
+        text.names,
+        sensor,
+        choice,
+        white_cd_per_m2,
+        shows_csf=shows_csf,
+        _texts=texts,
+    )
     loaded = _with_target(loaded) if packaged_chart == TARGET_FILE else loaded
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     state = loaded.parse()
@@ -338,7 +486,9 @@ def load_scene(
 
     # What cannot be rendered
     sensor_of_scene = sensor_node(state, sensor)[1]
-    read_camera(sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number))  # others may be chosen
+    read_camera(
+        sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number)
+    )  # others may be chosen
     film_size(state, sensor_of_scene)
     sample_count(state, sensor_of_scene)
     check_supported(state)
@@ -373,27 +523,52 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     wrong = next((name for name in names if name not in allowed), None)
     if wrong is not None:
         settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong)]
-        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene." if settings else ""
-        raise invalid("scene parameter", f"'{wrong}'", ", ".join(sorted(allowed)), did_you_mean(wrong, allowed) or hint)
+        hint = (
+            f"The setting of this name is {' or '.join(settings)}, beside the scene."
+            if settings
+            else ""
+        )
+        raise invalid(
+            "scene parameter",
+            f"'{wrong}'",
+            ", ".join(sorted(allowed)),
+            did_you_mean(wrong, allowed) or hint,
+        )
 
 
 def _picture_of_chart(path: Path, values: dict[str, str]) -> Path | None:
     """Return the file that the parameter `chart` names, if it is a picture to convert."""
     name, folder = values.get(CHART, ""), Path(os.path.realpath(path)).parent
-    file = next((place for place in (folder / name, Path(name)) if place.is_file()), None) if name and "\0" not in name else None
+    file = (
+        next((place for place in (folder / name, Path(name)) if place.is_file()), None)
+        if name and "\0" not in name
+        else None
+    )
     return Path(os.path.abspath(file)) if file is not None and is_own_chart(file) else None
 
 
 def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear: bool) -> Scene:
-    """Return the scene with a picture as its chart, where the scene takes neutral textures there."""
+    """Return the scene with a picture as its chart, where the scene takes neutral textures
+    there.
+    """
     is_own = False
     if picture:
         nodes = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
-        is_own = any(is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture))
+        is_own = any(
+            is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture)
+        )
     if linear and not (is_own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
         name = scene.parameters.get(CHART, "")
-        got = f"1 (--linear) with the chart '{Path(name).name}'" if name else "1 (--linear) without a chart"
-        raise invalid(CHART_LINEAR, got, "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already")
+        got = (
+            f"1 (--linear) with the chart '{Path(name).name}'"
+            if name
+            else "1 (--linear) without a chart"
+        )
+        raise invalid(
+            CHART_LINEAR,
+            got,
+            "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already",
+        )
     return replace(scene, own_chart=OwnChart(picture, linear)) if is_own and picture else scene
 
 
@@ -401,7 +576,12 @@ def _with_target(scene: Scene) -> Scene:
     """Return the scene with the target of its parameters as its chart."""
     if absent := {CHART_HALF_WIDTH, CHART_HALF_HEIGHT} - scene.names:
         got = f"'{scene.path.name}' without the parameter {min(absent)}"
-        raise invalid("target", got, f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is known")
+        raise invalid(
+            "target",
+            got,
+            f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is"
+            " known",
+        )
     with_target = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
     _ = with_target.target  # raises for wrong parameters
     return with_target
@@ -414,7 +594,14 @@ def _beyond(value: object) -> Beyond | None:
 
 
 def _flag(name: str, value: object) -> bool:
-    words = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}  # TOML's true may come as 1.0
+    words = {
+        "1": True,
+        "1.0": True,
+        "true": True,
+        "0": False,
+        "0.0": False,
+        "false": False,
+    }  # TOML's true may come as 1.0
     if str(value).lower() not in words:
         raise invalid(name, repr(value), "1 or 0")
     return words[str(value).lower()]
@@ -426,28 +613,45 @@ def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_whit
     unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
     lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
-        raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
+        raise invalid(
+            LUMINANCE,
+            f"{value:g}, but the luminance of the emitters is unknown",
+            "emitters of one spectrum, above 0",
+        )
     scale, white = value / lamp.luminance_cd_per_m2, scene.white_cd_per_m2
     if white is not None and not keeps_white and EMITTER_SCALE in text.defaults:
         white *= scale / _positive(EMITTER_SCALE, text.defaults[EMITTER_SCALE])
-    return replace(scene, white_cd_per_m2=white, parameters={**scene.parameters, EMITTER_SCALE: repr(scale)})
+    return replace(
+        scene, white_cd_per_m2=white, parameters={**scene.parameters, EMITTER_SCALE: repr(scale)}
+    )
 
 
 def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: bool) -> Scene:
-    """Return the scene with all lamps times one factor, so that the place of its <default> lux has this illuminance.
+    """Return the scene with all lamps times one factor, so that the place of its <default> lux has
+    this illuminance.
 
     text : of the scene
     keeps_white : whether the user set the luminance of white, which otherwise follows the light
     """
-    value, stated = _positive(ILLUMINANCE, lux), _positive(f"{ILLUMINANCE} in '{scene.path.name}'", text.defaults[ILLUMINANCE])
+    value, stated = (
+        _positive(ILLUMINANCE, lux),
+        _positive(f"{ILLUMINANCE} in '{scene.path.name}'", text.defaults[ILLUMINANCE]),
+    )
     reading, parameter_names = scene.choice.reading, list(scene.parameters)
     lamps = find_lamps(scene.parse(), reading)
-    as_written = find_lamps(replace(scene, parameters={}).parse(), reading) if parameter_names else lamps
+    as_written = (
+        find_lamps(replace(scene, parameters={}).parse(), reading) if parameter_names else lamps
+    )
     factor = strength(value, stated, as_written, lamps, parameter_names)
     white = scene.white_cd_per_m2
     if white is not None and not keeps_white:
         white *= value / stated
-    lit = replace(scene, strength=factor, white_cd_per_m2=white, parameters={**scene.parameters, ILLUMINANCE: str(lux)})
+    lit = replace(
+        scene,
+        strength=factor,
+        white_cd_per_m2=white,
+        parameters={**scene.parameters, ILLUMINANCE: str(lux)},
+    )
     lit.text()  # raises for lamps without a number to scale
     return lit
 
@@ -468,18 +672,32 @@ def _positive(name: str, value: object) -> float:
 
 
 def check_supported(state: Tree) -> None:
-    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a cropped film."""
+    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a
+    cropped film.
+    """
     integrators = [node.plugin for _, node in nodes_of(state, "Integrator")]
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].kind == "Medium" for index in children(node, state).values()):
-            raise invalid("sensor", "a camera in a medium", "a camera in air", "Let the medium begin in front of the lens.")
+            raise invalid(
+                "sensor",
+                "a camera in a medium",
+                "a camera in air",
+                "Let the medium begin in front of the lens.",
+            )
     for _, node in nodes_of(state, "Film"):
         cropped = [name for name in node if name.startswith("crop_")]
         if cropped:
-            raise invalid("film", ", ".join(cropped), "an uncropped film", "Remove the crop: the film is the die.")
+            raise invalid(
+                "film",
+                ", ".join(cropped),
+                "an uncropped film",
+                "Remove the crop: the film is the die.",
+            )
     if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
         got = f"a participating medium with {integrators or 'no integrator'}"
-        raise invalid("scene", got, "volpath or volpathmis for media", 'Write <integrator type="volpath"/>.')
+        raise invalid(
+            "scene", got, "volpath or volpathmis for media", 'Write <integrator type="volpath"/>.'
+        )
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
             if name in node and node.kind_of(name) not in ("Float", "Integer", "String"):
@@ -489,29 +707,52 @@ def check_supported(state: Tree) -> None:
 
 
 def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
-    """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin lens."""
+    """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin
+    lens.
+    """
     sensors = nodes_of(state, "Sensor")
     ids = ", ".join(f"'{node.id}'" for _, node in sensors)
     if sensor_id is not None:
         sensors = [(index, node) for index, node in sensors if node.id == sensor_id]
     if len(sensors) != 1:
-        got = "no sensor" if not ids else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
-        raise invalid("scene", got, "one thinlens sensor", "Choose one with --sensor ID." if ids else "")
+        got = (
+            "no sensor"
+            if not ids
+            else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
+        )
+        raise invalid(
+            "scene", got, "one thinlens sensor", "Choose one with --sensor ID." if ids else ""
+        )
     index, node = sensors[0]
     plugin = node.plugin
     if plugin != "thinlens":
-        raise invalid("sensor", f"'{plugin}'", "thinlens, since exposure and blur need an aperture", REASONS["sensor"])
+        raise invalid(
+            "sensor",
+            f"'{plugin}'",
+            "thinlens, since exposure and blur need an aperture",
+            REASONS["sensor"],
+        )
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
         if sensor_offset := float(node.get(offset, 0.0)):
-            raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0, since the die is centred on the lens axis")
+            raise invalid(
+                "sensor",
+                f"{offset} = {sensor_offset:g}",
+                "0, since the die is centred on the lens axis",
+            )
     for needed in ("aperture_radius", "focus_distance"):
         if needed not in node:
-            raise invalid("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
+            raise invalid(
+                "sensor",
+                f"a thinlens without {needed}",
+                "fov, aperture_radius and focus_distance, in metres",
+            )
     return index, node
 
 
 def film_size(state: Tree, sensor: Node) -> tuple[int, int]:
-    """Return (height, width) of the sensor's film in samples. Raises PixsimError if one is out of range."""
+    """Return (height, width) of the sensor's film in samples. Raises PixsimError if one is out of
+    range.
+    """
     film = _child(state, sensor, "Film")
     size = _whole(film, "height", 576), _whole(film, "width", 768)
     for side in size:
@@ -527,7 +768,9 @@ def check_resolution(side: int) -> None:
 
 
 def sample_count(state: Tree, sensor: Node) -> int:
-    """Return the samples per film cell of the sensor's sampler. Raises PixsimError if they are out of range."""
+    """Return the samples per film cell of the sensor's sampler. Raises PixsimError if they are out
+    of range.
+    """
     count = _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
     low, high = ALLOWED_SAMPLES
     if not low <= count <= high:
@@ -537,7 +780,14 @@ def sample_count(state: Tree, sensor: Node) -> int:
 
 def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
     """Return the sensor's film or sampler, or None."""
-    return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].kind == kind), None)
+    return next(
+        (
+            state.nodes[index]
+            for index in children(sensor, state).values()
+            if state.nodes[index].kind == kind
+        ),
+        None,
+    )
 
 
 def _whole(node: Node | None, name: str, default: int) -> int:
@@ -550,7 +800,9 @@ def _whole(node: Node | None, name: str, default: int) -> int:
 
 
 def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
-    """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm equivalent)."""
+    """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm
+    equivalent).
+    """
     axis = str(sensor.get("fov_axis", "x"))
     if "focal_length" in sensor:
         equivalent_mm = _positive("focal_length", str(sensor["focal_length"]).removesuffix("mm"))
@@ -563,19 +815,30 @@ def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
         half = math.tan(math.radians(fov_deg) / 2)
     else:
         raise invalid("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
-    vertical = axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
+    vertical = (
+        axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
+    )
     factor = aspect if vertical else 1 / math.hypot(1, 1 / aspect) if axis == "diagonal" else 1.0
     return math.degrees(2 * math.atan(half * factor))
 
 
-def read_camera(sensor: Node, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None) -> Camera:
-    """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the field of view.
+def read_camera(
+    sensor: Node, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None
+) -> Camera:
+    """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the
+    field of view.
 
     options : whose values replace those of the node, before these are checked
     """
-    aperture, focus = (_positive(name, sensor[name]) for name in ("aperture_radius", "focus_distance"))
+    aperture, focus = (
+        _positive(name, sensor[name]) for name in ("aperture_radius", "focus_distance")
+    )
     replaced = (
-        options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
+        options.model_dump(
+            exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}
+        )
+        if options
+        else {}
     )
     geometry = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
     rounded = {name: float(f"{geometry[name]:.6g}") for name in ("focal_length_mm", "f_number")}
@@ -586,12 +849,21 @@ def read_camera(sensor: Node, die_mm: float, aspect: float = 1.0, options: Camer
 
 
 def hash_of_tree(state: Tree) -> str:
-    """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if a file is missing."""
+    """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if
+    a file is missing.
+    """
     tree = []
     for node in state.nodes:
         # Not the folder of a file, such as the cache of charts: the bytes of the files follow.
         values = sorted(
-            (name, Path(str(value)).name if name == "filename" and os.path.isabs(str(value)) else in_full(value))
+            (
+                name,
+                (
+                    Path(str(value)).name
+                    if name == "filename" and os.path.isabs(str(value))
+                    else in_full(value)
+                ),
+            )
             for name, value in plain(node, numbers_only=False)
         )
         tree.append([node.kind, node.plugin, values, sorted(children(node, state).items())])

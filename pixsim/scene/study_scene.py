@@ -11,4 +11,6 @@ class StudyScene(Record):
     """The scene of a study."""
 
     file: str = Field("csf", description="XML file or name of a packaged scene")
-    parameters: dict[str, NumberOrText] = Field(default_factory=dict, description="values of the scene's <default> parameters")
+    parameters: dict[str, NumberOrText] = Field(
+        default_factory=dict, description="values of the scene's <default> parameters"
+    )

@@ -1,7 +1,9 @@
-"""A target on an even background, for judges of detectability: a disc, a bar or an edge, drawn as exact means over texels.
+"""A target on an even background, for judges of detectability: a disc, a bar or an edge, drawn as
+exact means over texels.
 
-A judge takes the light without the target from the same scene with a contrast of 0. So that the difference is that of the target
-alone, the texels are the cells of the film, and a cell has the share of the target that its area covers.
+A judge takes the light without the target from the same scene with a contrast of 0. So that the
+difference is that of the target alone, the texels are the cells of the film, and a cell has the
+share of the target that its area covers.
 """
 
 from __future__ import annotations
@@ -22,26 +24,41 @@ from pixsim.optics.camera import Camera
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
 SIZES = ("size_mm", "size_mrad", "size_um")
 BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
-MIN_STEP = 1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
+MIN_STEP = (
+    1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
+)
 
 
 class Target(Record):
-    """A target in the centre of an even field. An edge is the border of a target that fills the right or the lower half."""
+    """A target in the centre of an even field. An edge is the border of a target that fills the
+    right or the lower half.
+    """
 
-    shape: Literal["disc", "bar", "edge"] = Field("disc", description="disc, bar (5 times as long as wide), or edge")
-    contrast: Annotated[float, Field(ge=-1, le=1e6)] = Field(
-        -0.1, description="luminance of the target over that of the background, minus 1; 0: no target"
+    shape: Literal["disc", "bar", "edge"] = Field(
+        "disc", description="disc, bar (5 times as long as wide), or edge"
     )
-    size_mm: Size | None = Field(None, description="diameter of the disc or width of the bar, in the plane in focus")
-    size_mrad: Size | None = Field(None, description="this size over the distance of that plane from the lens")
+    contrast: Annotated[float, Field(ge=-1, le=1e6)] = Field(
+        -0.1,
+        description="luminance of the target over that of the background, minus 1; 0: no target",
+    )
+    size_mm: Size | None = Field(
+        None, description="diameter of the disc or width of the bar, in the plane in focus"
+    )
+    size_mrad: Size | None = Field(
+        None, description="this size over the distance of that plane from the lens"
+    )
     size_um: Size | None = Field(None, description="this size on the sensor")
-    direction: Literal["vertical", "horizontal"] = Field("vertical", description="of the bar's length, or of the edge")
+    direction: Literal["vertical", "horizontal"] = Field(
+        "vertical", description="of the bar's length, or of the edge"
+    )
 
     @model_validator(mode="after")
     def _states_its_size_once(self) -> Self:
         sizes = [name for name in SIZES if getattr(self, name) is not None]
         if self.shape == "edge" and sizes:
-            raise ValueError(f"{' and '.join(sizes)} with shape = 'edge', which has no size; leave it out")
+            raise ValueError(
+                f"{' and '.join(sizes)} with shape = 'edge', which has no size; leave it out"
+            )
         if self.shape != "edge" and len(sizes) != 1:
             names = " and ".join(sizes) or "no size"
             raise ValueError(f"{names} for the target; give one of {', '.join(SIZES)}")
@@ -53,14 +70,17 @@ class Target(Record):
     def of_parameters(cls, stated: Mapping[str, object], defaults: Mapping[str, object]) -> Target:
         """Return the target that the user gave, from parameters of a scene and their defaults.
 
-        A given size takes the place of the default, in whatever unit that is. A shape may lack what a default states.
+        A given size takes the place of the default, in whatever unit that is. A shape may lack what
+        a default states.
 
         Raises PixsimError for values that are no target.
         """
         shape = stated.get("shape", defaults.get("shape", cls.model_fields["shape"].default))
         unused = {*SIZES} if shape == "edge" or any(name in stated for name in SIZES) else set()
         unused |= {"direction"} if shape == "disc" else set()
-        fields = {name: value for name, value in defaults.items() if name not in unused} | {**stated}
+        fields = {name: value for name, value in defaults.items() if name not in unused} | {
+            **stated
+        }
         return cls(**{name: fields[name] for name in cls.model_fields if name in fields})
 
     def size_in_scene_mm(self, camera: Camera) -> float:
@@ -69,41 +89,73 @@ class Target(Record):
             return self.size_um / (1e3 * camera.magnification)
         return self.size_mm or (self.size_mrad or 0.0) * camera.object_distance_m
 
-    def texels(self, shape: tuple[int, int], sides_mm: tuple[Positive, Positive], size_mm: float) -> NDArray[np.float32]:
-        """Return the relative luminance of a field, (H, W), row 0 at the top: 1, and 1 + contrast where the target is.
+    def texels(
+        self, shape: tuple[int, int], sides_mm: tuple[Positive, Positive], size_mm: float
+    ) -> NDArray[np.float32]:
+        """Return the relative luminance of a field, (H, W), row 0 at the top: 1, and 1 + contrast
+        where the target is.
 
         shape : (H, W) texels
         sides_mm : (height, width) of the field
         size_mm : of the target, as in the field
 
-        Raises PixsimError if the target is larger than the field, or if its contrast in a texel is lost in float32.
+        Raises PixsimError if the target is larger than the field, or if its contrast in a texel is
+        lost in float32.
         """
         half = size_mm / 2
-        ends = [(-half, half), (-half, half)]  # downwards and to the right, from the middle of the field
+        ends = [
+            (-half, half),
+            (-half, half),
+        ]  # downwards and to the right, from the middle of the field
         if self.shape == "edge":
             ends = [(-np.inf, np.inf), (0.0, np.inf)]
         elif self.shape == "bar":
             ends[0] = -half * BAR_LENGTH, half * BAR_LENGTH
         if self.direction == "horizontal":
             ends.reverse()
-        if self.shape != "edge" and any(2 * high > side for (_, high), side in zip(ends, sides_mm, strict=True)):
+        if self.shape != "edge" and any(
+            2 * high > side for (_, high), side in zip(ends, sides_mm, strict=True)
+        ):
             extent = f"{2 * ends[1][1]:.4g} × {2 * ends[0][1]:.4g} mm"
-            got = f"{extent} in the plane in focus, in a field of {sides_mm[1]:.4g} × {sides_mm[0]:.4g} mm"
-            raise invalid("size of the target", got, "a target within the field", "Choose a smaller size.")
-        axes = [np.linspace(-side / 2, side / 2, count + 1) for side, count in zip(sides_mm, shape, strict=True)]
+            got = (
+                f"{extent} in the plane in focus, in a field of {sides_mm[1]:.4g} ×"
+                f" {sides_mm[0]:.4g} mm"
+            )
+            raise invalid(
+                "size of the target", got, "a target within the field", "Choose a smaller size."
+            )
+        axes = [
+            np.linspace(-side / 2, side / 2, count + 1)
+            for side, count in zip(sides_mm, shape, strict=True)
+        ]
         if self.shape == "disc":
             cover = disc_cover(axes[0], axes[1], half)
         else:
-            cover = np.outer(*(share_between(edges, *between) for edges, between in zip(axes, ends, strict=True)))
+            cover = np.outer(
+                *(share_between(edges, *between) for edges, between in zip(axes, ends, strict=True))
+            )
         if 0 < (step := abs(self.contrast) * float(cover.max())) < MIN_STEP:
-            got = f"{self.contrast:g}, which changes the light of no film cell by more than {step:.2g}"
-            hint = "The signal is linear in the contrast: choose a larger one and scale its result, or a finer film."
-            raise invalid("contrast", got, f"0, or a change of at least {MIN_STEP:g}, which float32 holds", hint)
+            got = (
+                f"{self.contrast:g}, which changes the light of no film cell by more than"
+                f" {step:.2g}"
+            )
+            hint = (
+                "The signal is linear in the contrast: choose a larger one and scale its result, or"
+                " a finer film."
+            )
+            raise invalid(
+                "contrast",
+                got,
+                f"0, or a change of at least {MIN_STEP:g}, which float32 holds",
+                hint,
+            )
         return (1 + self.contrast * cover).astype(np.float32)
 
 
 def share_between(edges: Array, low: float, high: float) -> Array:
-    """Return the share of each interval (n,) between edges (n + 1,) that lies between `low` and `high`."""
+    """Return the share of each interval (n,) between edges (n + 1,) that lies between `low` and
+    `high`.
+    """
     return np.asarray(np.diff(np.clip(edges, low, high)) / np.diff(edges))
 
 
@@ -112,10 +164,14 @@ def disc_cover(rows: Array, columns: Array, radius: float) -> Array:
 
     rows, columns : edges of the cells, (H + 1,) and (W + 1,), in the unit of the radius
 
-    The area of the disc to the left of and above each corner is a closed form, and cells are its differences.
+    The area of the disc to the left of and above each corner is a closed form, and cells are its
+    differences.
     """
     y, x = np.clip(rows / radius, -1, 1), np.clip(columns / radius, -1, 1)
-    down, across = (slice(max(np.searchsorted(edges, -1, "right") - 1, 0), np.searchsorted(edges, 1) + 1) for edges in (y, x))
+    down, across = (
+        slice(max(np.searchsorted(edges, -1, "right") - 1, 0), np.searchsorted(edges, 1) + 1)
+        for edges in (y, x)
+    )
     cover = np.zeros((rows.size - 1, columns.size - 1))
 
     def half(x: Array) -> Array:
@@ -124,7 +180,12 @@ def disc_cover(rows: Array, columns: Array, radius: float) -> Array:
 
     y, x = y[down, None], x[across]
     end = np.sqrt(1 - y * y)  # where the circle has this height
-    under = half(np.minimum(x, -end)) + np.abs(y) * (np.clip(x, -end, end) + end) + half(np.maximum(x, end)) - half(end)
+    under = (
+        half(np.minimum(x, -end))
+        + np.abs(y) * (np.clip(x, -end, end) + end)
+        + half(np.maximum(x, end))
+        - half(end)
+    )
     corner = half(x) + np.sign(y) * under
     areas = np.diff(np.diff(corner, axis=0), axis=1) * radius**2
     cells = np.outer(np.diff(rows[down]), np.diff(columns[across]))

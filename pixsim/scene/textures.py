@@ -22,10 +22,13 @@ FLOAT_STARTS = EXR_START, RADIANCE_START, b"PF", b"Pf"
 HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
 MAX_HEAD = 1 << 12
 METAL_BY_NAME = (
-    'Name a metal, as <string name="material" value="Au"/>, or write its index as a <spectrum>: of an RGB colour '
-    "Mitsuba would make a reflectance, which no index is (gold would reflect 30 to 47 % too little)."
+    'Name a metal, as <string name="material" value="Au"/>, or write its index as a <spectrum>: of'
+    " an RGB colour Mitsuba would make a reflectance, which no index is (gold would reflect 30 to"
+    " 47 % too little)."
 )
-MAX_SHARE = 1.5  # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not by half
+# of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not
+# by half
+MAX_SHARE = 1.5
 
 
 def inspect_radiance(path: Path, what: str) -> None:
@@ -38,7 +41,9 @@ def inspect_radiance(path: Path, what: str) -> None:
         raise invalid(f"{what} '{path}'", "no Radiance header with -Y and +X", "a Radiance HDR")
     height, width = int(size[1]), int(size[2])
     if not 1 <= width * height <= MAX_PICTURE:
-        raise invalid(f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all")
+        raise invalid(
+            f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all"
+        )
     check_compression(f"{what} '{path}'", 4 * width * height, stored)
 
 
@@ -49,13 +54,16 @@ def is_exr(path: str | Path) -> bool:
 
 
 def has_floats(path: str | Path) -> bool:
-    """Return whether a picture has texels in floats by its content: an OpenEXR, a Radiance HDR or a PFM."""
+    """Return whether a picture has texels in floats by its content: an OpenEXR, a Radiance HDR or a
+    PFM.
+    """
     with open(path, "rb") as file:
         return file.read(len(EXR_START)).startswith(FLOAT_STARTS)
 
 
 def check_texels(path: Path, texels: NDArray[Any]) -> None:
-    """Raise PixsimError for texels of light or reflectance that are NaN, infinite or negative, which spread to their neighbours.
+    """Raise PixsimError for texels of light or reflectance that are NaN, infinite or negative,
+    which spread to their neighbours.
 
     texels : (rows, columns, ...)
     """
@@ -65,7 +73,8 @@ def check_texels(path: Path, texels: NDArray[Any]) -> None:
 
 
 def check_share(highest: float, what: str, place: str) -> None:
-    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise PixsimError above 1.5.
+    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise
+    PixsimError above 1.5.
 
     highest : of the property `what`, which stands at `place`
     """

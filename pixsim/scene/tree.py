@@ -1,4 +1,6 @@
-"""The parsed tree of a scene in plain Python, kept in the cache: a command that traces no rays need not import Mitsuba."""
+"""The parsed tree of a scene in plain Python, kept in the cache: a command that traces no rays need
+not import Mitsuba.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,22 @@ if TYPE_CHECKING:
     import mitsuba
     from mitsuba.parser import ParserState
 
-REFERENCES = ("ResolvedReference", "Reference", "Object")  # kinds of properties that are other nodes
+REFERENCES = (
+    "ResolvedReference",
+    "Reference",
+    "Object",
+)  # kinds of properties that are other nodes
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
 MAX_NESTED = 24  # references within references
 MIN_VOLUME = 1e-200  # of a transformed unit cube
-LIKELY_NM = (150.0, 3000.0)  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
-MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
+LIKELY_NM = (
+    150.0,
+    3000.0,
+)  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
+MAX_SMALL, SMALL_TREES = (
+    1 << 16,
+    32,
+)  # characters of a scene whose tree stays in memory, and how many do
 
 
 @dataclass(frozen=True)
@@ -45,7 +57,8 @@ class SpectrumTable:
 class Property(NamedTuple):
     """A property: its kind, as Float, its value, and the text of a colour, as Mitsuba writes it.
 
-    value : rows of a transform, the index of a node or its id for a reference; None for what has no value in Python
+    value : rows of a transform, the index of a node or its id for a reference; None for what has no
+        value in Python
     """
 
     kind: str
@@ -55,7 +68,9 @@ class Property(NamedTuple):
 
 @dataclass(frozen=True)
 class Node:
-    """A node of the tree: its kind, as Emitter, its plugin, its id and its properties, in their order."""
+    """A node of the tree: its kind, as Emitter, its plugin, its id and its properties, in their
+    order.
+    """
 
     kind: str
     plugin: str
@@ -92,7 +107,9 @@ class Tree(NamedTuple):
 
 
 def children(node: Node, state: Tree) -> dict[str, int]:
-    """Return property -> index of the node that it refers to. Raises PixsimError if there is no such node."""
+    """Return property -> index of the node that it refers to. Raises PixsimError if there is no
+    such node.
+    """
     indices = {}
     for name in node:
         if node.kind_of(name) == "ResolvedReference":
@@ -101,14 +118,19 @@ def children(node: Node, state: Tree) -> dict[str, int]:
             if node[name] not in state.id_to_index:
                 hint = did_you_mean(node[name], state.id_to_index)
                 raise invalid(
-                    "scene", f"a reference to {quoted(node[name])}, which does not exist", "ids of the scene's nodes", hint
+                    "scene",
+                    f"a reference to {quoted(node[name])}, which does not exist",
+                    "ids of the scene's nodes",
+                    hint,
                 )
             indices[name] = state.id_to_index[node[name]]
     return indices
 
 
 def plain(node: Node, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
-    """Iterate over the properties of a node that are values, not references; colours, as text, unless `numbers_only`."""
+    """Iterate over the properties of a node that are values, not references; colours, as text,
+    unless `numbers_only`.
+    """
     for name, (kind, value, text) in node.properties.items():
         if kind not in REFERENCES and not (value is None and numbers_only):
             yield name, text if value is None else value
@@ -125,7 +147,9 @@ def nodes_of(state: Tree, kind: str) -> list[tuple[int, Node]]:
 
 
 def parse_tree(text: str, variant: str) -> Tree:
-    """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as `check_tree` does."""
+    """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as
+    `check_tree` does.
+    """
     if len(text) > MAX_TEXT:
         return check_tree(tree_of(parse(text, variant)))
     return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)
@@ -134,7 +158,9 @@ def parse_tree(text: str, variant: str) -> Tree:
 def _kept_tree(text: str, variant: str) -> Tree:
     """Return the tree of a text, which is kept in the cache."""
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, text])
-    return cache.load_or_compute("trees", key, _from_json, lambda: check_tree(tree_of(parse(text, variant))), _to_json)
+    return cache.load_or_compute(
+        "trees", key, _from_json, lambda: check_tree(tree_of(parse(text, variant))), _to_json
+    )
 
 
 _last_trees = lru_cache(SMALL_TREES)(_kept_tree)  # a case of a study asks for its trees ten times
@@ -152,8 +178,9 @@ def tree_of(state: ParserState) -> Tree:
 def check_tree(tree: Tree) -> Tree:
     """Return a tree, checked for what Mitsuba would take as it is.
 
-    Raises PixsimError for numbers that are NaN or above 1e30, for transforms that cannot be inverted, for tables of spectra in
-    another unit than nm, and for references that are circular or deep, which Mitsuba would follow without limit.
+    Raises PixsimError for numbers that are NaN or above 1e30, for transforms that cannot be
+    inverted, for tables of spectra in another unit than nm, and for references that are circular or
+    deep, which Mitsuba would follow without limit.
     """
     for node in tree.nodes:
         for name, (kind, value, text) in node.properties.items():
@@ -175,20 +202,26 @@ def check_tree(tree: Tree) -> Tree:
             if kind == "Spectrum" and not value.uniform:
                 _check_unit(what, value.wavelengths)
 
-    references = {index: list(children(node, tree).values()) for index, node in enumerate(tree.nodes)}
+    references = {
+        index: list(children(node, tree).values()) for index, node in enumerate(tree.nodes)
+    }
     depth = [0] * len(tree.nodes)
     try:
         for index in TopologicalSorter(references).static_order():
             depth[index] = max((depth[child] + 1 for child in references[index]), default=0)
     except CycleError:
-        raise PixsimError("scene: got circular references; allowed: references without a cycle.") from None
+        raise PixsimError(
+            "scene: got circular references; allowed: references without a cycle."
+        ) from None
     if max(depth) > MAX_NESTED:
         raise invalid("scene", f"references nested {max(depth)} deep", f"at most {MAX_NESTED}")
     return tree
 
 
 def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:
-    """Raise PixsimError for a table that ends outside the visible range and would not in another unit."""
+    """Raise PixsimError for a table that ends outside the visible range and would not in another
+    unit.
+    """
     low_nm, high_nm = wavelengths_nm[0], wavelengths_nm[-1]
     if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, LIKELY_NM)):
         got = f"wavelengths from {low_nm:g} to {high_nm:g} nm"

@@ -1,4 +1,5 @@
-"""A small render in a child process with a time limit: LLVM, Mitsuba and a graphics driver may abort or hang.
+"""A small render in a child process with a time limit: LLVM, Mitsuba and a graphics driver may
+abort or hang.
 
 Its illuminance is compared with the closed form.
 """
@@ -53,21 +54,33 @@ def attempt(variant: str | None = None, *, limit_s: float) -> Trial:
     start_s = time.perf_counter()
     try:
         done = subprocess.run(
-            command, env=environment, timeout=limit_s, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace"
+            command,
+            env=environment,
+            timeout=limit_s,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
         )
     except subprocess.TimeoutExpired:
         return Trial(f"hangs: stopped after {limit_s:.0f} s", limit_s)
     seconds = time.perf_counter() - start_s
 
     if done.returncode:
-        signals = f"dies of signal {-done.returncode} ({signal.Signals(-done.returncode).name})" if done.returncode < 0 else "fails"
+        signals = (
+            f"dies of signal {-done.returncode} ({signal.Signals(-done.returncode).name})"
+            if done.returncode < 0
+            else "fails"
+        )
         return Trial(": ".join([signals, *done.stderr.strip().splitlines()[-1:]]), seconds)
     facts = json.loads(done.stdout.splitlines()[-1])
     return Trial(facts.pop("fault"), seconds, facts)
 
 
 def main(variant: str | None) -> None:
-    """Write what a small picture of the packaged chart shows as the last line of stdout: the entry point of the child."""
+    """Write what a small picture of the packaged chart shows as the last line of stdout: the entry
+    point of the child.
+    """
     import pixsim
 
     try:
@@ -92,14 +105,21 @@ def picture_fault(illuminance_lx: Array, expected_lx: Array) -> str | None:
     rms = float(np.sqrt(np.mean((illuminance_lx / expected_lx - 1) ** 2)))
     if abs(mean) <= MAX_MEAN_ERROR and rms <= MAX_RMS_ERROR:  # False for NaN
         return None
-    return f"its image is wrong: the illuminance differs from the closed form by {mean:+.2%} (mean), {rms:.2%} (RMS)"
+    return (
+        f"its image is wrong: the illuminance differs from the closed form by {mean:+.2%} (mean),"
+        f" {rms:.2%} (RMS)"
+    )
 
 
 def closed_form_lx(camera: Camera, resolution: int) -> Array:
-    """Illuminance on the sensor, (H, W) lx, from the formula of the chart and Foote's factor, without Mitsuba or textures."""
+    """Illuminance on the sensor, (H, W) lx, from the formula of the chart and Foote's factor,
+    without Mitsuba or textures.
+    """
     x = (np.arange(resolution * POINTS) + 0.5) / (resolution * POINTS)
     chart = charts.csf_value(x, x[:, None], camera.die_mm)
     cells = chart.reshape(resolution, POINTS, resolution, POINTS).mean(axis=(1, 3))
     pitch_um = 1e3 * camera.die_mm / resolution
-    factor = field_factor(cells.shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    factor = field_factor(
+        cells.shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+    )
     return charts.LUMINANCE_CD_PER_M2[1] * cells * factor * camera.transmittance

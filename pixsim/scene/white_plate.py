@@ -1,7 +1,9 @@
-"""A white plate at the object's distance that faces the lens: where it stands in a scene, and what it shows.
+"""A white plate at the object's distance that faces the lens: where it stands in a scene, and what
+it shows.
 
-It is what `display.white = "diffuser"` takes as white: a perfect diffuser, whose radiance is its irradiance over π, lit by the
-scene's lamps and by what its surfaces reflect. It is so small that the rest of the scene keeps its light.
+It is what `display.white = "diffuser"` takes as white: a perfect diffuser, whose radiance is its
+irradiance over π, lit by the scene's lamps and by what its surfaces reflect. It is so small that
+the rest of the scene keeps its light.
 """
 
 from __future__ import annotations
@@ -16,22 +18,26 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import FLAT, matrix_of
 from pixsim.scene.tree import Node, Tree, nodes_of
 
-# Of the object's distance: how far before the plane in focus it stands, so that a chart in that plane does not cover it; half of
-# its side, so that surfaces at up to 60° behind it do not cut it; and half of what is seen of it.
+# Of the object's distance: how far before the plane in focus it stands, so that a chart in that
+# plane does not cover it; half of its side, so that surfaces at up to 60° behind it do not cut it;
+# and half of what is seen of it.
 BEFORE, HALF_SIDE, HALF_VIEW = 2e-3, 1e-3, 5e-4
 STEPS = 1000  # along the axis, at which an object may begin
 SOLID = "sphere", "cube", "cylinder"
 NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
-LEVELS, NOISE = 6, 1e-3  # of renders, each with four times the samples of the one before; of its radiance, where none follows
+# of renders, each with four times the samples of the one before; of its radiance, where none
+# follows
+LEVELS, NOISE = (6, 1e-3)
 SEED = 0
 
 
 def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
     """Return the distance from the lens at which a plate stands: just before the plane in focus.
 
-    Where the axis meets a rectangle, a disc, a sphere, a cube or a cylinder nearer than that, it is just before this one. Objects
-    that contain the lens, as a room does, are left out, and so are meshes.
+    Where the axis meets a rectangle, a disc, a sphere, a cube or a cylinder nearer than that, it is
+    just before this one. Objects that contain the lens, as a room does, are left out, and so are
+    meshes.
     """
     lens, axis = matrix_of(sensor)[:3, 3], matrix_of(sensor)[:3, 2]
     tried_m = np.linspace(0.0, focus_m, STEPS + 1)
@@ -41,14 +47,22 @@ def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
             nearest_m = min(nearest_m, _met_m(node, lens, axis))
         elif node.plugin in SOLID:
             within = _contains(node, lens + tried_m[:, None] * axis)
-            nearest_m = nearest_m if within[0] or not within.any() else min(nearest_m, float(tried_m[within.argmax() - 1]))
+            nearest_m = (
+                nearest_m
+                if within[0] or not within.any()
+                else min(nearest_m, float(tried_m[within.argmax() - 1]))
+            )
     return nearest_m * (1 - BEFORE)
 
 
 def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[float, ...]:
-    """Return the transform of a rectangle of half side 1 to the plate, 16 numbers, row by row; its front faces the lens."""
+    """Return the transform of a rectangle of half side 1 to the plate, 16 numbers, row by row; its
+    front faces the lens.
+    """
     side = HALF_SIDE * focus_m
-    plate = np.diag([-side, side, -side, 1.0])  # the front of a rectangle is at its +z, and a camera looks along its own
+    plate = np.diag(
+        [-side, side, -side, 1.0]
+    )  # the front of a rectangle is at its +z, and a camera looks along its own
     plate[2, 3] = distance_m
     return tuple((matrix_of(sensor) @ plate).ravel().tolist())
 
@@ -56,12 +70,17 @@ def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[flo
 def _in_node(node: Node, points: Array, last: float = 1.0) -> Array:
     """Return points (..., 3) of the world, or directions (`last` = 0), in the frame of a shape."""
     return np.asarray(
-        (np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1) @ np.linalg.inv(matrix_of(node)).T)[..., :3]
+        (
+            np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1)
+            @ np.linalg.inv(matrix_of(node)).T
+        )[..., :3]
     )
 
 
 def _met_m(node: Node, lens: Array, axis: Array) -> float:
-    """Return how far from the lens the axis meets a rectangle or a disc; infinity where it does not."""
+    """Return how far from the lens the axis meets a rectangle or a disc; infinity where it does
+    not.
+    """
     origin, direction = _in_node(node, lens), _in_node(node, axis, 0.0)
     away_m = -origin[2] / direction[2] if direction[2] else math.inf
     if not 0 < away_m < math.inf:
@@ -78,15 +97,35 @@ def _contains(node: Node, points: Array) -> Array:
         return np.asarray(np.abs(local).max(axis=1) <= 1)
     radius = float(node.get("radius", 1.0))
     if node.plugin == "sphere":
-        return np.asarray(np.linalg.norm(local - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1) <= radius)
+        return np.asarray(
+            np.linalg.norm(
+                local - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1
+            )
+            <= radius
+        )
     first, last = (np.array(node.get(f"p{end}", [0.0, 0.0, end]), float).ravel() for end in (0, 1))
     axis = last - first
     along = (local - first) @ axis / (axis @ axis)
-    return np.asarray((along >= 0) & (along <= 1) & (np.linalg.norm(local - first - along[:, None] * axis, axis=1) <= radius))
+    return np.asarray(
+        (along >= 0)
+        & (along <= 1)
+        & (np.linalg.norm(local - first - along[:, None] * axis, axis=1) <= radius)
+    )
 
 
 def dark_plate(distance_m: float) -> PixsimError:
     """Return the error for a plate that no light reaches."""
-    got = f"'diffuser', but a white plate {distance_m:.4g} m before the lens, which faces it, gets no light"
-    hint = f"State the white: {setting('display.white_cd_per_m2')} or {setting('display.white_w_per_m2_sr')}."
-    return invalid("display.white", got, "a scene whose lamps light what faces the lens, or an emissive chart alone", hint)
+    got = (
+        f"'diffuser', but a white plate {distance_m:.4g} m before the lens, which faces it, gets no"
+        " light"
+    )
+    hint = (
+        f"State the white: {setting('display.white_cd_per_m2')} or"
+        f" {setting('display.white_w_per_m2_sr')}."
+    )
+    return invalid(
+        "display.white",
+        got,
+        "a scene whose lamps light what faces the lens, or an emissive chart alone",
+        hint,
+    )

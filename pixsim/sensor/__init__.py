@@ -1,10 +1,11 @@
 """Irradiance to digital numbers: `SpectralImage`, `Camera`, `Pixel` and a seed in, `Frame` out.
 
-What a user states: `pixel_options` (with `number`, `quantities`, `stack_options`, `colour_options`, `spread`), `exposure` and
-`correction_options`; these do not import NumPy. In the order of the flow: `technology` (CMOS process), `pixel` (areas, well, QE,
-dark current), `reading` (gain, ADC, range and noise of a pixel as it is read), `integration` (light to mean electrons),
-`photodiode` (electrons to the signal level), `readout` (noise, well and ADC), `raw` (files of frames).
-May import: base, light, optics.
+What a user states: `pixel_options` (with `number`, `quantities`, `stack_options`, `colour_options`,
+`spread`), `exposure` and `correction_options`; these do not import NumPy. In the order of the flow:
+`technology` (CMOS process), `pixel` (areas, well, QE, dark current), `reading` (gain, ADC, range
+and noise of a pixel as it is read), `integration` (light to mean electrons), `photodiode`
+(electrons to the signal level), `readout` (noise, well and ADC), `raw` (files of frames). May
+import: base, light, optics.
 """
 
 TYPE_CHECKING = False

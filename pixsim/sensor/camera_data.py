@@ -1,9 +1,11 @@
 """Measured sensitivities of 52 cameras, packaged in `pixsim/data/camera_sensitivities`.
 
-From rawtoaces-data of the Academy Software Foundation, Apache-2.0; LICENSE and NOTICE lie beside the files, and index.csv has the
-origin of each. They are relative responses to energy, of the whole camera with its infrared filter, 380 to 780 nm in steps of 5 nm.
+From rawtoaces-data of the Academy Software Foundation, Apache-2.0; LICENSE and NOTICE lie beside
+the files, and index.csv has the origin of each. They are relative responses to energy, of the whole
+camera with its infrared filter, 380 to 780 nm in steps of 5 nm.
 
-Three sets of filters as industrial sensors have them are made here, since no measured ones are free: marked as typical.
+Three sets of filters as industrial sensors have them are made here, since no measured ones are
+free: marked as typical.
 """
 
 from __future__ import annotations
@@ -22,14 +24,19 @@ from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.diffusion import absorption_per_um
 
 FOLDER = Path(str(resources.files("pixsim") / "data/camera_sensitivities"))
-ORIGIN = "relative responses to energy of whole cameras, from rawtoaces-data (Academy Software Foundation, Apache-2.0)"
-OWN_SCALES = "ratio between channels lost"  # in the notes of cameras whose channels were scaled one by one
+ORIGIN = (
+    "relative responses to energy of whole cameras, from rawtoaces-data (Academy Software"
+    " Foundation, Apache-2.0)"
+)
+OWN_SCALES = (  # in the notes of cameras whose channels were scaled one by one
+    "ratio between channels lost"
+)
 
 
 TYPICAL_NM = np.arange(360.0, 1001.0, 5.0)
 OPEN = 2000.0  # nm, an edge beyond all light of the table
-# Channel -> the pass bands of its filter: (transmittance, rising edge, its width, falling edge, its width), nm. Dyes open in the
-# infrared.
+# Channel -> the pass bands of its filter: (transmittance, rising edge, its width, falling edge, its
+# width), nm. Dyes open in the infrared.
 DYES: dict[str, tuple[tuple[float, ...], ...]] = {
     "R": ((0.95, 585.0, 8.0, OPEN, 1.0),),
     "G": ((0.88, 487.0, 10.0, 585.0, 11.0), (0.9, 810.0, 14.0, OPEN, 1.0)),
@@ -37,8 +44,9 @@ DYES: dict[str, tuple[tuple[float, ...], ...]] = {
 }
 BLACK_DYE: tuple[tuple[float, ...], ...] = ((0.9, 790.0, 12.0, OPEN, 1.0),)
 OF_TYPICAL = (
-    "no measurement, but a model of pixsim: dye filters with logistic edges times silicon (absorption of Green 2008). Estimated "
-    "confidence: peaks ±15 nm, ratio of channels ±20 %, leaks ±0.05, infrared ±30 %; without an infrared filter"
+    "no measurement, but a model of pixsim: dye filters with logistic edges times silicon"
+    " (absorption of Green 2008). Estimated confidence: peaks ±15 nm, ratio of channels ±20 %,"
+    " leaks ±0.05, infrared ±30 %; without an infrared filter"
 )
 
 
@@ -61,17 +69,24 @@ class TypicalFilters:
     leak: float
 
     def responses(self) -> Array:
-        """Relative responses to energy, (B, C), at most 1: λ times filter times exp(-α dead) (1 - exp(-α depth))."""
+        """Relative responses to energy, (B, C), at most 1: λ times filter times exp(-α dead) (1 -
+        exp(-α depth)).
+        """
         absorption = absorption_per_um(TYPICAL_NM)
         silicon = np.exp(-absorption * self.dead_um) * -np.expm1(-absorption * self.depth_um)
-        filters = np.stack([self.leak + (1 - self.leak) * _passed(bands) for bands in self.bands.values()], axis=1)
+        filters = np.stack(
+            [self.leak + (1 - self.leak) * _passed(bands) for bands in self.bands.values()], axis=1
+        )
         values = filters * (silicon * TYPICAL_NM)[:, None]
         return np.asarray(values / values.max())
 
 
 def _passed(bands: Sequence[tuple[float, ...]]) -> Array:
     """Transmittance of pass bands, 0 to 1."""
-    each = [most * _edge(TYPICAL_NM, low, width) * _edge(-TYPICAL_NM, -high, other) for most, low, width, high, other in bands]
+    each = [
+        most * _edge(TYPICAL_NM, low, width) * _edge(-TYPICAL_NM, -high, other)
+        for most, low, width, high, other in bands
+    ]
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -80,10 +95,18 @@ def _edge(x: Array, at: float, width: float) -> Array:
 
 
 TYPICAL = {
-    "Typical_RGB_BSI": TypicalFilters("RGB filters on a back-side illuminated CMOS sensor", DYES, 3.0, 0.02, 0.04),
-    "Typical_RGB_FSI": TypicalFilters("RGB filters on a front-side illuminated CMOS sensor", DYES, 2.5, 0.12, 0.07),
+    "Typical_RGB_BSI": TypicalFilters(
+        "RGB filters on a back-side illuminated CMOS sensor", DYES, 3.0, 0.02, 0.04
+    ),
+    "Typical_RGB_FSI": TypicalFilters(
+        "RGB filters on a front-side illuminated CMOS sensor", DYES, 2.5, 0.12, 0.07
+    ),
     "Typical_RGB_NIR": TypicalFilters(
-        "RGB and near-infrared (N) filters on a deep back-side illuminated CMOS sensor", DYES | {"N": BLACK_DYE}, 6.0, 0.02, 0.05
+        "RGB and near-infrared (N) filters on a deep back-side illuminated CMOS sensor",
+        DYES | {"N": BLACK_DYE},
+        6.0,
+        0.02,
+        0.05,
     ),
 }
 
@@ -120,7 +143,9 @@ def _index() -> dict[str, dict[str, str]]:
 
 
 def cameras() -> tuple[CameraEntry, ...]:
-    """Return what the packaged cameras and typical filters are, in the order of `camera_names`, the typical ones last."""
+    """Return what the packaged cameras and typical filters are, in the order of `camera_names`, the
+    typical ones last.
+    """
     entries = []
     for name in (*camera_names(), *TYPICAL):
         nm, values = camera_sensitivities(name)
@@ -129,14 +154,29 @@ def cameras() -> tuple[CameraEntry, ...]:
         else:
             row = _index()[name]
             title, kind = f"{row['manufacturer']} {row['model']}", "measured"
-            notes = f"rawtoaces-data, {row['licence']}, {row['creator']}; {row['notes'].partition(';')[0]}"
+            notes = (
+                f"rawtoaces-data, {row['licence']}, {row['creator']};"
+                f" {row['notes'].partition(';')[0]}"
+            )
         peaks = tuple(nm[values.argmax(axis=0)].tolist())
-        entries.append(CameraEntry(name, title, camera_channels(name), kind, (float(nm[0]), float(nm[-1])), peaks, notes))
+        entries.append(
+            CameraEntry(
+                name,
+                title,
+                camera_channels(name),
+                kind,
+                (float(nm[0]), float(nm[-1])),
+                peaks,
+                notes,
+            )
+        )
     return tuple(entries)
 
 
 def camera_channels(name: str) -> str:
-    """Return the letters of the channels of a packaged camera. Raises PixsimError for a name that is none."""
+    """Return the letters of the channels of a packaged camera. Raises PixsimError for a name that
+    is none.
+    """
     return "".join(TYPICAL[name].bands) if name in TYPICAL else "RGB" if _file(name) else ""
 
 
@@ -146,9 +186,11 @@ def camera_names() -> tuple[str, ...]:
 
 
 def camera_sensitivities(name: str) -> tuple[Array, Array]:
-    """Return the wavelengths in nm, (B,), and the relative responses to energy of R, G and B, (B, 3), of a packaged camera.
+    """Return the wavelengths in nm, (B,), and the relative responses to energy of R, G and B, (B,
+    3), of a packaged camera.
 
-    name : such as Nikon_D5100, one of `camera_names`; or typical filters, one of `TYPICAL`, which may have another channel last
+    name : such as Nikon_D5100, one of `camera_names`; or typical filters, one of `TYPICAL`, which
+        may have another channel last
 
     Raises PixsimError for another name.
 
@@ -165,8 +207,9 @@ def camera_sensitivities(name: str) -> tuple[Array, Array]:
 def has_common_scale(name: str) -> bool:
     """Return whether the channels of a packaged camera have one scale.
 
-    Without, each channel is relative to its own maximum. White balance, and the colour matrix after it, do not depend on the ratio
-    of the channels; the noise before white balance does. Raises PixsimError for a name that `camera_names` has not.
+    Without, each channel is relative to its own maximum. White balance, and the colour matrix after
+    it, do not depend on the ratio of the channels; the noise before white balance does. Raises
+    PixsimError for a name that `camera_names` has not.
     """
     return name in TYPICAL or (_file(name).is_file() and OWN_SCALES not in _index()[name]["notes"])
 

@@ -16,12 +16,15 @@ FARTHEST_SIGMAS = 6.0  # from code 0, which cuts off no noise farther away
 def moments_of_codes(
     level_dn: Array, sigma_dn: Array, top_dn: float = math.inf, *, coarse_dn: float = COARSE_DN
 ) -> tuple[Array, Array, Array]:
-    """Return mean and variance of the codes of normal levels, (n,) each, and the change of the mean with the level.
+    """Return mean and variance of the codes of normal levels, (n,) each, and the change of the mean
+    with the level.
 
-    A code is the level rounded, from 0 to the top code T: its mean is Σ P(level > j - ½) over j = 1 … T, its mean square
-    Σ (2j - 1) P, exactly. The sums are integrals if the deviation is many codes. Codes in the upper half are counted from T down.
+    A code is the level rounded, from 0 to the top code T: its mean is Σ P(level > j - ½) over j = 1
+    … T, its mean square Σ (2j - 1) P, exactly. The sums are integrals if the deviation is many
+    codes. Codes in the upper half are counted from T down.
 
-    coarse_dn : deviation above which sums are integrals; 0 where other noise has rounded the level's steps away
+    coarse_dn : deviation above which sums are integrals; 0 where other noise has rounded the
+        level's steps away
     """
     is_upper = level_dn > top_dn / 2
     if is_upper.any():
@@ -48,7 +51,9 @@ def moments_of_codes(
 
 
 def _moments_above_0(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:
-    """Return mean and mean square of normal levels that 0 cuts off, with the rounding above it, and the slope of the mean."""
+    """Return mean and mean square of normal levels that 0 cuts off, with the rounding above it, and
+    the slope of the mean.
+    """
     reach = level_dn / sigma_dn
     density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
     slope = np.asarray(ndtr(reach))

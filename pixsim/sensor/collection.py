@@ -1,12 +1,14 @@
-"""What the stack of the pixels makes of the light on them: the share that each pixel and its neighbours collect, over the field.
+"""What the stack of the pixels makes of the light on them: the share that each pixel and its
+neighbours collect, over the field.
 
-A stack's shares (`pixsim.optics.stack`) depend on the pupil that a pixel sees, so on the place on the sensor, and under a
-microlens on the wavelength. They are weighted here with the electrons of the mean light of the picture, band by band: exact for
-light of one spectrum; a detail of another colour than the picture's mean is off by the difference of the two weighted means.
+A stack's shares (`pixsim.optics.stack`) depend on the pupil that a pixel sees, so on the place on
+the sensor, and under a microlens on the wavelength. They are weighted here with the electrons of
+the mean light of the picture, band by band: exact for light of one spectrum; a detail of another
+colour than the picture's mean is off by the difference of the two weighted means.
 
-A quantum efficiency that was measured on the whole pixel under its microlens already holds what the stack loses in that
-measurement. The shares are then divided by those of even light on axis at the f-number of the measurement, with a microlens and at
-the pitch of the pixel that was measured.
+A quantum efficiency that was measured on the whole pixel under its microlens already holds what the
+stack loses in that measurement. The shares are then divided by those of even light on axis at the
+f-number of the measurement, with a microlens and at the pitch of the pixel that was measured.
 """
 
 from __future__ import annotations
@@ -29,24 +31,35 @@ from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
+from pixsim.sensor.crosstalk import (
+    share_with_neighbours,
+    share_with_neighbours_of_channels,
+    shares_sum,
+)
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
 from pixsim.sensor.pixel import USUAL_F_NUMBER, Charge, PixelPhysics
 
-# Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400 to 1000 nm. The absorption of
-# silicon, by a factor of 100 over that range, needs more: then .001.
+# Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400
+# to 1000 nm. The absorption of silicon, by a factor of 100 over that range, needs more: then .001.
 WAVELENGTHS, WAVELENGTHS_DIFFUSED = 4, 6
-# Points of the field from the centre to an edge. Under an optimal shift shares hardly change; unshifted, they fall steeply.
+# Points of the field from the centre to an edge. Under an optimal shift shares hardly change;
+# unshifted, they fall steeply.
 POINTS_SHIFTED, POINTS_UNSHIFTED = 4, 6
-POINTS_OF_TABLE = 10  # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
-NEGLIGIBLE = 1e-5  # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as a large one
+# where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
+POINTS_OF_TABLE = 10
+# neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as
+# a large one
+NEGLIGIBLE = 1e-5
 FINE = 64  # steps across the field, between which shares are linear
-GIVEN_AT_NM = np.arange(400.0, 701.0, 50.0)  # where a quantum efficiency is checked against its own measurement
+GIVEN_AT_NM = np.arange(
+    400.0, 701.0, 50.0
+)  # where a quantum efficiency is checked against its own measurement
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """The directions and wavelengths of the light on a sensor: the lens's pupil, and the mean spectrum in electrons.
+    """The directions and wavelengths of the light on a sensor: the lens's pupil, and the mean
+    spectrum in electrons.
 
     weight : electrons of each wavelength, in any unit, with a positive sum
     spare_e : relative error of the mean electrons that leaving parts of a stack out may cause
@@ -58,7 +71,9 @@ class Illumination:
     spare_e: float = 0.0
 
     def nodes(self, count: Count) -> tuple[Array, Array]:
-        """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a polynomial through them; sum 1."""
+        """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a
+        polynomial through them; sum 1.
+        """
         nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
         nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
         if nm.size <= count:
@@ -70,28 +85,44 @@ class Illumination:
 
 
 def illumination(
-    camera: Camera, wavelength_nm: Array, electrons: Array, mean_spectrum: Array, spare_e: float = 0.0
+    camera: Camera,
+    wavelength_nm: Array,
+    electrons: Array,
+    mean_spectrum: Array,
+    spare_e: float = 0.0,
 ) -> Illumination:
-    """Return the light of a camera, with a spectrum in the unit that `electrons` turns into electrons, each (B,).
+    """Return the light of a camera, with a spectrum in the unit that `electrons` turns into
+    electrons, each (B,).
 
     spare_e : as in `Illumination`
 
     A black picture is taken as one of equal light in all bands.
     """
-    weight = next((weight for weight in (electrons * mean_spectrum, electrons) if weight.any()), np.ones_like(electrons))
-    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), spare_e)
+    weight = next(
+        (weight for weight in (electrons * mean_spectrum, electrons) if weight.any()),
+        np.ones_like(electrons),
+    )
+    return Illumination(
+        tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), spare_e
+    )
 
 
 def even_light(wavelength_nm: Array, weight: Array) -> Illumination:
-    """Return the light on a sensor without a lens in the set-up of EMVA 1288, f/8; weights are electrons, (B,)."""
-    return Illumination(tuple(wavelength_nm.tolist()), tuple(weight.tolist()), CameraPupil(USUAL_F_NUMBER, math.inf))
+    """Return the light on a sensor without a lens in the set-up of EMVA 1288, f/8; weights are
+    electrons, (B,).
+    """
+    return Illumination(
+        tuple(wavelength_nm.tolist()), tuple(weight.tolist()), CameraPupil(USUAL_F_NUMBER, math.inf)
+    )
 
 
 @dataclass(frozen=True)
 class Collection:
-    """The shares of the light on pixels that pixels around collect, relative to the electrons of the quantum efficiency.
+    """The shares of the light on pixels that pixels around collect, relative to the electrons of
+    the quantum efficiency.
 
-    shares : (y, x, 5, 5) at points of the field, as `pixsim.sensor.crosstalk.share_with_neighbours` takes them
+    shares : (y, x, 5, 5) at points of the field, as `pixsim.sensor.crosstalk.share_with_neighbours`
+        takes them
     on_axis : their sum on the axis of the lens
     aperture_side_um : side of the square that stands for a pixel's aperture
     """
@@ -99,15 +130,21 @@ class Collection:
     shares: Array
     on_axis: float
     aperture_side_um: float
-    _relative: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _relative: dict[tuple[int, int], Array] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def is_scale(self) -> bool:
         """Whether every pixel collects the same share of its own light, and nothing else."""
-        return self.shares.shape[:2] == (1, 1) and float(self.shares.sum()) == float(self.shares[0, 0, 2, 2])
+        return self.shares.shape[:2] == (1, 1) and float(self.shares.sum()) == float(
+            self.shares[0, 0, 2, 2]
+        )
 
     def relative(self, shape: tuple[int, int]) -> Array:
-        """Return what each pixel of an array (rows, columns) collects of even light, relative to one on axis."""
+        """Return what each pixel of an array (rows, columns) collects of even light, relative to
+        one on axis.
+        """
         if shape not in self._relative:  # the registrations of a pitch share it
             total = np.zeros_like(self.shares)
             total[:, :, 2, 2] = self.shares.sum(axis=(-2, -1))  # one term in place of 25
@@ -115,8 +152,11 @@ class Collection:
         return self._relative[shape]
 
 
-def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, int]) -> Collection | None:
-    """Return the collection of an array of pixels (rows, columns) that is centred on the lens's axis; None without a stack.
+def collection_of(
+    physics: PixelPhysics, light: Illumination, shape: tuple[int, int]
+) -> Collection | None:
+    """Return the collection of an array of pixels (rows, columns) that is centred on the lens's
+    axis; None without a stack.
 
     Raises PixsimError as `Stack` and `absorption_per_um` do.
     """
@@ -134,22 +174,28 @@ def collection_of(physics: PixelPhysics, light: Illumination, shape: tuple[int, 
 
 
 def half_sizes_um(physics: PixelPhysics, shape: tuple[int, int]) -> tuple[float, float]:
-    """Return how far the outermost pixels of an array (rows, columns) are from its middle, down and across."""
+    """Return how far the outermost pixels of an array (rows, columns) are from its middle, down and
+    across.
+    """
     return (shape[0] - 1) / 2 * physics.pitch_um, (shape[1] - 1) / 2 * physics.pitch_um
 
 
-def scale_error(physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float, float], allowed: float) -> float | None:
-    """Return the error of the mean electrons if a stack is one scale for all pixels; None if it exceeds what is allowed.
+def scale_error(
+    physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float, float], allowed: float
+) -> float | None:
+    """Return the error of the mean electrons if a stack is one scale for all pixels; None if it
+    exceeds what is allowed.
 
-    Then each pixel collects what one on axis collects of even light, and nothing of its neighbours' light. The error is the
-    largest difference of that sum over the field, and the largest sum of neighbours' shares, relative to it, at any wavelength
-    to which the pixel responds.
+    Then each pixel collects what one on axis collects of even light, and nothing of its neighbours'
+    light. The error is the largest difference of that sum over the field, and the largest sum of
+    neighbours' shares, relative to it, at any wavelength to which the pixel responds.
     """
     if physics.stack is None or not allowed > 0:
         return None
     seen_nm = tuple(sorted(_seen_nm(physics, GIVEN_AT_NM).tolist(), reverse=True))
     error = 0.0
-    # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks need no more.
+    # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks
+    # need no more.
     for nm, half in ((seen_nm[:1], (0.0, 0.0)), (seen_nm, half_um)):
         error = _scale_error(physics.stack, physics.charge, pupil, nm, half)
         if error > allowed:
@@ -158,18 +204,26 @@ def scale_error(physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float,
 
 
 def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
-    """Return the shares of light on axis that pixels around collect, (5, 5), as those of a `Collection`.
+    """Return the shares of light on axis that pixels around collect, (5, 5), as those of a
+    `Collection`.
 
     Raises PixsimError without a stack.
     """
     if physics.stack is None:
         raise invalid("pixel.stack", "none", "a stack, which has such shares")
     check_efficiency(physics)
-    return np.asarray(_collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[0, 0])
+    return np.asarray(
+        _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[
+            0, 0
+        ]
+    )
 
 
-def shading_of(collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction) -> Array | None:
-    """Return by what a shading correction divides a frame, (rows, columns): `Collection.relative`; None for nothing.
+def shading_of(
+    collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction
+) -> Array | None:
+    """Return by what a shading correction divides a frame, (rows, columns): `Collection.relative`;
+    None for nothing.
 
     Flat frames already hold it.
     """
@@ -179,22 +233,29 @@ def shading_of(collection: Collection | ColourCollection | None, shape: tuple[in
 
 
 def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
-    """Return the part of even light on a pixel on axis that becomes charge with the quantum efficiency of its photodiode.
+    """Return the part of even light on a pixel on axis that becomes charge with the quantum
+    efficiency of its photodiode.
 
     Without a stack it is the fill factor.
     """
     if physics.stack is None:
         return physics.fill_factor
     check_efficiency(physics)
-    return _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).on_axis
+    return _collection(
+        physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)
+    ).on_axis
 
 
 def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
-    """Return the area whose even light becomes the charge of a pixel on axis; without a stack that of its photodiode."""
+    """Return the area whose even light becomes the charge of a pixel on axis; without a stack that
+    of its photodiode.
+    """
     return collected_fraction(physics, light) * physics.pitch_um**2
 
 
-Measurement = tuple[Stack, float]  # of a quantum efficiency: the stack of the whole pixel, and the f-number of the light
+Measurement = tuple[
+    Stack, float
+]  # of a quantum efficiency: the stack of the whole pixel, and the f-number of the light
 
 
 def measurement(physics: PixelPhysics) -> Measurement | None:
@@ -204,25 +265,41 @@ def measurement(physics: PixelPhysics) -> Measurement | None:
 
 
 def check_efficiency(physics: PixelPhysics) -> None:
-    """Raise PixsimError if a quantum efficiency of the whole pixel exceeds what the stack lets through."""
+    """Raise PixsimError if a quantum efficiency of the whole pixel exceeds what the stack lets
+    through.
+    """
     measured = measurement(physics)
     if measured is None:
         return
-    stated, passed = physics.quantum_efficiency(GIVEN_AT_NM), _measured_share(measured, physics.charge, GIVEN_AT_NM)
+    stated, passed = (
+        physics.quantum_efficiency(GIVEN_AT_NM),
+        _measured_share(measured, physics.charge, GIVEN_AT_NM),
+    )
     if np.any(stated > passed):
         stack, f_number = measured
         at = int(np.argmax(stated - passed))
-        got = f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm under its microlens"
-        expected = f"at most {passed[at]:.3g}, the light that this stack passes to photodiodes at f/{f_number:g}"
+        got = (
+            f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
+            " under its microlens"
+        )
+        expected = (
+            f"at most {passed[at]:.3g}, the light that this stack passes to photodiodes at"
+            f" f/{f_number:g}"
+        )
         hint = (
-            "Check pixel.stack (height_um, index), or say where it was measured: quantum_efficiency_includes = 'photodiode', or "
-            "another quantum_efficiency_pitch_um or quantum_efficiency_f_number."
+            "Check pixel.stack (height_um, index), or say where it was measured:"
+            " quantum_efficiency_includes = 'photodiode', or another quantum_efficiency_pitch_um or"
+            " quantum_efficiency_f_number."
         )
         raise invalid("quantum efficiency", got, expected, hint)
 
 
-def stack_shares(physics: PixelPhysics, camera: Camera, wavelength_nm: float) -> tuple[float, float]:
-    """Return the share of its light that a pixel itself collects, on axis and in the corner of the die; 1 without a stack."""
+def stack_shares(
+    physics: PixelPhysics, camera: Camera, wavelength_nm: float
+) -> tuple[float, float]:
+    """Return the share of its light that a pixel itself collects, on axis and in the corner of the
+    die; 1 without a stack.
+    """
     if physics.stack is None:
         return 1.0, 1.0
     y_um, x_um = camera.die_um
@@ -232,7 +309,9 @@ def stack_shares(physics: PixelPhysics, camera: Camera, wavelength_nm: float) ->
 
 
 def least_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
-    """Return the Fresnel number of a pixel's microlens at the longest wavelength to which it responds; None without a lens."""
+    """Return the Fresnel number of a pixel's microlens at the longest wavelength to which it
+    responds; None without a lens.
+    """
     if physics.stack is None or not physics.stack.microlens:
         return None
     return float(physics.stack.fresnel_number(_seen_nm(physics, wavelength_nm).max()))
@@ -244,14 +323,17 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
 
 
 def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> list[Note]:
-    """Return a note for each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
+    """Return a note for each limit of the stack's model that the light of a camera exceeds
+    (`pixsim.optics.stack.model_limits`).
 
     wavelength_nm : of the light, in any order; only those count to which the pixel responds
     """
     if physics.stack is None:
         return []
     y_um, x_um = camera.die_um
-    towards_corner = np.linspace(0.0, 0.5, FINE + 1)  # a table's largest angle need not be in the corner
+    towards_corner = np.linspace(
+        0.0, 0.5, FINE + 1
+    )  # a table's largest angle need not be in the corner
     pupil = camera_pupil(camera).at(x_um * towards_corner, y_um * towards_corner)
     limits = model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm))
     return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]
@@ -259,7 +341,11 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
 
 @lru_cache(maxsize=32)
 def _collection(
-    stack: Stack, charge: Charge | None, measured: Measurement | None, light: Illumination, half_um: tuple[float, float]
+    stack: Stack,
+    charge: Charge | None,
+    measured: Measurement | None,
+    light: Illumination,
+    half_um: tuple[float, float],
 ) -> Collection:
     """Return the collection of an array with a stack, the same object for the same arguments.
 
@@ -282,35 +368,55 @@ def _collection(
     on_axis = float(shares[shares.shape[0] // 2, shares.shape[1] // 2].sum())
     for axis in range(2):
         if shares.shape[axis] > 1:
-            shares = np.moveaxis(np.tensordot(_finer(tuple(node.tolist())), shares, (1, axis)), 0, axis)
+            shares = np.moveaxis(
+                np.tensordot(_finer(tuple(node.tolist())), shares, (1, axis)), 0, axis
+            )
     shares = np.maximum(shares, 0.0)
-    side_um = stack.pitch_um if stack.microlens else math.sqrt(float(np.prod(aperture_side_um(stack, light.pupil.at(0.0, 0.0)))))
+    side_um = (
+        stack.pitch_um
+        if stack.microlens
+        else math.sqrt(float(np.prod(aperture_side_um(stack, light.pupil.at(0.0, 0.0)))))
+    )
     shares.flags.writeable = False
     return Collection(shares, on_axis, side_um)
 
 
-def _places(stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]) -> tuple[bool, Array, Array, Array]:
-    """Return where shares are computed: whether a quarter of the field tells the others, the nodes from -1 to 1, and y and x."""
+def _places(
+    stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]
+) -> tuple[bool, Array, Array, Array]:
+    """Return where shares are computed: whether a quarter of the field tells the others, the nodes
+    from -1 to 1, and y and x.
+    """
     symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
     points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
     points = points if pupil.chief_ray_angle is None else POINTS_OF_TABLE
-    node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))  # Chebyshev's, of the extrema: a polynomial through them is stable
+    node = -np.cos(
+        np.linspace(0.0, np.pi, 2 * points - 1)
+    )  # Chebyshev's, of the extrema: a polynomial through them is stable
     node[points - 1] = 0.0
     line = node[points - 1 :] if symmetric else node
-    y_um, x_um = np.meshgrid(*(half * line if half else np.zeros(1) for half in half_um), indexing="ij")
+    y_um, x_um = np.meshgrid(
+        *(half * line if half else np.zeros(1) for half in half_um), indexing="ij"
+    )
     return symmetric, node, y_um, x_um
 
 
 @lru_cache(maxsize=256)
 def _scale_error(
-    stack: Stack, charge: Charge | None, pupil: CameraPupil, wavelength_nm: tuple[float, ...], half_um: tuple[float, float]
+    stack: Stack,
+    charge: Charge | None,
+    pupil: CameraPupil,
+    wavelength_nm: tuple[float, ...],
+    half_um: tuple[float, float],
 ) -> float:
     """Return the largest of `scale_error` over wavelengths and places."""
     _, _, y_um, x_um = _places(stack, pupil, half_um)
     worst = 0.0
     for nm in wavelength_nm if stack.microlens else wavelength_nm[:1]:
         shares = _shares_at(stack, charge, pupil, y_um, x_um, np.array([nm]), np.ones(1))
-        on_axis = _shares_at(stack, charge, pupil, np.zeros(1), np.zeros(1), np.array([nm]), np.ones(1)).sum()
+        on_axis = _shares_at(
+            stack, charge, pupil, np.zeros(1), np.zeros(1), np.array([nm]), np.ones(1)
+        ).sum()
         total = shares.sum(axis=(-2, -1))
         neighbours = total - shares[..., 2, 2]
         worst = max(worst, float((np.abs(total - on_axis).max() + neighbours.max()) / on_axis))
@@ -324,33 +430,50 @@ def _finer(nodes: tuple[float, ...]) -> Array:
 
 
 def _polynomial(nodes: Array, at: Array) -> Array:
-    """Return the weights of nodes (n,) from -1 to 1 of the polynomial through them, at places (m,), (m, n)."""
+    """Return the weights of nodes (n,) from -1 to 1 of the polynomial through them, at places (m,),
+    (m, n).
+    """
     degree = nodes.size - 1
     return np.asarray(np.linalg.solve(chebvander(nodes, degree).T, chebvander(at, degree).T).T)
 
 
 def _shares_at(
-    stack: Stack, charge: Charge | None, pupil: CameraPupil, y_um: Array, x_um: Array, nm: Array, weight: Array
+    stack: Stack,
+    charge: Charge | None,
+    pupil: CameraPupil,
+    y_um: Array,
+    x_um: Array,
+    nm: Array,
+    weight: Array,
 ) -> Array:
-    """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
+    """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...),
+    (..., 5, 5).
+    """
     rings, spokes = RINGS, SPOKES
     if stack.microlens and pupil.real is not None:
         rings, spokes = (
-            max(pair) for pair in zip(nodes_for(stack, pupil.numerical_aperture, nm.min()), (rings, spokes), strict=True)
+            max(pair)
+            for pair in zip(
+                nodes_for(stack, pupil.numerical_aperture, nm.min()), (rings, spokes), strict=True
+            )
         )
     seen = pupil.at(x_um, y_um, rings, spokes + -spokes % 4)
     if stack.microlens:
         spread = _spread(stack, charge, pupil.numerical_aperture, nm)
         optical = collected_shares(stack, seen, nm)
-        return np.einsum("...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight)
-    # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of the light.
+        return np.einsum(
+            "...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight
+        )
+    # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of
+    # the light.
     optical = collected_shares(stack, seen) * weight.sum()
     spread = _neighbours(charge.crosstalk) if charge and charge.crosstalk else None
     return optical if spread is None else spread_shares(optical, spread)
 
 
 def _measured_share(measured: Measurement, charge: Charge | None, nm: Array) -> Array:
-    """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its measurement, (K,).
+    """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its
+    measurement, (K,).
 
     Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
     """
@@ -358,15 +481,21 @@ def _measured_share(measured: Measurement, charge: Charge | None, nm: Array) -> 
 
 
 @lru_cache(maxsize=256)
-def _measured_share_at(measured: Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]) -> Array:
+def _measured_share_at(
+    measured: Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]
+) -> Array:
     lens, f_number = measured
     nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)
     optical, spread = collected_shares(lens, disc_pupil(sine), nm), _spread(lens, charge, sine, nm)
-    return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))
+    return np.asarray(
+        (optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1))
+    )
 
 
 def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Array | None:
-    """Return the shares of the charge of one photodiode under a microlens that pixels around collect, (K, 5, 5) or (5, 5)."""
+    """Return the shares of the charge of one photodiode under a microlens that pixels around
+    collect, (K, 5, 5) or (5, 5).
+    """
     if charge is None:
         return None
     if charge.crosstalk:
@@ -375,7 +504,9 @@ def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Arra
         return None
     # A square with the variance of the lens's spot of light.
     side_um = min(stack.photodiode_side_um, math.sqrt(3) * stack.height_um * sine / stack.index)
-    return diffused_shares(stack.pitch_um, side_um, absorption_per_um(nm, charge.silicon_k), *charge.diffusion_um)
+    return diffused_shares(
+        stack.pitch_um, side_um, absorption_per_um(nm, charge.silicon_k), *charge.diffusion_um
+    )
 
 
 def _neighbours(crosstalk: float) -> Array:
@@ -386,15 +517,23 @@ def _neighbours(crosstalk: float) -> Array:
     return shares
 
 
-def collections_of(physics: PixelPhysics, lights: Sequence[Illumination], pixels: tuple[int, int]) -> tuple[Collection, ...]:
-    """Return the collection of each channel's light on an array of pixels (rows, columns); none without a stack."""
-    each = (collection_of(channel, light, pixels) for channel, light in zip(physics.channels, lights, strict=True))
+def collections_of(
+    physics: PixelPhysics, lights: Sequence[Illumination], pixels: tuple[int, int]
+) -> tuple[Collection, ...]:
+    """Return the collection of each channel's light on an array of pixels (rows, columns); none
+    without a stack.
+    """
+    each = (
+        collection_of(channel, light, pixels)
+        for channel, light in zip(physics.channels, lights, strict=True)
+    )
     return tuple(one for one in each if one is not None)
 
 
 @dataclass(frozen=True)
 class ColourCollection:
-    """What the stack of a colour sensor's pixels makes of even white light: neighbours collect it through filters of other colours.
+    """What the stack of a colour sensor's pixels makes of even white light: neighbours collect it
+    through filters of other colours.
 
     layout : of the pixels
     each : collection of each channel's light
@@ -408,7 +547,9 @@ class ColourCollection:
     rates: tuple[float, ...]
     pitch_um: float
     bin_side: int = 1
-    _relative: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _relative: dict[tuple[int, int], Array] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def is_scale(self) -> bool:
@@ -416,7 +557,9 @@ class ColourCollection:
         return all(one.is_scale for one in self.each)
 
     def relative(self, shape: tuple[int, int]) -> Array:
-        """Return what each value of a frame (rows, columns) holds of even white light, relative to its channel's mean on axis."""
+        """Return what each value of a frame (rows, columns) holds of even white light, relative to
+        its channel's mean on axis.
+        """
         if shape not in self._relative:  # the registrations of a pitch share it
             layout = Layout(self._read_cell, self.layout.is_stacked)
             pixels = shape[0] * self.bin_side // self.layout.planes, shape[1] * self.bin_side
@@ -426,22 +569,33 @@ class ColourCollection:
 
     @cached_property
     def mixing_um2(self) -> Array:
-        """Electrons of even light in a value of each channel on axis, (C, C), by the light of each channel.
+        """Electrons of even light in a value of each channel on axis, (C, C), by the light of each
+        channel.
 
-        The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it is diagonal.
+        The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it
+        is diagonal.
         """
         axis = [one.shares[one.shares.shape[0] // 2, one.shares.shape[1] // 2] for one in self.each]
         cell, count = self.layout.cell, len(self.each)
         # Three unit cells, and at least five pixels, around the one in the middle.
-        size = [] if self.layout.is_stacked else [(2 * max(1, -(-5 // len(part))) + 1) * len(part) for part in (cell, cell[0])]
+        size = (
+            []
+            if self.layout.is_stacked
+            else [(2 * max(1, -(-5 // len(part))) + 1) * len(part) for part in (cell, cell[0])]
+        )
         mixing = np.empty((count, count))
         for channel, light in enumerate(np.eye(count)):
             even = self._even(light, axis, (size[0], size[1]) if size else (1, 1))
-            numbers = Layout(self._read_cell, self.layout.is_stacked).numbers((even.shape[0], even.shape[1]))
+            numbers = Layout(self._read_cell, self.layout.is_stacked).numbers(
+                (even.shape[0], even.shape[1])
+            )
             if size:
                 high, wide = (len(part) // self.bin_side for part in (cell, cell[0]))
                 top, left = (even.shape[0] // high // 2) * high, (even.shape[1] // wide // 2) * wide
-                even, numbers = even[top : top + high, left : left + wide], numbers[top : top + high, left : left + wide]
+                even, numbers = (
+                    even[top : top + high, left : left + wide],
+                    numbers[top : top + high, left : left + wide],
+                )
             mixing[:, channel] = [even[numbers == number].mean() for number in range(count)]
         return mixing
 
@@ -455,14 +609,19 @@ class ColourCollection:
         return tuple(row[:: self.bin_side] for row in self.layout.cell[:: self.bin_side])
 
     def _even(self, rates: Array, shares: Sequence[Array], pixels: tuple[int, int]) -> Array:
-        """Return the electrons per second of even light in the values of a frame, of an array of pixels."""
+        """Return the electrons per second of even light in the values of a frame, of an array of
+        pixels.
+        """
         rows, columns = pixels
-        light = of_channels(rates * self.pitch_um**2, self.layout, (rows * self.layout.planes, columns))
+        light = of_channels(
+            rates * self.pitch_um**2, self.layout, (rows * self.layout.planes, columns)
+        )
         return read_as_one(shared(light, shares, self.layout), self.bin_side)
 
 
 def shared(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Array:
-    """Return what pixels of a layout collect of the light on them and their neighbours, through the filter on which it falls.
+    """Return what pixels of a layout collect of the light on them and their neighbours, through the
+    filter on which it falls.
 
     light_e_per_s : a value for each place of a frame of this layout
     shares : of each channel's light, as for `share_with_neighbours`
@@ -480,4 +639,6 @@ def read_as_one(values: Array, side: int) -> Array:
     if side == 1:
         return values
     rows, columns = (count // side for count in values.shape)
-    return np.asarray(values[: rows * side, : columns * side].reshape(rows, side, columns, side).sum(axis=(1, 3)))
+    return np.asarray(
+        values[: rows * side, : columns * side].reshape(rows, side, columns, side).sum(axis=(1, 3))
+    )

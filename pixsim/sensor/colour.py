@@ -1,11 +1,13 @@
-"""Channels of a sensor with colour filters: where their pixels are, and the quantum efficiency of each.
+"""Channels of a sensor with colour filters: where their pixels are, and the quantum efficiency of
+each.
 
-A mosaic has one filter on each pixel, in a unit cell that repeats over the array from its upper left pixel; the picture is upright,
-as the photographer sees it. A stacked sensor has all channels in every pixel; its frames hold one plane for each, one below the
-other. There is no optical low-pass filter before the pixels.
+A mosaic has one filter on each pixel, in a unit cell that repeats over the array from its upper
+left pixel; the picture is upright, as the photographer sees it. A stacked sensor has all channels
+in every pixel; its frames hold one plane for each, one below the other. There is no optical
+low-pass filter before the pixels.
 
-Responses of cameras are relative, and to energy: QE ∝ S/λ, with the largest of all channels at the stated peak. Their own infrared
-filter is in them.
+Responses of cameras are relative, and to energy: QE ∝ S/λ, with the largest of all channels at the
+stated peak. Their own infrared filter is in them.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ Values = TypeVar("Values", np.float64, np.bool_)
 class Layout:
     """Which channel each value of a frame belongs to.
 
-    cell : rows of letters, which repeat over the frame from its upper left corner; if stacked, the letters of its planes
+    cell : rows of letters, which repeat over the frame from its upper left corner; if stacked, the
+        letters of its planes
     is_stacked : whether the frame has a plane for each letter, one below the other
     """
 
@@ -48,17 +51,25 @@ class Layout:
 
     @classmethod
     def of_pixels(cls, pixel: PixelOptions) -> Layout | None:
-        """Return the layout of the pixels themselves, which differs from that of frames with binning."""
-        return None if pixel.colour is None else cls(pixel.colour.unit_cell, pixel.colour.is_stacked)
+        """Return the layout of the pixels themselves, which differs from that of frames with
+        binning.
+        """
+        return (
+            None if pixel.colour is None else cls(pixel.colour.unit_cell, pixel.colour.is_stacked)
+        )
 
     @classmethod
     def of_text(cls, text: str) -> Layout:
-        """Return the layout of a text as `str` gives it, RG/GB for a mosaic, R+G+B for planes. ValueError for another text."""
+        """Return the layout of a text as `str` gives it, RG/GB for a mosaic, R+G+B for planes.
+        ValueError for another text.
+        """
         is_stacked = STACK_MARK in text
         cell = ("".join(text.split(STACK_MARK)),) if is_stacked else tuple(text.split(ROW_MARK))
         layout = cls(cell, is_stacked)
         if not is_cell(cell) or str(layout) != text:
-            raise ValueError(f"got {text!r}; allowed: rows of capital letters, as RG/GB, or planes, as R+G+B")
+            raise ValueError(
+                f"got {text!r}; allowed: rows of capital letters, as RG/GB, or planes, as R+G+B"
+            )
         return layout
 
     def __str__(self) -> str:
@@ -86,11 +97,17 @@ class Layout:
         return (1, 1) if self.is_stacked else (len(self.cell), len(self.cell[0]))
 
     def sites(self, letter: str) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Rows and columns of a `period` where a channel's pixels are, as products: rows with equal columns together."""
+        """Rows and columns of a `period` where a channel's pixels are, as products: rows with equal
+        columns together.
+        """
         if self.is_stacked:
             return [(np.zeros(1, int), np.zeros(1, int))]
-        columns = [tuple(at for at, other in enumerate(row) if other == letter) for row in self.cell]
-        alike = groupby(sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row])
+        columns = [
+            tuple(at for at, other in enumerate(row) if other == letter) for row in self.cell
+        ]
+        alike = groupby(
+            sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row]
+        )
         return [(np.array(list(rows)), np.array(which)) for which, rows in alike if which]
 
     def numbers(self, shape: tuple[int, int]) -> NDArray[np.intp]:
@@ -103,7 +120,9 @@ class Layout:
         return np.tile(cell, (down, across))[: shape[0], : shape[1]]
 
     def parts(self, picture: NDArray[Values]) -> Iterator[NDArray[Values]]:
-        """Yield views of a frame, each of the values at one place of the unit cell, or of one plane."""
+        """Yield views of a frame, each of the values at one place of the unit cell, or of one
+        plane.
+        """
         if self.is_stacked:
             yield from np.split(picture, self.planes)
             return
@@ -114,16 +133,22 @@ class Layout:
 
 
 def of_channels(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
-    """Return the value of its channel at each place of a frame of a shape (rows, columns), from those of the channels (C,)."""
+    """Return the value of its channel at each place of a frame of a shape (rows, columns), from
+    those of the channels (C,).
+    """
     return np.asarray(np.asarray(values, float)[layout.numbers(shape)])
 
 
-def channel_efficiency(colour: ColourOptions, channel: str, wavelength_nm: Array, own: Array) -> Array:
-    """Return the quantum efficiency of a channel, electrons per photon, in the shape (...) of the wavelengths; 0 outside its curve.
+def channel_efficiency(
+    colour: ColourOptions, channel: str, wavelength_nm: Array, own: Array
+) -> Array:
+    """Return the quantum efficiency of a channel, electrons per photon, in the shape (...) of the
+    wavelengths; 0 outside its curve.
 
     own : of the pixel without filters, which transmittances multiply
 
-    Raises PixsimError if the colour's sensitivities are those of an unknown camera, or lack a channel of the unit cell.
+    Raises PixsimError if the colour's sensitivities are those of an unknown camera, or lack a
+    channel of the unit cell.
     """
     known_nm, values = np.array(_curves(colour)[channel]).T
     value = np.interp(wavelength_nm, known_nm, values, left=0.0, right=0.0)
@@ -152,5 +177,13 @@ def _of_camera(name: str, letters: tuple[str, ...]) -> Curves:
     if missing := [letter for letter in letters if letter not in channels]:
         hint = "Give their responses by a CSV file with a column for each letter."
         allowed = f"channels {', '.join(channels[:-1])} and {channels[-1]}"
-        raise invalid("pixel.colour.sensitivities", f"'{name}', which has no channel {missing[0]}", allowed, hint)
-    return {letter: tuple(zip(nm.tolist(), values[:, channels.index(letter)].tolist(), strict=True)) for letter in letters}
+        raise invalid(
+            "pixel.colour.sensitivities",
+            f"'{name}', which has no channel {missing[0]}",
+            allowed,
+            hint,
+        )
+    return {
+        letter: tuple(zip(nm.tolist(), values[:, channels.index(letter)].tolist(), strict=True))
+        for letter in letters
+    }

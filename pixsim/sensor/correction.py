@@ -1,6 +1,8 @@
-"""Correction of a frame as cameras do it: dark frames, flat frames, dark rows of each column, and defective pixels.
+"""Correction of a frame as cameras do it: dark frames, flat frames, dark rows of each column, and
+defective pixels.
 
-Every frame behind it is simulated with the same sensor, so the result has the residual noise of its own correction.
+Every frame behind it is simulated with the same sensor, so the result has the residual noise of its
+own correction.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 
 DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
-MAD_OF_SIGMA = 0.6744897501960817  # median absolute deviation of a normal distribution over its standard deviation
+# median absolute deviation of a normal distribution over its standard deviation
+MAD_OF_SIGMA = 0.6744897501960817
 ROUNDING = 1e-9  # of a mean of numbers from 0 to 1
 LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
 
@@ -36,25 +39,32 @@ def correct(
     collection: Array | None = None,
     balance: Array | None = None,
 ) -> Frame:
-    """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates them.
+    """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates
+    them.
 
-    With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the picture P becomes
-    (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a column is subtracted from it in every frame.
-    All frames have the exposure time and the gain of the picture. Flat frames have the shading of the pixels' stack, and so remove
-    it.
+    With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the
+    picture P becomes (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a
+    column is subtracted from it in every frame. All frames have the exposure time and the gain of
+    the picture. Flat frames have the shading of the pixels' stack, and so remove it.
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
-    collection : (rows, columns) that pixels collect of even light, relative to one of their channel on axis; None: all the same
-    balance : (rows, columns) electrons of white in each pixel's channel, relative to the largest of the channels; None: one channel
+    collection : (rows, columns) that pixels collect of even light, relative to one of their channel
+        on axis; None: all the same
+    balance : (rows, columns) electrons of white in each pixel's channel, relative to the largest of
+        the channels; None: one channel
 
-    The balance of the channels stays in the picture; a defect is replaced by pixels of its own channel.
+    The balance of the channels stays in the picture; a defect is replaced by pixels of its own
+    channel.
 
     Raises PixsimError if dark charge alone exceeds the level of the flat frames.
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
-    readout, time_s = replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures), frame.integration_s
+    readout, time_s = (
+        replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures),
+        frame.integration_s,
+    )
     sensor = replace(sensor, readout=readout)
     rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
 
@@ -65,7 +75,9 @@ def correct(
         clamp = read_out(np.zeros(rows.shape), time_s, rows, rng)
         return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
 
-    def mean_of(frames: int, light_e: Array | float, rng: np.random.Generator, above: np.random.Generator) -> Array:
+    def mean_of(
+        frames: int, light_e: Array | float, rng: np.random.Generator, above: np.random.Generator
+    ) -> Array:
         """Mean of frames of even light, in electrons."""
         light = np.broadcast_to(light_e, sensor.shape)
         total = np.zeros(sensor.shape)
@@ -75,21 +87,29 @@ def correct(
         return total
 
     picture, defects = electrons(frame.dn, above_picture), np.zeros(sensor.shape, bool)
-    dark = mean_of(correction.dark_frames, 0.0, dark_rng, above_dark) if correction.dark_frames else None
+    dark = (
+        mean_of(correction.dark_frames, 0.0, dark_rng, above_dark)
+        if correction.dark_frames
+        else None
+    )
     if dark is not None:
         picture -= dark
         defects |= outliers(dark, rounding_e(readout, correction.dark_frames))
     if correction.flat_frames:
         even: Array | float = 1.0 if collection is None else collection
         light: Array | float = even if balance is None else even * balance
-        light_e = flat_light_e(readout, correction, time_s) * (light / np.max(light))  # the brightest pixel has the stated level
+        light_e = flat_light_e(readout, correction, time_s) * (
+            light / np.max(light)
+        )  # the brightest pixel has the stated level
         flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
         if dark is not None:
             flat -= dark
         level = flat / even  # in the electrons of each channel, which decide on its noise
         if balance is not None:
             flat /= balance
-        response = flat / max(float(flat.mean() / np.mean(even)), np.finfo(float).tiny)  # 1 is the mean response on axis
+        response = flat / max(
+            float(flat.mean() / np.mean(even)), np.finfo(float).tiny
+        )  # 1 is the mean response on axis
         unresponsive = response < LEAST_RESPONSE * even
         picture /= np.where(unresponsive, even, response)
         least_spread, channels = rounding_e(readout, correction.flat_frames), frame.layout
@@ -103,7 +123,9 @@ def correct(
     saturated = frame.saturated
     if correction.defects:
         _mend(picture, defects, frame.layout)
-        if saturated is not None:  # a mean over pixels of which one is saturated counts as saturated
+        if (
+            saturated is not None
+        ):  # a mean over pixels of which one is saturated counts as saturated
             saturated_share = saturated.astype(float)
             _mend(saturated_share, defects, frame.layout)
             saturated = saturated_share > ROUNDING
@@ -111,8 +133,12 @@ def correct(
 
 
 def _mend(picture: Array, defects: NDArray[np.bool_], layout: Layout | None) -> None:
-    """Replace the defects of a picture (rows, columns) in place, as `without_defects`, in each channel by itself."""
-    parts, defect_parts = ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
+    """Replace the defects of a picture (rows, columns) in place, as `without_defects`, in each
+    channel by itself.
+    """
+    parts, defect_parts = (
+        ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
+    )
     for part, defect_part in zip(parts, defect_parts, strict=True):
         part[...] = without_defects(part, defect_part)
 
@@ -126,40 +152,53 @@ def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor |
 
 
 def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNegative) -> float:
-    """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark charge.
+    """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark
+    charge.
 
     Raises PixsimError if the dark charge leaves no light.
     """
     dark_e = readout.dark_current_e_per_s * integration_s
     light_e = correction.flat_level * readout.saturation_e - dark_e
     if light_e <= 0:
-        got = f"{correction.flat_level:g}, with {rounded(dark_e, 3)} e- of dark charge in {rounded(integration_s, 3)} s"
+        got = (
+            f"{correction.flat_level:g}, with {rounded(dark_e, 3)} e- of dark charge in"
+            f" {rounded(integration_s, 3)} s"
+        )
         least = f"above {dark_e / readout.saturation_e:.3g}, where the flat frames have light"
-        raise invalid("correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s.")
+        raise invalid(
+            "correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s."
+        )
     return light_e
 
 
 def rounding_e(readout: Readout, frames: int) -> float:
-    """Return the standard deviation, in electrons, that rounding alone leaves in a mean of frames."""
+    """Return the standard deviation, in electrons, that rounding alone leaves in a mean of
+    frames.
+    """
     return float(np.sqrt(readout.rounding_variance_dn2 / frames) / readout.dn_per_e)
 
 
 def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
-    """Return which values differ from the median by more than `DEFECT_SIGMAS`, by their median absolute deviation, in (...)."""
+    """Return which values differ from the median by more than `DEFECT_SIGMAS`, by their median
+    absolute deviation, in (...).
+    """
     away = np.abs(values - np.median(values))
     spread = max(float(np.median(away)) / MAD_OF_SIGMA, least_spread)
     return np.asarray(away > DEFECT_SIGMAS * spread)
 
 
 def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
-    """Return a picture whose defects are the means of the sound pixels in the smallest square around them with any, (H, W)."""
+    """Return a picture whose defects are the means of the sound pixels in the smallest square
+    around them with any, (H, W).
+    """
     if not defects.any() or defects.all():
         return picture
     sound, result, missing = (~defects).astype(float), picture.copy(), defects.copy()
     size = 3
     while missing.any():
         weight, total = (
-            scipy.ndimage.uniform_filter(values, size, mode="constant") for values in (sound, np.where(defects, 0.0, picture))
+            scipy.ndimage.uniform_filter(values, size, mode="constant")
+            for values in (sound, np.where(defects, 0.0, picture))
         )
         found = missing & (weight > 0.5 / size**2)
         result[found] = total[found] / weight[found]
@@ -170,9 +209,11 @@ def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
 
 @dataclass(frozen=True)
 class Residual:
-    """Variance of a corrected pixel over frames and sensors, in e-², by source; each is closed form.
+    """Variance of a corrected pixel over frames and sensors, in e-², by source; each is closed
+    form.
 
-    temporal : of the picture itself: shot noise of light and dark charge, reset, read and rounding noise
+    temporal : of the picture itself: shot noise of light and dark charge, reset, read and rounding
+        noise
     offsets : what is left of offsets, dark signal and the noise of dark frames and dark rows
     flat : noise of the flat frames
     gain : what is left of PRNU
@@ -189,21 +230,28 @@ class Residual:
 
 
 def residual_variance_e2(
-    signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout, correction: Correction
+    signal_e: NotNegativeArray | NotNegative,
+    integration_s: NotNegative,
+    readout: Readout,
+    correction: Correction,
 ) -> Residual:
-    """Return the closed form of the variance that a correction leaves in even light, without defects, in the shape of the signal.
+    """Return the closed form of the variance that a correction leaves in even light, without
+    defects, in the shape of the signal.
 
-    With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over frames, s the signal, L that of
-    the flat frames, n_d, n_f and n_c the numbers of dark frames, flat frames and dark rows, and V the variance of offsets and
-    dark signal over pixels:
+    With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over
+    frames, s the signal, L that of the flat frames, n_d, n_f and n_c the numbers of dark frames,
+    flat frames and dark rows, and V the variance of offsets and dark signal over pixels:
 
     temporal s + T; of dark rows T/n_c more
-    offsets (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without, since a flat frame has the same ones; the
-        factor is 1 without flat frames. V holds the columns' offsets only without dark rows, and V/n_c of those pixels.
+    offsets (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without, since a flat
+    frame has the same ones; the
+        factor is 1 without flat frames. V holds the columns' offsets only without dark rows, and
+        V/n_c of those pixels.
     flat (s/L)² (L + T (1 + 1/n_c))/n_f
     gain (PRNU · s)² without flat frames
 
-    It is valid for a linear response, far from 0 DN, the well and the top code, to first order in PRNU and 1/√L.
+    It is valid for a linear response, far from 0 DN, the well and the top code, to first order in
+    PRNU and 1/√L.
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
@@ -214,7 +262,9 @@ def residual_variance_e2(
     40000.0
     """
     p, dark_e = readout, readout.dark_current_e_per_s * integration_s
-    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
+    dark_variance = (
+        float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
+    )
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
     offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (

@@ -1,4 +1,6 @@
-"""Light of one pixel that the photodiodes around it collect, over the whole array, before any noise."""
+"""Light of one pixel that the photodiodes around it collect, over the whole array, before any
+noise.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +17,27 @@ NEGLIGIBLE = 1e-12  # of the light on a pixel: shares below are left out
 
 
 def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> Array:
-    """Return what each pixel collects, (rows, columns), of the light on it and on the pixels around.
+    """Return what each pixel collects, (rows, columns), of the light on it and on the pixels
+    around.
 
-    A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and dx columns to the left of it,
-    so that `shares` are those of its neighbours' light, as `pixsim.optics.stack` has them. At the border the picture goes on as
-    its reflection: of even light a pixel collects the sum of its shares, everywhere.
+    A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and
+    dx columns to the left of it, so that `shares` are those of its neighbours' light, as
+    `pixsim.optics.stack` has them. At the border the picture goes on as its reflection: of even
+    light a pixel collects the sum of its shares, everywhere.
 
     signal_e_per_s : (rows, columns) of the light on pixels, as if each collected all of its own
-    shares : (5, 5), or (y, x, 5, 5) at points of a grid over the array, the first and last at the centres of the outermost pixels;
-        linear between them. They vary little from a pixel to its neighbours
+    shares : (5, 5), or (y, x, 5, 5) at points of a grid over the array, the first and last at the
+        centres of the outermost pixels; linear between them. They vary little from a pixel to its
+        neighbours
 
     Raises PixsimError if the shares have another shape.
     """
     if shares.shape[-2:] != (5, 5) or shares.ndim not in (2, 4) or 0 in shares.shape:
-        raise invalid("shares", f"an array of shape {shares.shape}", "(5, 5), or (y, x, 5, 5) with at least one point")
+        raise invalid(
+            "shares",
+            f"an array of shape {shares.shape}",
+            "(5, 5), or (y, x, 5, 5) with at least one point",
+        )
     nodes = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5)
     return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "symmetric")
 
@@ -36,10 +45,12 @@ def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> 
 def share_with_neighbours_of_channels(
     signal_e_per_s: NotNegativePicture, shares: Sequence[Array], channels: NDArray[np.intp]
 ) -> Array:
-    """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with shares of its own.
+    """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with
+    shares of its own.
 
-    It is the sum over the channels of their light alone, in the time of one of them. At the border the picture is
-    reflected about the centres of the outermost pixels, which keeps the phase of the mosaic, not about their edges.
+    It is the sum over the channels of their light alone, in the time of one of them. At the border
+    the picture is reflected about the centres of the outermost pixels, which keeps the phase of the
+    mosaic, not about their edges.
 
     signal_e_per_s : (rows, columns) of the light on pixels, through their own filters
     shares : of each channel's light
@@ -54,7 +65,10 @@ REACH = 2  # pixels to the farthest neighbour
 
 
 def _collected(
-    signal_e_per_s: Array, nodes: Sequence[Array], channels: NDArray[np.intp], border: Literal["reflect", "symmetric"]
+    signal_e_per_s: Array,
+    nodes: Sequence[Array],
+    channels: NDArray[np.intp],
+    border: Literal["reflect", "symmetric"],
 ) -> Array:
     """Return what each pixel collects, (rows, columns).
 
@@ -62,12 +76,22 @@ def _collected(
     channels : (rows, columns) number of the channel of the light on each pixel
     border : how the picture goes on, as of `numpy.pad`
     """
-    around, filters = np.pad(signal_e_per_s, REACH, mode=border), np.pad(channels, REACH, mode=border)
+    around, filters = (
+        np.pad(signal_e_per_s, REACH, mode=border),
+        np.pad(channels, REACH, mode=border),
+    )
     result = np.zeros(signal_e_per_s.shape)
-    used = [at for at in np.ndindex(5, 5) if max(np.abs(one[:, :, *at]).max() for one in nodes) > NEGLIGIBLE]
+    used = [
+        at
+        for at in np.ndindex(5, 5)
+        if max(np.abs(one[:, :, *at]).max() for one in nodes) > NEGLIGIBLE
+    ]
     (count, width), points = signal_e_per_s.shape, nodes[0].shape[:2]
     (above, down), (before, right) = _between(count, points[0]), _between(width, points[1])
-    across = [{at: _interpolated(one[:, :, *at].T, before, right[:, None]).T for at in used} for one in nodes]  # (y, columns) each
+    across = [
+        {at: _interpolated(one[:, :, *at].T, before, right[:, None]).T for at in used}
+        for one in nodes
+    ]  # (y, columns) each
     for group in _rows_alike(filters):
         for part in strips(group.size, width):
             rows = group[part]
@@ -75,7 +99,9 @@ def _collected(
             total = result[index]
             for dy, dx in used:
                 first, left = rows[0] + 2 * REACH - dy, 2 * REACH - dx
-                light = around[first : first + index.stop - index.start : index.step, left : left + width]
+                light = around[
+                    first : first + index.stop - index.start : index.step, left : left + width
+                ]
                 seen = filters[first, left : left + width]
                 weights = across[0][dy, dx]
                 for channel in range(1, len(nodes)):
@@ -85,7 +111,9 @@ def _collected(
 
 
 def _rows_alike(filters: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    """Yield the numbers of rows that have the same filters around them, evenly spaced; `filters` has `REACH` more on each side."""
+    """Yield the numbers of rows that have the same filters around them, evenly spaced; `filters`
+    has `REACH` more on each side.
+    """
     kinds: dict[bytes, int] = {}
     numbers = [kinds.setdefault(row.tobytes(), len(kinds)) for row in filters]
     groups: dict[tuple[int, ...], list[int]] = {}
@@ -97,7 +125,8 @@ def _rows_alike(filters: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
 
 
 def shares_sum(shares: Array, shape: tuple[int, int]) -> Array:
-    """Return the sum of the shares at each pixel of an array of a shape (rows, columns): what it collects of even light.
+    """Return the sum of the shares at each pixel of an array of a shape (rows, columns): what it
+    collects of even light.
 
     shares : as in `share_with_neighbours`
     """
@@ -105,7 +134,9 @@ def shares_sum(shares: Array, shape: tuple[int, int]) -> Array:
 
 
 def _between(count: int, points: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the point of a line before each of `count` pixels, and how far each is towards the next point, (count,) each."""
+    """Return the point of a line before each of `count` pixels, and how far each is towards the
+    next point, (count,) each.
+    """
     at = np.linspace(0, points - 1, count) if count > 1 else np.array([(points - 1) / 2])
     first = np.clip(at.astype(np.intp), 0, max(points - 2, 0))
     return first, at - first

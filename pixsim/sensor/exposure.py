@@ -14,60 +14,92 @@ MAX_FRAMES = 1024
 
 
 class Exposure(Record):
-    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches `well_target` of saturation.
+    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches
+    `well_target` of saturation.
 
-    A burst is one frame: the sum of `frames` exposures, each with its own noise, well and codes. They share its time, or each has
-    all of it.
+    A burst is one frame: the sum of `frames` exposures, each with its own noise, well and codes.
+    They share its time, or each has all of it.
     """
 
-    integration_s: Seconds | None = Field(None, description="exposure time (absent: automatic exposure)")
-    max_integration_s: Seconds = Field(0.1, description="longest exposure time of the automatic exposure")
+    integration_s: Seconds | None = Field(
+        None, description="exposure time (absent: automatic exposure)"
+    )
+    max_integration_s: Seconds = Field(
+        0.1, description="longest exposure time of the automatic exposure"
+    )
     well_target: Fraction = Field(
         0.95,
-        description="automatic exposure: mean signal of the brightest pixel, as a fraction of saturation (the lower of the full "
-        "well and the range of the ADC at gain_db)",
+        description=(
+            "automatic exposure: mean signal of the brightest pixel, as a fraction of saturation"
+            " (the lower of the full well and the range of the ADC at gain_db)"
+        ),
     )
     gain_db: GainDb = Field(
         0.0,
-        description="amplification before the ADC; at 0 dB the codes above the black level span the full well, unless pixel gives "
-        "gain_e_per_dn, dn_per_e or adc_full_scale_e",
+        description=(
+            "amplification before the ADC; at 0 dB the codes above the black level span the full"
+            " well, unless pixel gives gain_e_per_dn, dn_per_e or adc_full_scale_e"
+        ),
     )
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = Field(
-        1, description="exposures that are summed to one frame; each saturates, is read out and is rounded by itself"
+        1,
+        description=(
+            "exposures that are summed to one frame; each saturates, is read out and is rounded by"
+            " itself"
+        ),
     )
     frame_time: Literal["shared", "each"] = Field(
         "shared",
-        description="what integration_s and max_integration_s are about: all exposures of a frame together, or each of them",
+        description=(
+            "what integration_s and max_integration_s are about: all exposures of a frame together,"
+            " or each of them"
+        ),
     )
     shutter: Literal["global", "rolling"] = Field(
-        "global", description="whether all rows are exposed together, or each begins line_time_us after the one above it"
+        "global",
+        description=(
+            "whether all rows are exposed together, or each begins line_time_us after the one"
+            " above it"
+        ),
     )
     line_time_us: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
         None, description="time from row to row of a rolling shutter"
     )
 
     flicker_hz: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
-        None, description="frequency at which the light flickers, twice that of the mains (absent: steady light)"
+        None,
+        description=(
+            "frequency at which the light flickers, twice that of the mains (absent: steady light)"
+        ),
     )
     flicker_depth: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        None, description="modulation of light that flickers, as a sine: (most - least)/(most + least)"
+        None,
+        description="modulation of light that flickers, as a sine: (most - least)/(most + least)",
     )
     flicker_phase_deg: Annotated[float, Field(ge=0, le=360)] | None = Field(
         None,
-        description="phase of the flicker at mid exposure of the middle row, 0 where it is brightest "
-        "(absent: drawn for each frame)",
+        description=(
+            "phase of the flicker at mid exposure of the middle row, 0 where it is brightest "
+            "(absent: drawn for each frame)"
+        ),
     )
 
     @model_validator(mode="after")
     def _rolling_shutter_has_a_line_time(self) -> Self:
         if self.shutter == "rolling" and self.line_time_us is None:
-            raise ValueError("got shutter = 'rolling' without line_time_us; allowed: with the time from row to row, as 10.0")
+            raise ValueError(
+                "got shutter = 'rolling' without line_time_us; allowed: with the time from row to"
+                " row, as 10.0"
+            )
         return self
 
     @model_validator(mode="after")
     def _flicker_has_a_depth(self) -> Self:
         if self.flicker_hz is not None and self.flicker_depth is None:
-            raise ValueError("got flicker_hz without flicker_depth; allowed: with the modulation of the lamp, from 0 to 1, as 0.4")
+            raise ValueError(
+                "got flicker_hz without flicker_depth; allowed: with the modulation of the lamp,"
+                " from 0 to 1, as 0.4"
+            )
         return self
 
     @property
@@ -78,7 +110,11 @@ class Exposure(Record):
     @property
     def steady(self) -> Exposure:
         """The same exposure in the mean light of a lamp that flickers."""
-        return self.model_copy(update={"flicker_hz": None, "flicker_depth": None}) if self.flickers else self
+        return (
+            self.model_copy(update={"flicker_hz": None, "flicker_depth": None})
+            if self.flickers
+            else self
+        )
 
     @property
     def line_time_s(self) -> float:

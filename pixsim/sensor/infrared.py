@@ -1,4 +1,6 @@
-"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a table, scales."""
+"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a
+table, scales.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,14 @@ from pixsim.sensor.unit_slips import unit_slips
 BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
 
 
-def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None) -> list[Note]:
-    """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves out of its light.
+def pixel_notes(
+    physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None
+) -> list[Note]:
+    """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves
+    out of its light.
 
-    camera, irradiance : the light on the sensor and the camera in front of it; None: it is not known yet
+    camera, irradiance : the light on the sensor and the camera in front of it; None: it is not
+        known yet
     """
     notes = unit_slips(physics.pixel)
     if camera is None or irradiance is None:
@@ -36,8 +42,9 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
         words = (
-            f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
-            "with it the noise before white balance. Balanced colours do not depend on it"
+            f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own"
+            " peak; their ratio is unknown, and with it the noise before white balance. Balanced"
+            " colours do not depend on it"
         )
         notes.append(Note("assumed", words=words))
     notes += focus_notes(physics.read_pitch_um, camera, irradiance)
@@ -47,17 +54,24 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
             end_nm, last = curve[-1]
             filter_nm = setting("pixel.infrared_cut_nm", end_nm)
             words = (
-                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so, {percent(share)} of the electrons "
-                f"would come from there. Extend the table, or state a filter ({filter_nm})"
+                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so,"
+                f" {percent(share)} of the electrons would come from there. Extend the table, or"
+                f" state a filter ({filter_nm})"
             )
             notes.append(Note("spectral_range", words=words))
     return notes
 
 
 def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> list[Note]:
-    """Return a note on a scene of which every visible point is a disc of more than `BLURRED_PIXELS`; none on others."""
+    """Return a note on a scene of which every visible point is a disc of more than
+    `BLURRED_PIXELS`; none on others.
+    """
     depths = irradiance.header.get(DEPTHS)
-    if not isinstance(depths, list) or len(depths) != 3 or not all(depth is None or isinstance(depth, float) for depth in depths):
+    if (
+        not isinstance(depths, list)
+        or len(depths) != 3
+        or not all(depth is None or isinstance(depth, float) for depth in depths)
+    ):
         return []
     nearest_m, sharpest_m, farthest_m = (math.inf if depth is None else depth for depth in depths)
     if not sharpest_m > 0:
@@ -67,7 +81,8 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
         return []
 
     nearest, farthest = (
-        f"{rounded(depth_m, 3)} m" if math.isfinite(depth_m) else "infinity" for depth_m in (nearest_m, farthest_m)
+        f"{rounded(depth_m, 3)} m" if math.isfinite(depth_m) else "infinity"
+        for depth_m in (nearest_m, farthest_m)
     )
     place = nearest if nearest == farthest else f"{nearest} to {farthest}"
     note = Note(
@@ -89,14 +104,19 @@ def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:
         found["pixel.quantum_efficiency"] = pixel.quantum_efficiency
     curves = pixel.colour.quantum_efficiencies if pixel.colour is not None else None
     if isinstance(curves, dict):
-        found |= {f"pixel.colour.quantum_efficiencies of {letter}": curve for letter, curve in curves.items()}
+        found |= {
+            f"pixel.colour.quantum_efficiencies of {letter}": curve
+            for letter, curve in curves.items()
+        }
     return found
 
 
 def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: PixelPhysics) -> float:
-    """Return the share of electrons beyond the end of a table, if the efficiency stayed its last value there, 0 to 1.
+    """Return the share of electrons beyond the end of a table, if the efficiency stayed its last
+    value there, 0 to 1.
 
-    It is that of the lamp with the most of it, where the light says what its lamps have outside the range that is computed.
+    It is that of the lamp with the most of it, where the light says what its lamps have outside the
+    range that is computed.
     """
     end_nm, last = curve[-1]
     if not last or physics.infrared_cut_nm <= end_nm:
@@ -105,13 +125,19 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
         nm, low_nm, high_nm, light = CENTRES_NM, EDGES_NM[:-1], EDGES_NM[1:], np.array(lamps, float)
     else:
         nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-        low_nm, high_nm, light = nm - width_nm / 2, nm + width_nm / 2, irradiance.mean_spectrum()[None]
+        low_nm, high_nm, light = (
+            nm - width_nm / 2,
+            nm + width_nm / 2,
+            irradiance.mean_spectrum()[None],
+        )
         if high_nm.max() <= end_nm:
             return 0.0
     photons = light * photons_per_joule(nm) * (high_nm - low_nm)
     known_nm, values = np.array(curve).T
     seen = photons @ np.interp(nm, known_nm, values, left=0.0, right=0.0)
-    between = _share_above(low_nm, high_nm, end_nm) - _share_above(low_nm, high_nm, physics.infrared_cut_nm)
+    between = _share_above(low_nm, high_nm, end_nm) - _share_above(
+        low_nm, high_nm, physics.infrared_cut_nm
+    )
     beyond = photons @ (last * between)
     return float((beyond / np.maximum(seen + beyond, np.finfo(float).tiny)).max())
 

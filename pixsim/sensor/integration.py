@@ -1,8 +1,8 @@
 """Irradiance on the sensor plane to the mean electrons per second of each photodiode.
 
-The samples are exact means over their cells, so the running sum of a column is its running integral at the cell borders.
-A spline through it gives the integral between any two positions. Every column has its own spline, so the result does not
-depend on how columns are grouped into strips.
+The samples are exact means over their cells, so the running sum of a column is its running integral
+at the cell borders. A spline through it gives the integral between any two positions. Every column
+has its own spline, so the result does not depend on how columns are grouped into strips.
 """
 
 from __future__ import annotations
@@ -24,7 +24,16 @@ from pixsim.base.notes import Note, warn
 from pixsim.base.progress import watched_share
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
-from pixsim.optics.camera_lens import GROUP_WAVELENGTHS, GROUPS, Tiling, blur_of, groups_of, psfs_of, tiling_of, traced_lens
+from pixsim.optics.camera_lens import (
+    GROUP_WAVELENGTHS,
+    GROUPS,
+    Tiling,
+    blur_of,
+    groups_of,
+    psfs_of,
+    tiling_of,
+    traced_lens,
+)
 from pixsim.optics.diffraction import diffract_sums
 from pixsim.optics.veil import veil_of
 from pixsim.sensor.collection import (
@@ -45,15 +54,24 @@ from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
 from pixsim.sensor.unit_slips import slip_hint
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
-EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
-RING, RING_DECAY = 0.1, 0.43  # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
-RING_SHOWN = 1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
+# ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its
+# dark side
+EDGE_CONTRAST = 100.0
+# of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
+RING, RING_DECAY = (0.1, 0.43)
+RING_SHOWN = (
+    1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
+)
 RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
-def map_columns(picture: Array, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
-    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an axis, by strips for memory."""
+def map_columns(
+    picture: Array, axis: int, count: int, of_columns: Callable[[slice, Array], Array]
+) -> Array:
+    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an
+    axis, by strips for memory.
+    """
     if axis == 1:
         return map_columns(picture.T, 0, count, of_columns).T
     result = np.empty((count, picture.shape[1]))
@@ -71,7 +89,8 @@ class Knots:
 
     knots: Array
     degree: int
-    reach: int  # bandwidth, on either side of the diagonal, of the matrix of the spline's values at the borders
+    # bandwidth, on either side of the diagonal, of the matrix of the spline's values at the borders
+    reach: int
     factors: Array  # LU factors of that matrix, in LAPACK's band storage
     pivots: NDArray[np.int32]
 
@@ -81,7 +100,9 @@ def knots_of(n: int) -> Knots:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
     borders, half = np.arange(n + 1.0), (degree + 1) // 2
-    knots = np.concatenate([np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))])
+    knots = np.concatenate(
+        [np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))]
+    )
     values = design_matrix(borders, knots, degree).tocoo()
     reach = int(np.abs(values.col - values.row).max())
     band = np.zeros((3 * reach + 1, n + 1), order="F")
@@ -91,9 +112,11 @@ def knots_of(n: int) -> Knots:
 
 
 def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
-    """Return the values of all B-splines of a degree at positions between the outer knots, (positions, splines).
+    """Return the values of all B-splines of a degree at positions between the outer knots,
+    (positions, splines).
 
-    De Boor's recurrence (A Practical Guide to Splines, 2001, ch. X, BSPLVB); importing `scipy.interpolate` takes 0.3 s.
+    De Boor's recurrence (A Practical Guide to Splines, 2001, ch. X, BSPLVB); importing
+    `scipy.interpolate` takes 0.3 s.
     """
     x = np.asarray(positions, float)
     interval = np.clip(np.searchsorted(knots, x, "right") - 1, degree, knots.size - degree - 2)
@@ -109,25 +132,32 @@ def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
         values[:, order] = saved
     columns = interval[:, None] + np.arange(-degree, 1)
     rows = np.arange(0, values.size + 1, degree + 1)
-    return csr_array((values.ravel(), columns.ravel(), rows), shape=(x.size, knots.size - degree - 1))
+    return csr_array(
+        (values.ravel(), columns.ravel(), rows), shape=(x.size, knots.size - degree - 1)
+    )
 
 
 def spline_coefficients(samples: Array) -> Array:
-    """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means (n, columns)."""
+    """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means
+    (n, columns).
+    """
     spline = knots_of(len(samples))
     running = np.empty((len(samples) + 1, samples.shape[1]), order="F")
     running[0] = 0.0
     np.cumsum(samples, axis=0, dtype=float, out=running[1:])
-    return scipy.linalg.lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
+    return scipy.linalg.lapack.dgbtrs(
+        spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True
+    )[0]
 
 
 @dataclass(frozen=True)
 class RunningIntegral:
     """The splines through the running sums of a picture (H, W), which all pixel grids on it share.
 
-    coefficients : (H + 1, W) of the splines of its columns. Of a picture without hard edges (H, W) differences between neighbouring
-        coefficients, down and across, of the spline in both directions: as small as the light nearby, so that sums of them are
-        exact also beside light that is much brighter
+    coefficients : (H + 1, W) of the splines of its columns. Of a picture without hard edges (H, W)
+        differences between neighbouring coefficients, down and across, of the spline in both
+        directions: as small as the light nearby, so that sums of them are exact also beside light
+        that is much brighter
     both_ways : whether they are those
     """
 
@@ -138,23 +168,33 @@ class RunningIntegral:
 def running_integral(samples: Array) -> RunningIntegral:
     """Return the running integral of a picture (H, W), strip by strip."""
     if any_hard_edge(samples) or any_hard_edge(samples.T):
-        down = map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
+        down = map_columns(
+            samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip)
+        )
         return RunningIntegral(down, False)
-    down = map_columns(samples, 0, len(samples), lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
-    both = map_columns(down, 1, samples.shape[1], lambda _, strip: np.diff(spline_coefficients(strip), axis=0))
+    down = map_columns(
+        samples, 0, len(samples), lambda _, strip: np.diff(spline_coefficients(strip), axis=0)
+    )
+    both = map_columns(
+        down, 1, samples.shape[1], lambda _, strip: np.diff(spline_coefficients(strip), axis=0)
+    )
     return RunningIntegral(np.ascontiguousarray(both), True)
 
 
 def any_hard_edge(samples: Array) -> bool:
     """Return whether any column of a picture (n, columns) has a hard edge, strip by strip."""
-    return any(has_hard_edge(samples[:, part]) for part in strips(samples.shape[1], 1, STRIP_COLUMNS))
+    return any(
+        has_hard_edge(samples[:, part]) for part in strips(samples.shape[1], 1, STRIP_COLUMNS)
+    )
 
 
 def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
-    """Return the weights of a `RunningIntegral`'s differences along an axis in the integrals from `low` to `high`, sparse (m, n).
+    """Return the weights of a `RunningIntegral`'s differences along an axis in the integrals from
+    `low` to `high`, sparse (m, n).
 
-    An integral is Σ c_i (B_i(high) - B_i(low)) of coefficients c and B-splines B. Since all B-splines add up to 1, it is also
-    Σ (c_{i+1} - c_i) (P_i(low) - P_i(high)) with the sums P_i = B_0 + … + B_i, which differ near the interval only.
+    An integral is Σ c_i (B_i(high) - B_i(low)) of coefficients c and B-splines B. Since all
+    B-splines add up to 1, it is also Σ (c_{i+1} - c_i) (P_i(low) - P_i(high)) with the sums P_i =
+    B_0 + … + B_i, which differ near the interval only.
 
     low, high : (m,) positions in samples, 0 to n
     """
@@ -169,17 +209,23 @@ def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
     def sums_at(start: NDArray[np.intp], sums: Array) -> Array:
         """P of splines first, first + 1, …; sums hold those of start … start + degree."""
         within = first[:, None] + place - start[:, None]
-        return np.asarray(np.where(within < 0, 0.0, np.take_along_axis(sums, np.clip(within, 0, degree), axis=1)))
+        return np.asarray(
+            np.where(within < 0, 0.0, np.take_along_axis(sums, np.clip(within, 0, degree), axis=1))
+        )
 
     weights = sums_at(first, sums_low) - sums_at(last, sums_high)
     columns = first[:, None] + place
     used = (weights != 0) & (columns < knots.knots.size - degree - 2)
     rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array((weights[used], columns[used], rows), shape=(low.size, knots.knots.size - degree - 2))
+    return csr_array(
+        (weights[used], columns[used], rows), shape=(low.size, knots.knots.size - degree - 2)
+    )
 
 
 def _spline_sums(positions: Array, knots: Knots) -> tuple[NDArray[np.intp], Array]:
-    """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the next ones, (m, degree + 1)."""
+    """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the
+    next ones, (m, degree + 1).
+    """
     values = design_matrix(positions, knots.knots, knots.degree)
     each = values.data.reshape(-1, knots.degree + 1)
     sums = np.cumsum(each, axis=1)
@@ -188,7 +234,8 @@ def _spline_sums(positions: Array, knots: Knots) -> tuple[NDArray[np.intp], Arra
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`, or one is below zero.
+    """Return whether neighbouring samples of a column differ by more than a factor of
+    `EDGE_CONTRAST`, or one is below zero.
 
     All pictures pay for this; `hard_edges` says where.
     """
@@ -197,22 +244,29 @@ def has_hard_edge(samples: Array) -> bool:
 
 
 def hard_edges(samples: Array) -> NDArray[np.bool_]:
-    """Return between which neighbours of a column the size differs by more than a factor of `EDGE_CONTRAST`, (n - 1, columns)."""
+    """Return between which neighbours of a column the size differs by more than a factor of
+    `EDGE_CONTRAST`, (n - 1, columns).
+    """
     size = np.abs(samples)
     first, second = size[:-1], size[1:]
     return np.asarray(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second))
 
 
 def ringing_cells(samples: Array) -> NDArray[np.bool_]:
-    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of the light there.
+    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of
+    the light there.
 
-    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so what is far away, or in another
-    column, has no part in it. Light that is further below zero than it would ring is light that is meant, as of a difference.
+    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
+    what is far away, or in another column, has no part in it. Light that is further below zero than
+    it would ring is light that is meant, as of a difference.
     """
     hard = hard_edges(samples)
     if not hard.any():
         return np.zeros(samples.shape, bool)
-    ring, height = np.zeros(samples.shape), RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
+    ring, height = (
+        np.zeros(samples.shape),
+        RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0),
+    )
     ring[:-1] = height
     np.maximum(ring[1:], height, out=ring[1:])
     reach, decay = 1, RING_DECAY
@@ -233,9 +287,11 @@ def lowest_beside(samples: Array) -> Array:
 
 
 def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
-    """Return the running integrals (2 m, columns) at the first and then the last `edges` of m intervals, limited where they ring.
+    """Return the running integrals (2 m, columns) at the first and then the last `edges` of m
+    intervals, limited where they ring.
 
-    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that would be negative begins or ends.
+    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that
+    would be negative begins or ends.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     limited, result = limit_overshoot(running, samples, edges), running
@@ -252,13 +308,16 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
 
 
 def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]) -> Array:
-    """Return a running integral that never falls within cells that ring, (n, columns), unless their light is negative.
+    """Return a running integral that never falls within cells that ring, (n, columns), unless their
+    light is negative.
 
     What it has at the borders of cells, and so the total, is preserved.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     below = np.minimum(samples, 0.0)
-    fallen = (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0  # up to each cell, by the negative light before it
+    fallen = (
+        (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0
+    )  # up to each cell, by the negative light before it
     rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
     highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])
@@ -266,10 +325,12 @@ def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
-    """Return the running integral at `edges` (in samples), limited by the range of light that each cell may have.
+    """Return the running integral at `edges` (in samples), limited by the range of light that each
+    cell may have.
 
-    The light in a cell stays within the range of the cell and its neighbours, widened by half of that range on either side
-    so that resolved crests are unchanged, and at or above zero unless the cell is below. Integrals at cell borders stay exact.
+    The light in a cell stays within the range of the cell and its neighbours, widened by half of
+    that range on either side so that resolved crests are unchanged, and at or above zero unless the
+    cell is below. Integrals at cell borders stay exact.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
@@ -293,31 +354,44 @@ def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
 
 
 def response_within(physics: PixelPhysics, image: SpectralImage) -> Callable[[Array], Array]:
-    """Return QE · λ/hc, electrons per joule, as a function of the places of the light within the bands, (B, n) nm to (B, n)."""
+    """Return QE · λ/hc, electrons per joule, as a function of the places of the light within the
+    bands, (B, n) nm to (B, n).
+    """
     part_nm = image.band_width_nm[:, None] / image.within[0].shape[1]
     return lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
-    """Return `diffracted_rates` of one channel, or of the mean response of a colour sensor, (H, W)."""
+    """Return `diffracted_rates` of one channel, or of the mean response of a colour sensor, (H,
+    W).
+    """
     return diffracted_rates(irradiance, camera, [physics])[0]
 
 
-def diffracted_rates(irradiance: SpectralImage, camera: Camera, channels: Sequence[PixelPhysics]) -> list[Array]:
-    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W), for each channel of one pixel.
+def diffracted_rates(
+    irradiance: SpectralImage, camera: Camera, channels: Sequence[PixelPhysics]
+) -> list[Array]:
+    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W), for each channel
+    of one pixel.
 
-    There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
-    if the plan left diffraction out. Diffusion of charge between pixels without microlenses is part of it. Negative values from
-    ringing remain; `pixel_signal` clips them after integration. The blur of a real lens varies over the field.
+    There is one convolution per spectrum of a factored image (exact, with the white-light OTF),
+    else one per band, and none if the plan left diffraction out. Diffusion of charge between pixels
+    without microlenses is part of it. Negative values from ringing remain; `pixel_signal` clips
+    them after integration. The blur of a real lens varies over the field.
     """
     weights = [electrons_per_joule(physics, irradiance) for physics in channels]
     return diffracted(irradiance, camera, weights, diffusion_of(channels[0]))
 
 
 def diffracted(
-    irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
+    irradiance: SpectralImage,
+    camera: Camera,
+    weights: Sequence[Array],
+    blur: Callable[[Array, float], Array] | None,
 ) -> list[Array]:
-    """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of `diffract_sum`: per µm²."""
+    """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of
+    `diffract_sum`: per µm².
+    """
     kept, even = split_by_veil(irradiance, camera, weights)
     rates = _blurred(irradiance, camera, kept, blur)
     for rate, more in zip(rates, even, strict=True):
@@ -325,8 +399,11 @@ def diffracted(
     return rates
 
 
-def split_by_veil(irradiance: SpectralImage, camera: Camera, weights: Sequence[Array]) -> tuple[Sequence[Array], Sequence[float]]:
-    """Return weights [(B,)] of the light that does not stray, which the lens blurs, and what strays: s⁻¹ µm⁻², even, for each.
+def split_by_veil(
+    irradiance: SpectralImage, camera: Camera, weights: Sequence[Array]
+) -> tuple[Sequence[Array], Sequence[float]]:
+    """Return weights [(B,)] of the light that does not stray, which the lens blurs, and what
+    strays: s⁻¹ µm⁻², even, for each.
 
     Without veiling glare they are as they are, and 0.
     """
@@ -344,12 +421,17 @@ def add_even(rate: Array, even: float) -> None:
 
 
 def _blurred(
-    irradiance: SpectralImage, camera: Camera, weights: Sequence[Array], blur: Callable[[Array, float], Array] | None
+    irradiance: SpectralImage,
+    camera: Camera,
+    weights: Sequence[Array],
+    blur: Callable[[Array, float], Array] | None,
 ) -> list[Array]:
     """Return `diffracted` without veil."""
     tiling = tiling_of(irradiance, camera)
     if tiling is not None:
-        return [_per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights]
+        return [
+            _per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights
+        ]
     f_number: float | None = camera.effective_f_number
     if irradiance.header.get("diffraction") is False:
         if blur is None:
@@ -359,13 +441,20 @@ def _blurred(
     pictures: Iterable[tuple[NDArray[np.float32], list[Array]]]
     if irradiance.factors:
         factors = zip(*irradiance.factors, strict=True)
-        pictures = ((picture, [weight * spectrum for weight in weights]) for spectrum, picture in factors)
+        pictures = (
+            (picture, [weight * spectrum for weight in weights]) for spectrum, picture in factors
+        )
     else:
         one = np.eye(nm.size)
         seen = np.flatnonzero(np.any(weights, axis=0)).tolist()
-        pictures = ((irradiance.band(band), [weight * one[band] for weight in weights]) for band in seen)
+        pictures = (
+            (irradiance.band(band), [weight * one[band] for weight in weights]) for band in seen
+        )
     return [
-        _per_um2(rate) for rate in diffract_sums(pictures, len(weights), irradiance.shape, irradiance.pitch_um, nm, f_number, blur)
+        _per_um2(rate)
+        for rate in diffract_sums(
+            pictures, len(weights), irradiance.shape, irradiance.pitch_um, nm, f_number, blur
+        )
     ]
 
 
@@ -375,11 +464,16 @@ def _per_um2(rate: Array) -> Array:
 
 
 def real_lens_rate(
-    irradiance: SpectralImage, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None
+    irradiance: SpectralImage,
+    camera: Camera,
+    tiling: Tiling,
+    electrons: Array,
+    transfer: Callable[[Array, float], Array] | None,
 ) -> Array:
     """Return electrons s⁻¹ m⁻² of photodiode behind a real lens, (H, W).
 
-    There is one blur for each spectrum of a factored image, else for each group of neighbouring bands.
+    There is one blur for each spectrum of a factored image, else for each group of neighbouring
+    bands.
 
     electrons : (B,) s⁻¹ m⁻² of photodiode per W m⁻² nm⁻¹ in each band, or other weights
     transfer : MTF of what follows the lens, as for `diffract_sum`
@@ -390,9 +484,13 @@ def real_lens_rate(
     warn_of_unknown_glasses(camera, nm, seen)
     total = np.zeros(irradiance.shape)
     count = len(irradiance.factors[0]) if irradiance.factors else GROUPS  # at most
-    for number, (picture, weight, blurred_by) in enumerate(_blurred_lights(irradiance.whole, electrons, seen, tiling)):
+    for number, (picture, weight, blurred_by) in enumerate(
+        _blurred_lights(irradiance.whole, electrons, seen, tiling)
+    ):
         with watched_share(number / count, (number + BLUR_WORK) / count):
-            blur = blur_of(camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer)
+            blur = blur_of(
+                camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer
+            )
         with watched_share((number + BLUR_WORK) / count, (number + 1) / count):
             total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
@@ -401,7 +499,8 @@ def real_lens_rate(
 def _blurred_lights(
     irradiance: SpectralImage, electrons: Array, seen: Array, tiling: Tiling
 ) -> Iterator[tuple[Array, Array, Tiling]]:
-    """Yield pictures that have one blur each, (H, W), their weights in each band, (B,), and how their blur is computed.
+    """Yield pictures that have one blur each, (H, W), their weights in each band, (B,), and how
+    their blur is computed.
 
     seen : electrons of each band of the whole picture, (B,), by which bands are grouped
     """
@@ -421,14 +520,18 @@ def _blurred_lights(
 
 @dataclass(frozen=True)
 class PartBehindLens:
-    """A part of a picture with light around it, for a real lens whose blur is taken to be that of the part's middle all over it.
+    """A part of a picture with light around it, for a real lens whose blur is taken to be that of
+    the part's middle all over it.
 
-    Films of other samples of the same part differ by their samples alone: they have the same PSF, which no film cuts off.
+    Films of other samples of the same part differ by their samples alone: they have the same PSF,
+    which no film cuts off.
 
-    films : the part, with light around it at each side, and the film cells of that; all show the same
+    films : the part, with light around it at each side, and the film cells of that; all show the
+        same
     middle_um : (y, x) of the part from the axis
     seen : spectrum of the whole picture, (B,)
-    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as any of these or finer
+    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as any of these or
+        finer
     """
 
     films: Sequence[tuple[SpectralImage, int]]
@@ -437,7 +540,11 @@ class PartBehindLens:
     reach: tuple[tuple[int, int], float]
 
     def rates(
-        self, camera: Camera, tiling: Tiling, electrons: Array, transfer: Callable[[Array, float], Array] | None
+        self,
+        camera: Camera,
+        tiling: Tiling,
+        electrons: Array,
+        transfer: Callable[[Array, float], Array] | None,
     ) -> list[Array]:
         """Return `real_lens_rate` in the part, (H, W) on each of the films."""
         images, nm = [image for image, _ in self.films], self.films[0][0].wavelength_nm
@@ -446,16 +553,30 @@ class PartBehindLens:
         else:
             totals = [np.zeros(image.shape) for image in images]
             seen = np.abs(electrons * self.seen)
-            for films in zip(*(_blurred_lights(image, electrons, seen, tiling) for image in images), strict=True):
+            for films in zip(
+                *(_blurred_lights(image, electrons, seen, tiling) for image in images), strict=True
+            ):
                 _, weight, blurred_by = films[0]
                 psfs = psfs_of(camera, *self.reach, blurred_by, nm, weight, transfer)
-                lights = [(picture, image.pitch_um) for (picture, _, _), image in zip(films, images, strict=True)]
-                for total, light in zip(totals, psfs.blurred(lights, *self.middle_um[::-1]), strict=True):
+                lights = [
+                    (picture, image.pitch_um)
+                    for (picture, _, _), image in zip(films, images, strict=True)
+                ]
+                for total, light in zip(
+                    totals, psfs.blurred(lights, *self.middle_um[::-1]), strict=True
+                ):
                     total += float(weight.sum()) * light
-        return [total[halo : -halo or None, halo : -halo or None] for total, (_, halo) in zip(totals, self.films, strict=True)]
+        return [
+            total[halo : -halo or None, halo : -halo or None]
+            for total, (_, halo) in zip(totals, self.films, strict=True)
+        ]
 
     def lights(
-        self, camera: Camera, tiling: Tiling, physics: PixelPhysics, illuminations: Sequence[Illumination]
+        self,
+        camera: Camera,
+        tiling: Tiling,
+        physics: PixelPhysics,
+        illuminations: Sequence[Illumination],
     ) -> list[tuple[ChannelLight, ...]]:
         """Return the light in the part for each channel of a pixel, on each of the films.
 
@@ -463,12 +584,19 @@ class PartBehindLens:
         """
         transfer = diffusion_of(physics.channels[0])
         image = self.films[0][0]
-        kept, even = split_by_veil(image, camera, [electrons_per_joule(channel, image) for channel in physics.channels])
-        rates = [[_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)] for weight in kept]
+        kept, even = split_by_veil(
+            image, camera, [electrons_per_joule(channel, image) for channel in physics.channels]
+        )
+        rates = [
+            [_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)]
+            for weight in kept
+        ]
         for of_channel, more in zip(rates, even, strict=True):
             for rate in of_channel:
                 add_even(rate, more)
-        return [tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)]
+        return [
+            tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)
+        ]
 
 
 BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike
@@ -476,7 +604,8 @@ UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
 
 
 def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array) -> None:
-    """Warn of light at wavelengths at which a real lens's glasses are not known, where it is more than `UNKNOWN_SHARE`.
+    """Warn of light at wavelengths at which a real lens's glasses are not known, where it is more
+    than `UNKNOWN_SHARE`.
 
     weight : electrons of each band, (B,)
     """
@@ -486,23 +615,28 @@ def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array)
     share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())
     if share > UNKNOWN_SHARE:
         words = (
-            f"{percent(share, 1)} of the electrons are of light outside {low:.4g} to {high:.4g} nm, where the glasses of "
-            f"'{camera.lens.file}' are not known: it is blurred with the wavefronts of the nearest of these. An infrared filter "
-            "(pixel.infrared_cut_nm) keeps it out"
+            f"{percent(share, 1)} of the electrons are of light outside {low:.4g} to {high:.4g} nm,"
+            f" where the glasses of '{camera.lens.file}' are not known: it is blurred with the"
+            " wavefronts of the nearest of these. An infrared filter (pixel.infrared_cut_nm) keeps"
+            " it out"
         )
         warn(Note("spectral_range", words=words))
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
-    """Return the MTF of diffusion at frequencies and a wavelength, for a front-lit pixel without a microlens; None without it.
+    """Return the MTF of diffusion at frequencies and a wavelength, for a front-lit pixel without a
+    microlens; None without it.
 
-    Under a microlens light arrives near the middle of a photodiode, and diffusion is among the shares of the neighbours.
+    Under a microlens light arrives near the middle of a photodiode, and diffusion is among the
+    shares of the neighbours.
     """
     stack, charge = physics.stack, physics.charge
     if stack is None or stack.microlens or charge is None or charge.diffusion_um is None:
         return None
     lengths_um, silicon_k = charge.diffusion_um, charge.silicon_k
-    return lambda frequency, nm: diffusion_mtf(frequency, absorption_per_um(nm, silicon_k), *lengths_um)
+    return lambda frequency, nm: diffusion_mtf(
+        frequency, absorption_per_um(nm, silicon_k), *lengths_um
+    )
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
@@ -513,9 +647,11 @@ def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
 
 
 def pixel_count(length_um: float, pitch_um: float, registration: float | None = None) -> int:
-    """Return how many whole pixels fit on a length, with a tolerance for rounding. Raises PixsimError above `MAX_PIXELS`.
+    """Return how many whole pixels fit on a length, with a tolerance for rounding. Raises
+    PixsimError above `MAX_PIXELS`.
 
-    Centred pixels are ⌊length/pitch⌋. With a border at `registration` from the centre, each side has as many as fit on it.
+    Centred pixels are ⌊length/pitch⌋. With a border at `registration` from the centre, each side
+    has as many as fit on it.
 
     registration : as of `PixelPhysics.registration`, along one axis
     """
@@ -526,14 +662,18 @@ def pixel_count(length_um: float, pitch_um: float, registration: float | None = 
     return math.floor(pixels / 2 + registration) + math.floor(pixels / 2 - registration)
 
 
-def first_edge_um(length_um: float, count: int, pitch_um: float, registration: float | None = None) -> float:
-    """Return where the first of `pixel_count` pixels begins, measured from the beginning of a length about whose centre they lie.
+def first_edge_um(
+    length_um: float, count: int, pitch_um: float, registration: float | None = None
+) -> float:
+    """Return where the first of `pixel_count` pixels begins, measured from the beginning of a
+    length about whose centre they lie.
 
     registration : as of `pixel_count`
     """
     if registration is None:
         return length_um / 2 - count / 2 * pitch_um
-    # With h = length/2/pitch, ⌊h + r⌋ pixels begin before the border at r, and ⌊h - r⌋ after it: 2r - 1 to 2r + 1 fewer.
+    # With h = length/2/pitch, ⌊h + r⌋ pixels begin before the border at r, and ⌊h - r⌋ after it: 2r
+    # - 1 to 2r + 1 fewer.
     before = math.ceil(count / 2) if registration <= 0.5 else count // 2 + 1
     return length_um / 2 + (registration - before) * pitch_um
 
@@ -544,17 +684,26 @@ def pixels_along(length_um: float, pitch_um: float, registration: float | None =
     if count < 1:
         allowed = f"at most the die, {length_um:g} µm"
         if registration is not None:
-            allowed = f"small enough for one whole pixel on a die of {length_um:g} µm at the registration {registration:g}"
+            allowed = (
+                f"small enough for one whole pixel on a die of {length_um:g} µm at the registration"
+                f" {registration:g}"
+            )
         raise invalid("pixel.pitch_um", f"{pitch_um:g}", allowed, slip_hint("pitch_um", pitch_um))
     return count
 
 
-def pixels_on(size_um: Iterable[float], pitch_um: float, registration: Registration = CENTRED) -> tuple[int, int]:
-    """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one pixel fits.
+def pixels_on(
+    size_um: Iterable[float], pitch_um: float, registration: Registration = CENTRED
+) -> tuple[int, int]:
+    """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one
+    pixel fits.
 
     registration : as of `PixelPhysics.registration`
     """
-    rows, columns = (pixels_along(length_um, pitch_um, own) for length_um, own in zip(size_um, registration, strict=True))
+    rows, columns = (
+        pixels_along(length_um, pitch_um, own)
+        for length_um, own in zip(size_um, registration, strict=True)
+    )
     return rows, columns
 
 
@@ -562,22 +711,33 @@ def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
     """Raise PixsimError if there are more than `MAX_PIXELS` pixels."""
     if (pixels := math.prod(shape)) > MAX_PIXELS:
         raise invalid(
-            "pixel.pitch_um", f"{pitch_um:g}, which makes {amount(pixels)} pixels", f"at most {amount(MAX_PIXELS)} pixels"
+            "pixel.pitch_um",
+            f"{pitch_um:g}, which makes {amount(pixels)} pixels",
+            f"at most {amount(MAX_PIXELS)} pixels",
         )
 
 
 def integrate_axis(
-    samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: RunningIntegral | None = None
+    samples: Array,
+    sample_pitch_um: float,
+    low_um: Array,
+    high_um: Array,
+    axis: int,
+    running: RunningIntegral | None = None,
 ) -> Array:
-    """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
+    """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the
+    sum is conserved.
 
-    At a high-contrast edge the spline would ring into the dark side and below zero; it is limited there (`without_ringing`), and
-    nowhere else. `running` is `running_integral` of the samples if available, for axis 0 only.
+    At a high-contrast edge the spline would ring into the dark side and below zero; it is limited
+    there (`without_ringing`), and nowhere else. `running` is `running_integral` of the samples if
+    available, for axis 0 only.
     """
     known = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
-    at_edges = design_matrix(edges, spline.knots, spline.degree)  # times the coefficients: running integrals at the edges
+    at_edges = design_matrix(
+        edges, spline.knots, spline.degree
+    )  # times the coefficients: running integrals at the edges
 
     def integrals(which: slice, strip: Array) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if known is None else known[:, which])
@@ -593,7 +753,8 @@ def integrate_axis(
 
 
 def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
-    """Return the (height, width) that pixels fill: the die, or the picture if it is smaller or the camera states no height.
+    """Return the (height, width) that pixels fill: the die, or the picture if it is smaller or the
+    camera states no height.
 
     Whole samples of a picture may end beyond the die.
     """
@@ -623,22 +784,29 @@ def integrate_pixels(
     running : `running_integral(rate)` if available; it is the same for all pitches
     size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
     only : numbers of the rows and of the columns of pixels that are needed; None means all of them
-    first_um : where the first row and the first column begin (`first_edge_um`); None centres the array on the picture
+    first_um : where the first row and the first column begin (`first_edge_um`); None centres the
+        array on the picture
     moves : how the picture moves; None if it stands still
 
-    Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are in memory.
-    Raises PixsimError if not one pixel fits.
+    Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are
+    in memory. Raises PixsimError if not one pixel fits.
     """
     picture_um = [n * sample_pitch_um for n in rate.shape]
     counts = pixels_on(size_um or picture_um, pitch_um)
     check_pixel_count(counts, pitch_um)
     lengths = zip(picture_um, counts, first_um or (None, None), strict=True)
-    y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths)
+    y_um, x_um = (
+        photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths
+    )
     if only is not None:
-        y_um, x_um = ((low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True))
+        y_um, x_um = (
+            (low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True)
+        )
     if moves is not None:
         lines = moves.lines(counts[0])
-        return _integrate_moving(moves, sample_pitch_um, y_um, x_um, lines if only is None else lines[only[0]])
+        return _integrate_moving(
+            moves, sample_pitch_um, y_um, x_um, lines if only is None else lines[only[0]]
+        )
     if running is not None and running.both_ways:
         integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
         if integral.min() >= 0:
@@ -662,17 +830,25 @@ class Moves:
     bin_side: int = 1
 
     def lines(self, rows: int) -> Array:
-        """Return the number of the line with which each row is read, counted from the middle of all, (rows,)."""
+        """Return the number of the line with which each row is read, counted from the middle of
+        all, (rows,).
+        """
         line = np.arange(rows) // self.bin_side
         return line - (line[-1] / 2)
 
 
 def _integrate_moving(
-    moves: Moves, sample_pitch_um: float, y_um: tuple[Array, Array], x_um: tuple[Array, Array], lines: Array
+    moves: Moves,
+    sample_pitch_um: float,
+    y_um: tuple[Array, Array],
+    x_um: tuple[Array, Array],
+    lines: Array,
 ) -> Array:
-    """Return the integrals of a moving picture between pairs of positions down and across, (rows, columns).
+    """Return the integrals of a moving picture between pairs of positions down and across, (rows,
+    columns).
 
-    A picture that rings below zero is averaged along its path first, and then limited where it does as one that stands still.
+    A picture that rings below zero is averaged along its path first, and then limited where it does
+    as one that stands still.
 
     lines : (rows,) as of `Moves.lines`
     """
@@ -680,21 +856,30 @@ def _integrate_moving(
     path = moving.path_um[0] / sample_pitch_um, moving.path_um[1] / sample_pitch_um
     shift = np.array(moving.shift_um)[:, None] + np.array(moving.row_um)[:, None] * lines
     shift /= sample_pitch_um
-    (top, bottom), (left, right) = (tuple(edge_um / sample_pitch_um for edge_um in pair) for pair in (y_um, x_um))
+    (top, bottom), (left, right) = (
+        tuple(edge_um / sample_pitch_um for edge_um in pair) for pair in (y_um, x_um)
+    )
     integral = moves.spectrum.integrals((top, bottom), (left, right), path, shift)
     if integral.min() >= 0:
         integral *= sample_pitch_um**2
         return integral
     moved_um = shift[0] * sample_pitch_um
-    blurred = np.maximum(moves.spectrum.blurred(path), min(0.0, float(moves.spectrum.samples.min())))
+    blurred = np.maximum(
+        moves.spectrum.blurred(path), min(0.0, float(moves.spectrum.samples.min()))
+    )
     down = integrate_axis(blurred, sample_pitch_um, y_um[0] - moved_um, y_um[1] - moved_um, 0)
     return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, 1)
 
 
 def _integrate_both_ways(
-    running: RunningIntegral, sample_pitch_um: float, y_um: tuple[Array, Array], x_um: tuple[Array, Array]
+    running: RunningIntegral,
+    sample_pitch_um: float,
+    y_um: tuple[Array, Array],
+    x_um: tuple[Array, Array],
 ) -> Array:
-    """Return the integrals of a smooth picture between pairs of positions down and across, (rows, columns)."""
+    """Return the integrals of a smooth picture between pairs of positions down and across, (rows,
+    columns).
+    """
     integral = running.coefficients
     for (low_um, high_um), n in zip((y_um, x_um), running.coefficients.shape, strict=True):
         low, high = (np.clip(edge_um / sample_pitch_um, 0.0, n) for edge_um in (low_um, high_um))
@@ -703,7 +888,8 @@ def _integrate_both_ways(
     return integral
 
 
-@lru_cache(maxsize=8)  # both axes of a few registrations: pictures with and without a target have the same, and channels
+# both axes of a few registrations: pictures with and without a target have the same, and channels
+@lru_cache(maxsize=8)
 def _known_weights(low: bytes, high: bytes, n: int) -> csr_array:
     """Return the `interval_weights` on n samples."""
     return interval_weights(np.frombuffer(low), np.frombuffer(high), knots_of(n))
@@ -723,31 +909,44 @@ def photodiode_edges_um(
     return centre_um - side_um / 2, centre_um + side_um / 2
 
 
-def illumination_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Illumination:
+def illumination_of(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics
+) -> Illumination:
     """Return the directions and the mean spectrum of the light on the pixels."""
     stated = irradiance.header.get("spare_e")
-    spare_e = stated if isinstance(stated, float) and 0 < stated < 1 else 0.0  # a file may state anything
+    spare_e = (
+        stated if isinstance(stated, float) and 0 < stated < 1 else 0.0
+    )  # a file may state anything
     electrons = electrons_per_joule(physics, irradiance)
-    return illumination(camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), spare_e)
+    return illumination(
+        camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), spare_e
+    )
 
 
 def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> float:
-    """Return the area whose light a pixel on axis collects: that of the photodiode, or what the stack passes to photodiodes."""
+    """Return the area whose light a pixel on axis collects: that of the photodiode, or what the
+    stack passes to photodiodes.
+    """
     if physics.stack is None:  # needs no mean spectrum of the picture
         return physics.photodiode_area_um2
     return collected_area_um2(physics, illumination_of(irradiance, camera, physics))
 
 
 def centred_pixels(size_um: Iterable[float], physics: PixelPhysics) -> tuple[int, int]:
-    """Return the rows and columns of the centred array, whose collection all registrations take: they are a pixel away at most."""
-    rows, columns = (count * physics.pixel.bin_side for count in pixels_on(size_um, physics.read_pitch_um))
+    """Return the rows and columns of the centred array, whose collection all registrations take:
+    they are a pixel away at most.
+    """
+    rows, columns = (
+        count * physics.pixel.bin_side for count in pixels_on(size_um, physics.read_pitch_um)
+    )
     return rows, columns
 
 
 def array_on(
     picture_um: Sequence[float], size_um: tuple[float, float] | None, physics: PixelPhysics
 ) -> tuple[tuple[int, int], tuple[float, float], tuple[float, float] | None]:
-    """Return the rows and columns of a pixel's array, the (height, width) that they fill, and where the first ones begin.
+    """Return the rows and columns of a pixel's array, the (height, width) that they fill, and where
+    the first ones begin.
 
     None for the last if they are centred on the picture.
 
@@ -774,10 +973,11 @@ def pixel_signal(
     size_um: tuple[float, float] | None = None,
     moves: Moves | None = None,
 ) -> tuple[Array, Collection | None]:
-    """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its stack does; None without a stack.
+    """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its
+    stack does; None without a stack.
 
-    Without a stack a pixel collects the light on its photodiode. With one, the mean light on its aperture stands for that on the
-    pixel, of which it and its neighbours collect their shares.
+    Without a stack a pixel collects the light on its photodiode. With one, the mean light on its
+    aperture stands for that on the pixel, of which it and its neighbours collect their shares.
 
     rate, running, size_um, moves : as for `integrate_pixels`
     """
@@ -810,8 +1010,14 @@ class ChannelLight:
 
     @cached_property
     def running_integral(self) -> RunningIntegral | None:
-        """Running integral of the picture, which takes longer than all steps of a pitch; None if too large to store."""
-        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
+        """Running integral of the picture, which takes longer than all steps of a pitch; None if
+        too large to store.
+        """
+        return (
+            running_integral(self.rate_e_per_s_um2)
+            if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES
+            else None
+        )
 
     @cached_property
     def spectrum(self) -> LightSpectrum:
@@ -823,7 +1029,9 @@ class ChannelLight:
         return Moves(self.spectrum, moving, physics.pixel.bin_side) if moving.is_on else None
 
 
-def lights_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> tuple[ChannelLight, ...]:
+def lights_of(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics
+) -> tuple[ChannelLight, ...]:
     """Return the light behind the lens for each channel of a pixel."""
     rates = diffracted_rates(irradiance, camera, physics.channels)
     illuminations = [illumination_of(irradiance, camera, channel) for channel in physics.channels]
@@ -837,7 +1045,8 @@ def array_signal(
     size_um: tuple[float, float] | None = None,
     moving: Moving = STANDING,
 ) -> tuple[Array, tuple[Collection, ...]]:
-    """Return the mean photo-electrons per second of every value of a frame, and the collection of each channel, if any.
+    """Return the mean photo-electrons per second of every value of a frame, and the collection of
+    each channel, if any.
 
     Each channel's light is integrated at its own pixels only.
 
@@ -850,12 +1059,16 @@ def array_signal(
         light = lights[0]
         moves = light.moves(moving, physics)
         of_light = light.illumination, None if moves else light.running_integral
-        signal, collection = pixel_signal(light.rate_e_per_s_um2, sample_pitch_um, physics, *of_light, size_um, moves)
+        signal, collection = pixel_signal(
+            light.rate_e_per_s_um2, sample_pitch_um, physics, *of_light, size_um, moves
+        )
         return signal, () if collection is None else (collection,)
     picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
     (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
     illuminations = [light.illumination for light in lights]
-    collections = collections_of(physics, illuminations, centred_pixels(size_um or picture_um, physics))
+    collections = collections_of(
+        physics, illuminations, centred_pixels(size_um or picture_um, physics)
+    )
     side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
     signal = np.empty((rows * layout.planes, columns))
     high, wide = layout.period
@@ -888,18 +1101,23 @@ def moved_signals(
     moving: Moving,
     exposures: int,
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Return `array_signal` of light that moves, and that of each exposure of a burst, if they differ.
+    """Return `array_signal` of light that moves, and that of each exposure of a burst, if they
+    differ.
 
     moving : in the whole frame
     exposures : that are summed to it
     """
     each = moving.of_exposures(exposures) if exposures > 1 and any(moving.path_um) else []
-    whole, *parts = (array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each))
+    whole, *parts = (
+        array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each)
+    )
     return whole, tuple(parts)
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
-    """Return the mean photo-electrons per second of every value of a frame, (rows, columns), before any non-uniformity."""
+    """Return the mean photo-electrons per second of every value of a frame, (rows, columns), before
+    any non-uniformity.
+    """
     irradiance.validate()
     lights = lights_of(irradiance, camera, physics)
     return array_signal(lights, irradiance.pitch_um, physics, array_size_um(irradiance, camera))[0]

@@ -29,7 +29,8 @@ def file_label(label: str) -> str:
 def labels_of(technologies: Sequence[str]) -> tuple[str, ...]:
     """Return a unique label for each technology of a study: mine, mine-2.
 
-    Labels differ by more than case, since some file systems ignore it, and a numbered label is never another's plain label.
+    Labels differ by more than case, since some file systems ignore it, and a numbered label is
+    never another's plain label.
     """
     plain = [label_of(technology) for technology in technologies]
     taken: set[str] = {label.casefold() for label in plain}

@@ -1,6 +1,8 @@
-"""Differences between pixels from the geometry of their parts: photodiodes, source followers, and hot pixels.
+"""Differences between pixels from the geometry of their parts: photodiodes, source followers, and
+hot pixels.
 
-Small devices differ more than large ones: the area over which chance is averaged is smaller. Spreads are standard deviations.
+Small devices differ more than large ones: the area over which chance is averaged is smaller.
+Spreads are standard deviations.
 """
 
 from __future__ import annotations
@@ -32,12 +34,15 @@ def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
     return prnu_um / math.sqrt(area_um2)
 
 
-def follower_offset_e(threshold_mv_um: NotNegative, follower_area_um2: Positive, node_capacitance_ff: Positive) -> float:
-    """Return the spread of offsets that source followers cause, σ(V_t) C/q in electrons with σ(V_t) = A_Vt/√(W L).
+def follower_offset_e(
+    threshold_mv_um: NotNegative, follower_area_um2: Positive, node_capacitance_ff: Positive
+) -> float:
+    """Return the spread of offsets that source followers cause, σ(V_t) C/q in electrons with σ(V_t)
+    = A_Vt/√(W L).
 
-    M. J. M. Pelgrom, A. C. J. Duinmaijer and A. P. G. Welbers, IEEE J. Solid-State Circuits 24 (1989) 1433. Their A_Vt is that of
-    the difference in a pair; σ of one transistor is 1/√2 of that, and its A_Vt is meant here. True correlated double sampling
-    removes these offsets.
+    M. J. M. Pelgrom, A. C. J. Duinmaijer and A. P. G. Welbers, IEEE J. Solid-State Circuits 24
+    (1989) 1433. Their A_Vt is that of the difference in a pair; σ of one transistor is 1/√2 of
+    that, and its A_Vt is meant here. True correlated double sampling removes these offsets.
 
     threshold_mv_um : A_Vt of one transistor, in mV µm
     follower_area_um2 : W L of the source follower's gate
@@ -49,11 +54,16 @@ def follower_offset_e(threshold_mv_um: NotNegative, follower_area_um2: Positive,
 
 
 def dark_current_of_geometry_e_per_s(
-    area_na_per_cm2: NotNegative, perimeter_na_per_cm: NotNegative, area_um2: Positive, perimeter_um: NotNegative
+    area_na_per_cm2: NotNegative,
+    perimeter_na_per_cm: NotNegative,
+    area_um2: Positive,
+    perimeter_um: NotNegative,
 ) -> float:
-    """Return the dark current of a photodiode in e-/s: generation under its area and along its isolation.
+    """Return the dark current of a photodiode in e-/s: generation under its area and along its
+    isolation.
 
-    The perimeter's part grows with the reciprocal of the side, so that small pixels have more dark current per area.
+    The perimeter's part grows with the reciprocal of the side, so that small pixels have more dark
+    current per area.
 
     area_na_per_cm2, perimeter_na_per_cm : current densities at the reference temperature
     area_um2, perimeter_um : of the photodiode
@@ -61,19 +71,23 @@ def dark_current_of_geometry_e_per_s(
     Raises PixsimError if a density or the perimeter is negative, or the area is not positive.
     """
     of_area = area_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2
-    return of_area + perimeter_na_per_cm * UM_PER_CM * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
+    return (
+        of_area + perimeter_na_per_cm * UM_PER_CM * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
+    )
 
 
 @dataclass(frozen=True)
 class DarkSpread:
-    """Dark currents of pixels relative to their mean: gamma-distributed ones, and a tail of hot pixels with a log-normal law.
+    """Dark currents of pixels relative to their mean: gamma-distributed ones, and a tail of hot
+    pixels with a log-normal law.
 
     dsnu : spread of the ordinary pixels, relative to their mean
     hot_fraction : of all pixels
     hot_median : of hot pixels, relative to the mean of ordinary ones
     hot_spread : standard deviation of the natural logarithm of hot pixels' currents
 
-    The mean over all pixels is 1: the stated dark current holds hot pixels too, and ordinary ones have less.
+    The mean over all pixels is 1: the stated dark current holds hot pixels too, and ordinary ones
+    have less.
     """
 
     dsnu: float
@@ -83,26 +97,34 @@ class DarkSpread:
 
     @property
     def ordinary_mean(self) -> float:
-        """Mean of ordinary pixels, relative to that of all: 1/(1 - φ + φ m), with the hot pixels' mean m = median · e^(s²/2)."""
+        """Mean of ordinary pixels, relative to that of all: 1/(1 - φ + φ m), with the hot pixels'
+        mean m = median · e^(s²/2).
+        """
         hot_mean = self.hot_median * math.exp(self.hot_spread**2 / 2)
         total = 1 - self.hot_fraction + self.hot_fraction * hot_mean
         return 1 / total if total else math.inf
 
     @property
     def variance(self) -> float:
-        """Variance over all pixels, relative to the mean squared: c²[(1 - φ)(1 + dsnu²) + φ median² e^(2s²)] - 1."""
+        """Variance over all pixels, relative to the mean squared: c²[(1 - φ)(1 + dsnu²) + φ median²
+        e^(2s²)] - 1.
+        """
         ordinary = (1 - self.hot_fraction) * (1 + self.dsnu**2)
         hot = self.hot_fraction * self.hot_median**2 * math.exp(2 * self.hot_spread**2)
         return self.ordinary_mean**2 * (ordinary + hot) - 1
 
     @property
     def deviation(self) -> float:
-        """Standard deviation over all pixels, relative to the mean: √variance, or `dsnu` without hot pixels."""
+        """Standard deviation over all pixels, relative to the mean: √variance, or `dsnu` without
+        hot pixels.
+        """
         return math.sqrt(max(self.variance, 0.0)) if self.hot_fraction else self.dsnu
 
     @property
     def is_even(self) -> bool:
-        """Whether all pixels have the same current, to rounding: 1/dsnu² of smaller spreads would overflow."""
+        """Whether all pixels have the same current, to rounding: 1/dsnu² of smaller spreads would
+        overflow.
+        """
         return bool(self.dsnu <= np.finfo(float).eps) and not self.hot_fraction
 
     def sample(self, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -110,10 +132,16 @@ class DarkSpread:
 
         Hot pixels have a stream of their own, so that `rng` goes on as without them.
         """
-        factors = rng.gamma(self.dsnu**-2, self.dsnu**2, shape) if self.dsnu > np.finfo(float).eps else np.ones(shape)
+        factors = (
+            rng.gamma(self.dsnu**-2, self.dsnu**2, shape)
+            if self.dsnu > np.finfo(float).eps
+            else np.ones(shape)
+        )
         if self.hot_fraction:
             own = rng.spawn(1)[0]
             hot = own.random(shape) < self.hot_fraction
-            factors[hot] = self.hot_median * np.exp(self.hot_spread * own.standard_normal(int(np.count_nonzero(hot))))
+            factors[hot] = self.hot_median * np.exp(
+                self.hot_spread * own.standard_normal(int(np.count_nonzero(hot)))
+            )
             factors *= self.ordinary_mean
         return factors

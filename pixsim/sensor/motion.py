@@ -1,10 +1,12 @@
 """Light that moves over the pixels while they are exposed, and that each row sees at another time.
 
-Along a path of length L the light is averaged: its spectrum is multiplied by sinc(f · L), with the frequency along the path. In
-the DCT-II basis, where the picture goes on by reflection, this is exact for paths of any length and direction: with a = f_y L_y
-and b = f_x L_x the product of cosines keeps (sinc(a + b) + sinc(a - b))/2 of itself, and (sinc(a - b) - sinc(a + b))/2 becomes a
-product of sines. Between its samples the picture is the spline of `pixsim.sensor.integration`, here with knots in all cells, whose
-coefficients are a filter of the samples, too; so a path costs an inverse transform, and no new spline.
+Along a path of length L the light is averaged: its spectrum is multiplied by sinc(f · L), with the
+frequency along the path. In the DCT-II basis, where the picture goes on by reflection, this is
+exact for paths of any length and direction: with a = f_y L_y and b = f_x L_x the product of cosines
+keeps (sinc(a + b) + sinc(a - b))/2 of itself, and (sinc(a - b) - sinc(a + b))/2 becomes a product
+of sines. Between its samples the picture is the spline of `pixsim.sensor.integration`, here with
+knots in all cells, whose coefficients are a filter of the samples, too; so a path costs an inverse
+transform, and no new spline.
 """
 
 from __future__ import annotations
@@ -27,7 +29,11 @@ from pixsim.sensor.motion_options import VELOCITIES, Motion
 
 MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
 REACH = 3  # cells beyond an interval that its weights reach
-OF_SAMPLES = 66 / 120, 52 / 120, 2 / 120  # quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells
+OF_SAMPLES = (
+    66 / 120,
+    52 / 120,
+    2 / 120,
+)  # quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,10 @@ class Moving:
         """Return that of each exposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)
         places = np.arange(count) - (count - 1) / 2
-        return [Moving((down, across), self.row_um, (place * down, place * across)) for place in places.tolist()]
+        return [
+            Moving((down, across), self.row_um, (place * down, place * across))
+            for place in places.tolist()
+        ]
 
 
 STANDING = Moving((0.0, 0.0))
@@ -73,7 +82,8 @@ def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) 
 
 @dataclass(frozen=True)
 class SlantedSpectrum:
-    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for a path of length 1.
+    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for
+    a path of length 1.
 
     direction : down and across, the larger one 1 or -1
     over : 0 where a and ±b are one to `NEAR`
@@ -93,7 +103,9 @@ class SlantedSpectrum:
         over, near = empty_planes(*spectrum.shape), []
         for rows in strips(*spectrum.shape):
             squares = np.subtract.outer(down[rows] ** 2, across**2)
-            row, column = np.nonzero(np.abs(squares) <= NEAR * np.add.outer(down[rows] ** 2, across**2))
+            row, column = np.nonzero(
+                np.abs(squares) <= NEAR * np.add.outer(down[rows] ** 2, across**2)
+            )
             squares[row, column] = np.inf
             np.divide(spectrum[rows], squares, out=over[rows])
             near.append((row + rows.start, column))
@@ -101,18 +113,35 @@ class SlantedSpectrum:
         return cls(direction, over, (row, column), spectrum[row, column])
 
     def kept(self, length: float) -> tuple[Array, Array]:
-        """Return what a path leaves of the spectrum as products of cosines, and as products of sines, (H, W) each.
+        """Return what a path leaves of the spectrum as products of cosines, and as products of
+        sines, (H, W) each.
 
         The first row of the sines is that of the frequency 1, the last one is 0.
 
-        (sinc(a + b) ± sinc(a - b))/2, of angles a down and b across, has one denominator, a² - b², for all lengths: the numerators
-        are a sin a cos b - b sin b cos a and a cos a sin b - b sin a cos b, products of numbers of one axis.
+        (sinc(a + b) ± sinc(a - b))/2, of angles a down and b across, has one denominator, a² - b²,
+        for all lengths: the numerators are a sin a cos b - b sin b cos a and a cos a sin b - b sin
+        a cos b, products of numbers of one axis.
         """
-        (height, _), (unit_down, unit_across) = self.over.shape, _angles(self.over.shape, self.direction)
+        (height, _), (unit_down, unit_across) = (
+            self.over.shape,
+            _angles(self.over.shape, self.direction),
+        )
         down, across = length * unit_down, length * unit_across
-        (sin_down, cos_down), (sin_across, cos_across) = ((np.sin(each), np.cos(each)) for each in (down, across))
-        of_cosines = unit_down * sin_down / length, cos_across, cos_down / length, unit_across * sin_across
-        of_sines = sin_down / length, unit_across * cos_across, unit_down * cos_down / length, sin_across
+        (sin_down, cos_down), (sin_across, cos_across) = (
+            (np.sin(each), np.cos(each)) for each in (down, across)
+        )
+        of_cosines = (
+            unit_down * sin_down / length,
+            cos_across,
+            cos_down / length,
+            unit_across * sin_across,
+        )
+        of_sines = (
+            sin_down / length,
+            unit_across * cos_across,
+            unit_down * cos_down / length,
+            sin_across,
+        )
         even, odd = empty_planes(*self.over.shape), empty_planes(*self.over.shape)
         for rows, spare in strips_of(self.over.shape):
             _two_products(of_cosines, rows, spare, even[rows])
@@ -129,8 +158,12 @@ class SlantedSpectrum:
         return even, odd
 
 
-def _two_products(factors: tuple[Array, Array, Array, Array], rows: slice, spare: Array, out: Array) -> None:
-    """Write down × across - down × across, of the factors in this order, to some rows of a plane."""
+def _two_products(
+    factors: tuple[Array, Array, Array, Array], rows: slice, spare: Array, out: Array
+) -> None:
+    """Write down × across - down × across, of the factors in this order, to some rows of a
+    plane.
+    """
     down, across, other_down, other_across = factors
     np.multiply(other_down[rows, None], other_across, out=spare)
     np.multiply(down[rows, None], across, out=out)
@@ -148,7 +181,9 @@ class LightSpectrum:
     _back: dict[tuple[int, tuple[float, float]], tuple[Array, Array | None]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _slanted: list[SlantedSpectrum] = field(default_factory=list, init=False, repr=False, compare=False)
+    _slanted: list[SlantedSpectrum] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @cached_property
     def of_samples(self) -> Array:
@@ -159,23 +194,32 @@ class LightSpectrum:
 
     @cached_property
     def of_spline(self) -> Array:
-        """DCT-II of the coefficients of the quartic spline whose means over the cells are the samples, (H, W)."""
+        """DCT-II of the coefficients of the quartic spline whose means over the cells are the
+        samples, (H, W).
+        """
         filters = []
         for count in self.samples.shape:
             angle = math.pi * np.arange(count) / count
-            filters.append(OF_SAMPLES[0] + OF_SAMPLES[1] * np.cos(angle) + OF_SAMPLES[2] * np.cos(2 * angle))
+            filters.append(
+                OF_SAMPLES[0] + OF_SAMPLES[1] * np.cos(angle) + OF_SAMPLES[2] * np.cos(2 * angle)
+            )
         return self.of_samples / filters[0][:, None] / filters[1]
 
-    def back(self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array | None]:
-        """Return `of_spline` of the picture averaged along a path, back down the columns (0) or along the rows: cosines and sines.
+    def back(
+        self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[Array, Array | None]:
+        """Return `of_spline` of the picture averaged along a path, back down the columns (0) or
+        along the rows: cosines and sines.
 
-        None in place of sines that are 0, as along the rows, for which no path is slanted. The pixels of one exposure time share
-        those of its path.
+        None in place of sines that are 0, as along the rows, for which no path is slanted. The
+        pixels of one exposure time share those of its path.
         """
         key = axis, path_cells
         if (found := self._back.get(key)) is not None:
             return found
-        for other in [other for other in self._back if any(path_cells) and any(other[1])]:  # the still ones stay
+        for other in [
+            other for other in self._back if any(path_cells) and any(other[1])
+        ]:  # the still ones stay
             del self._back[other]  # before the next ones, which take their memory
         if all(path_cells):
             even, odd = self._of_direction(_direction(path_cells)).kept(_length(path_cells))
@@ -204,13 +248,20 @@ class LightSpectrum:
             return self.samples
         if not all(path_cells):
             return _cosines(_cosines(_kept_along(self.of_samples, path_cells), 0), 1)
-        even, odd = SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(_length(path_cells))
+        even, odd = SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(
+            _length(path_cells)
+        )
         return _cosines(_cosines(even, 0), 1) + _sines(_without_first(_sines(odd, 0)), 1)
 
     def integrals(
-        self, y_cells: tuple[Array, Array], x_cells: tuple[Array, Array], path_cells: tuple[float, float], shift_cells: Array
+        self,
+        y_cells: tuple[Array, Array],
+        x_cells: tuple[Array, Array],
+        path_cells: tuple[float, float],
+        shift_cells: Array,
     ) -> Array:
-        """Return the integrals of the moving picture between pairs of positions down and across, (rows, columns), in cells².
+        """Return the integrals of the moving picture between pairs of positions down and across,
+        (rows, columns), in cells².
 
         shift_cells : (2, rows) displacement of the light in each row, down and across
         """
@@ -220,7 +271,11 @@ class LightSpectrum:
         columns = cell_weights(*x_cells, width)
         if down and not across and not shift_cells[1].any():
             light = empty_planes(height, columns.shape[0])
-            np.multiply((columns @ transposed(self.back(1)[0])).T, np.sinc(_cycles(height) * down)[:, None], out=light)
+            np.multiply(
+                (columns @ transposed(self.back(1)[0])).T,
+                np.sinc(_cycles(height) * down)[:, None],
+                out=light,
+            )
             return np.asarray(rows @ _cosines(light, 0))
         cosines, sines = self.back(0, path_cells if down else (0.0, 0.0))
         cosines, sines = rows @ cosines, None if sines is None else rows @ sines
@@ -234,7 +289,9 @@ class LightSpectrum:
 
 
 def shifted_rows(picture: Array, shift_cells: Array) -> Array:
-    """Return a picture (rows, W) whose rows are displaced across by a number of samples each, (rows,)."""
+    """Return a picture (rows, W) whose rows are displaced across by a number of samples each,
+    (rows,).
+    """
     if not shift_cells.any():
         return picture
     from scipy.fft import dct as dct_along
@@ -254,7 +311,9 @@ def _angles(shape: tuple[int, ...], path_cells: tuple[float, float]) -> list[Arr
     return [math.pi * _cycles(count) * path for count, path in zip(shape, path_cells, strict=True)]
 
 
-DIRECTION_DIGITS = 12  # of paths of one velocity and several times, whose directions differ by rounding
+DIRECTION_DIGITS = (
+    12  # of paths of one velocity and several times, whose directions differ by rounding
+)
 NEAR = 1e-6  # of a² + b², up to which a² - b² has lost too many digits: an error of 2e-10 elsewhere
 
 
@@ -274,20 +333,30 @@ def _rounded(path_cells: tuple[float, float]) -> tuple[float, float]:
     """Return a path, without an axis along which it is shorter than its direction has digits."""
     if not all(path_cells):
         return path_cells
-    down, across = (each if own else 0.0 for each, own in zip(path_cells, _direction(path_cells), strict=True))
+    down, across = (
+        each if own else 0.0 for each, own in zip(path_cells, _direction(path_cells), strict=True)
+    )
     return down, across
 
 
 def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
-    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a plane of its own."""
+    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a plane of its
+    own.
+    """
     down, across = _angles(spectrum.shape, path_cells)
     kept = empty_planes(*spectrum.shape)
-    np.multiply(spectrum, np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi), out=kept)
+    np.multiply(
+        spectrum,
+        np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi),
+        out=kept,
+    )
     return kept
 
 
 def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[Array, Array | None]:
-    """Return the spectra of rows, (rows, W), that are displaced across by a number of samples each."""
+    """Return the spectra of rows, (rows, W), that are displaced across by a number of samples
+    each.
+    """
     if not shift_cells.any():
         return cosines, sines
     turned = _phases(2 * math.pi * shift_cells, cosines.shape[1])
@@ -298,24 +367,30 @@ def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[A
 def _phases(shift_angle: Array, count: int) -> NDArray[np.complex128]:
     """Return exp(i angle f) of rows, (rows, count), at the frequencies f of `_cycles`.
 
-    A frequency is a multiple of a coarse step and a few fine ones: a product of two small tables, where sines and cosines of all
-    would take longer than the transforms.
+    A frequency is a multiple of a coarse step and a few fine ones: a product of two small tables,
+    where sines and cosines of all would take longer than the transforms.
     """
     fine = math.isqrt(count - 1) + 1
     step = np.arange(fine) / (2 * count)
     tables = [np.exp(1j * np.multiply.outer(shift_angle, steps)) for steps in (fine * step, step)]
-    return np.multiply(tables[0][:, :, None], tables[1][:, None, :]).reshape(shift_angle.size, -1)[:, :count]
+    return np.multiply(tables[0][:, :, None], tables[1][:, None, :]).reshape(shift_angle.size, -1)[
+        :, :count
+    ]
 
 
 def _cosines(spectrum: Array, axis: int) -> Array:
-    """Return the sum of cosines of a spectrum along an axis, the inverse of the DCT-II, in its place."""
+    """Return the sum of cosines of a spectrum along an axis, the inverse of the DCT-II, in its
+    place.
+    """
     from scipy.fft import idct
 
     return np.asarray(idct(spectrum, axis=axis, overwrite_x=True, workers=threads()))
 
 
 def _sines(spectrum: Array, axis: int) -> Array:
-    """Return the sum of sines along an axis, of the frequencies of a DCT-II from the second one to one beyond, in its place."""
+    """Return the sum of sines along an axis, of the frequencies of a DCT-II from the second one to
+    one beyond, in its place.
+    """
     from scipy.fft import idst
 
     return np.asarray(idst(spectrum, axis=axis, overwrite_x=True, workers=threads()))
@@ -330,15 +405,19 @@ def _without_first(spectrum: Array) -> Array:
 
 
 def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
-    """Return the weights of spline coefficients in the integrals from `low_cells` to `high_cells`, sparse (m, count).
+    """Return the weights of spline coefficients in the integrals from `low_cells` to `high_cells`,
+    sparse (m, count).
 
-    The coefficients of the cells, whose B-splines are quartic, go on by reflection beyond both ends.
+    The coefficients of the cells, whose B-splines are quartic, go on by reflection beyond both
+    ends.
     """
     first = np.floor(low_cells).astype(np.intp) - REACH
     width = int((np.floor(high_cells).astype(np.intp) - first).max()) + REACH + 1
     cells = first[:, None] + np.arange(width)
     centre = cells + 0.5
-    weights = quartic_integral(high_cells[:, None] - centre) - quartic_integral(low_cells[:, None] - centre)
+    weights = quartic_integral(high_cells[:, None] - centre) - quartic_integral(
+        low_cells[:, None] - centre
+    )
     folded = np.mod(cells, 2 * count)
     folded = np.where(folded < count, folded, 2 * count - 1 - folded)
     used = weights != 0
@@ -347,9 +426,14 @@ def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
 
 
 def quartic_integral(x: Array) -> Array:
-    """Return the integral up to x (...) of the centred quartic B-spline of unit knots, whose whole integral is 1."""
+    """Return the integral up to x (...) of the centred quartic B-spline of unit knots, whose whole
+    integral is 1.
+    """
     at = np.clip(x, -2.5, 2.5)
-    at, total = -np.abs(at) + 2.5, np.zeros(np.shape(x))  # from the nearer end, where the terms are few and small
+    at, total = (
+        -np.abs(at) + 2.5,
+        np.zeros(np.shape(x)),
+    )  # from the nearer end, where the terms are few and small
     for knot in range(3):
         total += (-1) ** knot * math.comb(5, knot) * np.maximum(at - knot, 0.0) ** 5
     total /= 120
@@ -364,7 +448,9 @@ def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[
     pitch_um : of the pixels, for `pixels_per_s`
     """
     if motion.velocity_mm_per_s is not None:
-        scale = camera.image_distance_mm / (motion.distance_m or camera.object_distance_m)  # mm/m, and µm/mm
+        scale = camera.image_distance_mm / (
+            motion.distance_m or camera.object_distance_m
+        )  # mm/m, and µm/mm
         x, y = motion.velocity_mm_per_s
     else:
         scale = 1.0 if motion.image_um_per_s is not None else pitch_um
@@ -372,12 +458,16 @@ def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[
     return x * scale, y * scale
 
 
-def room_um(motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]) -> float:
-    """Return the width on each side of the die that is left to light from beyond it: half of the longest path on the sensor.
+def room_um(
+    motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]
+) -> float:
+    """Return the width on each side of the die that is left to light from beyond it: half of the
+    longest path on the sensor.
 
     With a rolling shutter the first and the last rows see the scene displaced, too.
 
-    pixels : pitches in µm of the largest and the smallest ones, and how many along a side are read as one
+    pixels : pitches in µm of the largest and the smallest ones, and how many along a side are read
+        as one
     """
     if not motion.is_on:
         return 0.0
@@ -387,21 +477,42 @@ def room_um(motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable
     rooms = []
     for pitch_um, bin_side in pixels:
         lines = 1e3 * camera.height_mm / (pitch_um * bin_side)
-        rooms.append((longest_s + lines * exposure.line_time_s) / 2 * max(map(abs, velocity_um_per_s(motion, camera, pitch_um))))
+        rooms.append(
+            (longest_s + lines * exposure.line_time_s)
+            / 2
+            * max(map(abs, velocity_um_per_s(motion, camera, pitch_um)))
+        )
     return max(rooms)
 
 
 def border_with_room_um(
-    border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]
+    border_um: float,
+    motion: Motion,
+    exposure: Exposure,
+    camera: Camera,
+    pixels: Iterable[tuple[float, int]],
 ) -> float:
     """Return the width on each side of the die that is not scored: that of pixels, and `room_um`.
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um, least_um = room_um(motion, exposure, camera, pixels), 1e3 * min(camera.die_mm, camera.height_mm)
+    spare_um, least_um = (
+        room_um(motion, exposure, camera, pixels),
+        1e3 * min(camera.die_mm, camera.height_mm),
+    )
     if spare_um and 2 * (border_um + spare_um) >= least_um:
-        got = f"a path of up to {2 * spare_um:.4g} µm on the sensor" if motion.margin_um is None else f"a margin of {spare_um:g} µm"
-        allowed = f"one that leaves something to score, a path below {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"
-        hint = f"Shorten exposure.max_integration_s, state exposure.integration_s, or slow it down ({', '.join(VELOCITIES)})."
+        got = (
+            f"a path of up to {2 * spare_um:.4g} µm on the sensor"
+            if motion.margin_um is None
+            else f"a margin of {spare_um:g} µm"
+        )
+        allowed = (
+            "one that leaves something to score, a path below"
+            f" {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"
+        )
+        hint = (
+            "Shorten exposure.max_integration_s, state exposure.integration_s, or slow it down"
+            f" ({', '.join(VELOCITIES)})."
+        )
         raise invalid("motion", got, allowed, hint)
     return border_um + spare_um

@@ -15,23 +15,37 @@ VELOCITIES = "velocity_mm_per_s", "image_um_per_s", "pixels_per_s"
 
 
 class Motion(Record):
-    """Velocity of the scene's image, one for the whole picture: [x, y], x to the right and y down as the picture is shown.
+    """Velocity of the scene's image, one for the whole picture: [x, y], x to the right and y down
+    as the picture is shown.
 
     A camera that moves to the left has a scene that moves to the right. By default nothing moves.
     """
 
     ALTERNATIVES: ClassVar = (tuple((name,) for name in VELOCITIES),)
 
-    velocity_mm_per_s: Velocity | None = Field(None, description="velocity [x, y] of the objects, in a plane that faces the lens")
-    image_um_per_s: Velocity | None = Field(None, description="velocity [x, y] of the image on the sensor, in its place")
-    pixels_per_s: Velocity | None = Field(None, description="velocity [x, y] of the image in pixels, in place of both")
+    velocity_mm_per_s: Velocity | None = Field(
+        None, description="velocity [x, y] of the objects, in a plane that faces the lens"
+    )
+    image_um_per_s: Velocity | None = Field(
+        None, description="velocity [x, y] of the image on the sensor, in its place"
+    )
+    pixels_per_s: Velocity | None = Field(
+        None, description="velocity [x, y] of the image in pixels, in place of both"
+    )
     distance_m: Distance | None = Field(
-        None, description="distance of the moving plane from the lens, for velocity_mm_per_s (absent: camera.object_distance_m)"
+        None,
+        description=(
+            "distance of the moving plane from the lens, for velocity_mm_per_s (absent:"
+            " camera.object_distance_m)"
+        ),
     )
     margin_um: Annotated[float, Field(ge=0, le=1e6)] | None = Field(
         None,
-        description="width on each side of the die that is not scored, beside that of the pixels, for light that comes from beyond "
-        "it: at least half of the longest path on the sensor (absent: that half). Cases with one margin score the same part",
+        description=(
+            "width on each side of the die that is not scored, beside that of the pixels, for light"
+            " that comes from beyond it: at least half of the longest path on the sensor (absent:"
+            " that half). Cases with one margin score the same part"
+        ),
     )
 
     @property
@@ -45,6 +59,16 @@ STILL = Motion()
 
 def motion_words(motion: Motion) -> str:
     """Return what moves in words; empty if nothing does."""
-    units = {"velocity_mm_per_s": "objects move by {:g}, {:g} mm/s", "image_um_per_s": "the image moves by {:g}, {:g} µm/s"}
+    units = {
+        "velocity_mm_per_s": "objects move by {:g}, {:g} mm/s",
+        "image_um_per_s": "the image moves by {:g}, {:g} µm/s",
+    }
     units["pixels_per_s"] = "the image moves by {:g}, {:g} pixels/s"
-    return next((units[name].format(*getattr(motion, name)) for name in VELOCITIES if any(getattr(motion, name) or ())), "")
+    return next(
+        (
+            units[name].format(*getattr(motion, name))
+            for name in VELOCITIES
+            if any(getattr(motion, name) or ())
+        ),
+        "",
+    )

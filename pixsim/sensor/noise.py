@@ -1,8 +1,10 @@
-"""The sources of noise of a pixel, each once: how large it is, what it grows with, and which pixels share its values.
+"""The sources of noise of a pixel, each once: how large it is, what it grows with, and which pixels
+share its values.
 
-What draws noise, what states its variance and what lists it goes through `SOURCES`. A new source is one line there if it is as
-large in light as in the dark; a fixed pattern that grows with charge needs a map of its own beside its line. Shot noise is none of
-them: it is the Poisson law of light and dark charge, and the only temporal noise that grows with it.
+What draws noise, what states its variance and what lists it goes through `SOURCES`. A new source is
+one line there if it is as large in light as in the dark; a fixed pattern that grows with charge
+needs a map of its own beside its line. Shot noise is none of them: it is the Poisson law of light
+and dark charge, and the only temporal noise that grows with it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ Along = Literal["pixel", "row", "column"]
 
 
 class NoisyReadout(Protocol):
-    """What the sources need of a `pixsim.sensor.reading.Readout`, whose noise floor is their sum."""
+    """What the sources need of a `pixsim.sensor.reading.Readout`, whose noise floor is their
+    sum.
+    """
 
     @property
     def exposures(self) -> int: ...
@@ -53,12 +57,15 @@ class NoiseSource:
     """A source of noise beside shot noise.
 
     name : as plans list it
-    deviation : its standard deviation for a pixel as it is read, in electrons, or relative to what it grows with
+    deviation : its standard deviation for a pixel as it is read, in electrons, or relative to what
+        it grows with
     is_temporal : whether it is another one in each frame; else it is a fixed pattern
-    along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a column, of a fixed pattern
+    along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a
+        column, of a fixed pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
-    undrawn : of a pattern that grows, the reading of a pixel without the numbers from which `sample_sensor` draws its map
+    undrawn : of a pattern that grows, the reading of a pixel without the numbers from which
+        `sample_sensor` draws its map
     """
 
     name: str
@@ -72,8 +79,8 @@ class NoiseSource:
     def of_frame(self, readout: NoisyReadout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
-        What is another value in each adds up by squares, what is the same in each by itself; what grows with the charge of all
-        exposures together does so already.
+        What is another value in each adds up by squares, what is the same in each by itself; what
+        grows with the charge of all exposures together does so already.
         """
         own, count = self.deviation(readout), readout.exposures
         if count == 1 or self.grows_with:
@@ -84,8 +91,16 @@ class NoiseSource:
 SOURCES = (
     NoiseSource("reset noise", lambda r: r.physics.reset_noise_e, is_temporal=True),
     NoiseSource("read noise", lambda r: r.read_noise_at_gain_e, is_temporal=True),
-    NoiseSource("row noise", lambda r: r.physics.number("row_noise_e"), is_temporal=True, along="row", is_rare=True),
-    NoiseSource("PRNU", lambda r: r.prnu, grows_with="light", undrawn=lambda r: r.with_physics(prnu=0.0)),
+    NoiseSource(
+        "row noise",
+        lambda r: r.physics.number("row_noise_e"),
+        is_temporal=True,
+        along="row",
+        is_rare=True,
+    ),
+    NoiseSource(
+        "PRNU", lambda r: r.prnu, grows_with="light", undrawn=lambda r: r.with_physics(prnu=0.0)
+    ),
     NoiseSource(
         "DSNU",
         lambda r: r.dark_spread.deviation,
@@ -97,15 +112,22 @@ SOURCES = (
 )
 
 
-def chosen(readout: NoisyReadout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
-    """Return the sources of a readout that are temporal or fixed, and shared in that way; None for both, and for any way."""
+def chosen(
+    readout: NoisyReadout, is_temporal: bool | None, along: Along | None
+) -> list[NoiseSource]:
+    """Return the sources of a readout that are temporal or fixed, and shared in that way; None for
+    both, and for any way.
+    """
     own = [each for each in SOURCES if each.name not in readout.silent]
     own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
     return [each for each in own if along is None or each.along == along]
 
 
-def constant_e(readout: NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
-    """Return the standard deviation of all sources together that grow neither with light nor with dark charge, in electrons.
+def constant_e(
+    readout: NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None
+) -> float:
+    """Return the standard deviation of all sources together that grow neither with light nor with
+    dark charge, in electrons.
 
     is_temporal, along : of which sources; None means all
 
@@ -116,7 +138,13 @@ def constant_e(readout: NoisyReadout, *, is_temporal: bool | None = None, along:
     >>> constant_e(Readout.of(pixel), is_temporal=True)
     2.0
     """
-    return math.hypot(*(each.of_frame(readout) for each in chosen(readout, is_temporal, along) if not each.grows_with))
+    return math.hypot(
+        *(
+            each.of_frame(readout)
+            for each in chosen(readout, is_temporal, along)
+            if not each.grows_with
+        )
+    )
 
 
 def variance_e2(
@@ -128,7 +156,8 @@ def variance_e2(
     is_temporal: bool | None = None,
     along: Along | None = None,
 ) -> Array | float:
-    """Return the variance of sources together, in electrons squared, in the shape (...) of the charges.
+    """Return the variance of sources together, in electrons squared, in the shape (...) of the
+    charges.
 
     start : variance to which they are added, as that of shot noise
     light_e, dark_e : mean charge of light and of the dark, with which some sources grow
@@ -140,15 +169,22 @@ def variance_e2(
     return start
 
 
-def variances_e2(readout: NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
+def variances_e2(
+    readout: NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0
+) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
-    others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(readout, None, None)}
+    others = {
+        each: tuple(other.name for other in SOURCES if other is not each)
+        for each in chosen(readout, None, None)
+    }
     alone = {each.name: readout.with_silent(names) for each, names in others.items()}
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
 def without_source(readout: AnyReadout, name: str) -> AnyReadout:
-    """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
+    """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before,
+    but for their random numbers.
+    """
     (source,) = (each for each in SOURCES if each.name == name)
     silent = readout.with_silent((*readout.silent, name))
     undrawn: AnyReadout = silent if source.undrawn is None else source.undrawn(silent)
@@ -156,7 +192,9 @@ def without_source(readout: AnyReadout, name: str) -> AnyReadout:
 
 
 def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
-    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below that."""
+    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below
+    that.
+    """
     square = wanted**-2 - gain_spread**2
     if square <= 0:
         return math.nan

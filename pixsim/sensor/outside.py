@@ -1,4 +1,5 @@
-"""Light of lamps outside the range that is computed, 360-830 nm or more: how much of what a sensor would see is left out.
+"""Light of lamps outside the range that is computed, 360-830 nm or more: how much of what a sensor
+would see is left out.
 
 The range grows to 300-1100 nm where lamps have light there that a sensor sees (`span_of`).
 """
@@ -13,15 +14,28 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WIDEST, Span, Spectrum, photons_per_joule
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LOW_NM,
+    VISIBLE,
+    WIDEST,
+    Span,
+    Spectrum,
+    photons_per_joule,
+)
 from pixsim.sensor.pixel import PixelPhysics
 
-OUTSIDE = "lamps_300_to_1110_nm_in_10"  # entry of an irradiance's header: mean power in each cell, for each lamp with light outside
-# From where lenses transmit to where silicon ends: its gap of 1.12 eV is 1107 nm. 360 and 830 nm are edges.
+# entry of an irradiance's header: mean power in each cell, for each lamp with light outside
+OUTSIDE = "lamps_300_to_1110_nm_in_10"
+# From where lenses transmit to where silicon ends: its gap of 1.12 eV is 1107 nm. 360 and 830 nm
+# are edges.
 EDGES_NM = np.arange(300.0, 1111.0, 10.0)
 CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
-COMPUTED = "computed_nm"  # entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
-SEEN_BEYOND = 1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
+# entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
+COMPUTED = "computed_nm"
+SEEN_BEYOND = (
+    1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
+)
 SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
 DIGITS = 6
 
@@ -32,7 +46,9 @@ def inside(span: Span) -> NDArray[np.bool_]:
 
 
 def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
-    """Return the range to compute: 360-830 nm, and on either side what lamps emit there and one of the pixels sees."""
+    """Return the range to compute: 360-830 nm, and on either side what lamps emit there and one of
+    the pixels sees.
+    """
     low, high = VISIBLE.low_nm, VISIBLE.high_nm
     for lamp in lamps:
         cells = lamp.cell_means(EDGES_NM)
@@ -47,15 +63,23 @@ def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
 
 
 def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str, Any]:
-    """Return entries of an irradiance's header on lamps with light outside the range that is computed; none if there are none."""
+    """Return entries of an irradiance's header on lamps with light outside the range that is
+    computed; none if there are none.
+    """
     computed = {} if span == VISIBLE else {COMPUTED: [span.low_nm, span.high_nm]}
     cells = [lamp.cell_means(EDGES_NM) for lamp in lamps]
-    beyond = [[float(f"{value:.{DIGITS}g}") for value in each] for each in cells if each[~inside(span)].any()]
+    beyond = [
+        [float(f"{value:.{DIGITS}g}") for value in each]
+        for each in cells
+        if each[~inside(span)].any()
+    ]
     return computed | ({OUTSIDE: beyond} if beyond else {})
 
 
 def computed_span(header: Mapping[str, Any]) -> Span:
-    """Return the range that an irradiance's header states as computed; that of a file of another program may hold anything."""
+    """Return the range that an irradiance's header states as computed; that of a file of another
+    program may hold anything.
+    """
     ends = header.get(COMPUTED)
     if isinstance(ends, list) and len(ends) == 2 and all(isinstance(end, float) for end in ends):
         return Span(*ends)
@@ -63,16 +87,24 @@ def computed_span(header: Mapping[str, Any]) -> Span:
 
 
 def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
-    """Return the share of a lamp's electrons in a pixel that come from outside the computed range, 0 to 1: that of the worst lamp.
+    """Return the share of a lamp's electrons in a pixel that come from outside the computed range,
+    0 to 1: that of the worst lamp.
 
     header : of an irradiance; that of a file of another program may hold anything
     """
     lamps, cells = header.get(OUTSIDE), CENTRES_NM.size
-    if not isinstance(lamps, list) or not all(isinstance(lamp, list) and len(lamp) == cells for lamp in lamps):
+    if not isinstance(lamps, list) or not all(
+        isinstance(lamp, list) and len(lamp) == cells for lamp in lamps
+    ):
         return 0.0
     electrons = np.array(lamps, float).reshape(-1, cells) * _response(physics)
     whole = electrons.sum(axis=1)
-    return float((electrons[:, ~inside(computed_span(header))].sum(axis=1) / np.where(whole > 0, whole, 1.0)).max(initial=0.0))
+    return float(
+        (
+            electrons[:, ~inside(computed_span(header))].sum(axis=1)
+            / np.where(whole > 0, whole, 1.0)
+        ).max(initial=0.0)
+    )
 
 
 def _response(physics: PixelPhysics) -> Array:
@@ -88,5 +120,6 @@ def outside_words(share: float, span: Span = VISIBLE) -> str:
 def outside_hint() -> str:
     """Return what keeps such light from the sensor, in the caller's words."""
     return (
-        f"an infrared filter before the sensor ({setting('pixel.infrared_cut_nm', HIGH_NM)} or less), or a lamp within that range"
+        f"an infrared filter before the sensor ({setting('pixel.infrared_cut_nm', HIGH_NM)} or"
+        " less), or a lamp within that range"
     )

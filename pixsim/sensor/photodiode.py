@@ -1,23 +1,28 @@
-"""Charge that a photodiode collects as it discharges into forward bias, and the signal level that is read.
+"""Charge that a photodiode collects as it discharges into forward bias, and the signal level that
+is read.
 
 With V the reverse bias, C(V) dV/dt = -(i_ph + I_s (1 - e^(-V/V_T))). The equation is stiff: near
-V_oc = -V_T ln(1 + i_ph/I_s) the diode current balances the photocurrent. Two steps remove the stiffness.
+V_oc = -V_T ln(1 + i_ph/I_s) the diode current balances the photocurrent. Two steps remove the
+stiffness.
 
 With a = i_ph + I_s, the net current is a(1 - e^-x), x = (V - V_oc)/V_T, and with p = -ln(e^x - 1)
 
     a t = V_T ∫ C(V_oc + V_T ln(1 + e^-p)) dp        from p(V_0) to p(V).
 
-The integrand is the capacitance, without a pole at V_oc; for a constant C the integral is the closed form. The difference
-to the collected charge Q = ∫C dV (known in closed form) is the charge that the diode conducts,
+The integrand is the capacitance, without a pole at V_oc; for a constant C the integral is the
+closed form. The difference to the collected charge Q = ∫C dV (known in closed form) is the charge
+that the diode conducts,
 
     a t - Q = V_T C(V_oc) [ln(1 + e^p)] + V_T ∫ (C - C(V_oc)) / (1 + e^-p) dp,
 
-whose integral is a smooth bump around p = 0: Gauss-Legendre panels, with borders where SPICE's tangents begin.
+whose integral is a smooth bump around p = 0: Gauss-Legendre panels, with borders where SPICE's
+tangents begin.
 
-There are two well limits. `swing` clips the charge at the voltage swing. `diode` uses the charge down to forward bias: for
-one integration time the stored charge is a function f_t of the generated charge, which begins as the identity.
-There are two conversions. `linear` has the voltage proportional to the charge. `junction` uses V(Q) of the capacitance,
-scaled so that an empty and a full well keep their codes. Everything except the hard clip is interpolated in a cached table.
+There are two well limits. `swing` clips the charge at the voltage swing. `diode` uses the charge
+down to forward bias: for one integration time the stored charge is a function f_t of the generated
+charge, which begins as the identity. There are two conversions. `linear` has the voltage
+proportional to the charge. `junction` uses V(Q) of the capacitance, scaled so that an empty and a
+full well keep their codes. Everything except the hard clip is interpolated in a cached table.
 """
 
 from __future__ import annotations
@@ -54,9 +59,15 @@ def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
 
     Raises PixsimError for a pinned photodiode, which transfers its charge, and as `derive` does.
     """
-    physics = derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
+    physics = (
+        derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
+    )
     if physics.diode is None:
-        raise invalid("photodiode", f"the pinned one of {physics.technology.name}", "the photodiode of a 3T pixel")
+        raise invalid(
+            "photodiode",
+            f"the pinned one of {physics.technology.name}",
+            "the photodiode of a 3T pixel",
+        )
     return physics.diode
 
 
@@ -66,17 +77,21 @@ def default_diode() -> Diode:
     return diode_of(Pixel())
 
 
-def collected_charge_e(photocurrent_e_per_s: NotNegatives, integration_s: NotNegatives, diode: Diode | None = None) -> Array:
-    """Return the charge that a photodiode collects after its reset, dark charge included, by quadrature.
+def collected_charge_e(
+    photocurrent_e_per_s: NotNegatives, integration_s: NotNegatives, diode: Diode | None = None
+) -> Array:
+    """Return the charge that a photodiode collects after its reset, dark charge included, by
+    quadrature.
 
     Parameters
     ----------
     photocurrent_e_per_s, integration_s : finite, ≥ 0, broadcast together
     diode : from `diode_of`; None takes that of the default pixel
 
-    Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, approaching the charge down to V_oc as the
-    diode turns forward. The relative error is below 1e-10 (measured: 4e-15 for the packaged processes from 77 to 400 K, against
-    finer panels). Without a diode current, I_s = 0, the charge is i_ph·t without a limit.
+    Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, approaching the
+    charge down to V_oc as the diode turns forward. The relative error is below 1e-10 (measured:
+    4e-15 for the packaged processes from 77 to 400 K, against finer panels). Without a diode
+    current, I_s = 0, the charge is i_ph·t without a limit.
 
     Raises PixsimError if an argument is negative or not finite.
 
@@ -91,12 +106,16 @@ def collected_charge_e(photocurrent_e_per_s: NotNegatives, integration_s: NotNeg
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
 
-def charge_from_total_e(total_e_per_s: NotNegativeArray, integration_s: NotNegativeArray, diode: Diode) -> Array:
-    """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
+def charge_from_total_e(
+    total_e_per_s: NotNegativeArray, integration_s: NotNegativeArray, diode: Diode
+) -> Array:
+    """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0);
+    see the module.
 
     diode : from `diode_of`
 
-    The charge is 0 where `a` is below I_s e^(-V_0/V_T), which only a negative photocurrent can cause.
+    The charge is 0 where `a` is below I_s e^(-V_0/V_T), which only a negative photocurrent can
+    cause.
     """
     check_broadcast(total_e_per_s=total_e_per_s.shape, integration_s=integration_s.shape)
     total_e_per_s, integration_s = np.broadcast_arrays(total_e_per_s, integration_s)
@@ -109,7 +128,9 @@ def charge_from_total_e(total_e_per_s: NotNegativeArray, integration_s: NotNegat
     result = np.where(_reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
     turning = np.flatnonzero((result > _charge_before_turning_e(log_ratio, diode)).ravel())
     for block in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
-        result.flat[block] = _charge_while_turning_e(generated.flat[block], log_ratio.flat[block], diode)
+        result.flat[block] = _charge_while_turning_e(
+            generated.flat[block], log_ratio.flat[block], diode
+        )
     return result
 
 
@@ -119,7 +140,9 @@ def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
 
 
 def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
-    """Return the charge down to p = -`BUMP`, where the diode loss is only e^-`BUMP` C V_T; 0 if the reset is beyond."""
+    """Return the charge down to p = -`BUMP`, where the diode loss is only e^-`BUMP` C V_T; 0 if the
+    reset is beyond.
+    """
     drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
 
@@ -130,25 +153,38 @@ def _other_side(x: Array) -> Array:
 
 
 def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
-    """Return increasing p at the borders of panels with a smooth integrand, from the reset or -`BUMP` on; (n, panels + 1)."""
+    """Return increasing p at the borders of panels with a smooth integrand, from the reset or
+    -`BUMP` on; (n, panels + 1).
+    """
     regular = np.linspace(-BUMP, BUMP, round(2 * BUMP / PANEL) + 1)
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
     knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), BUMP)
-    borders = np.sort(np.hstack([np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -BUMP, BUMP)]), axis=1)
+    borders = np.sort(
+        np.hstack(
+            [np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -BUMP, BUMP)]
+        ),
+        axis=1,
+    )
     return np.maximum(borders, _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None])
 
 
 def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
-    """Return V_T ∫ (C - C(V_oc))/(1 + e^-p) dp in the shape of the limits; `equilibrium_v` broadcasts to it."""
+    """Return V_T ∫ (C - C(V_oc))/(1 + e^-p) dp in the shape of the limits; `equilibrium_v`
+    broadcasts to it.
+    """
     half = (high - low)[..., None] / 2
     p, v_oc = low[..., None] + half * (1 + NODES), equilibrium_v[..., None]
-    excess_ff = diode.capacitance_ff(v_oc + diode.thermal_v * np.logaddexp(0.0, -p)) - diode.capacitance_ff(v_oc)
+    excess_ff = diode.capacitance_ff(
+        v_oc + diode.thermal_v * np.logaddexp(0.0, -p)
+    ) - diode.capacitance_ff(v_oc)
     return E_PER_FC * diode.thermal_v * (half * WEIGHTS * excess_ff * expit(p)).sum(axis=-1)
 
 
 def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) -> Array:
-    """Return the collected charge (n,) beyond `_charge_before_turning_e`: invert a·t(p) by panel, then by Newton."""
+    """Return the collected charge (n,) beyond `_charge_before_turning_e`: invert a·t(p) by panel,
+    then by Newton.
+    """
     v_t = diode.thermal_v
     v_oc, x_0 = -v_t * log_ratio, _reset_to_equilibrium(log_ratio, diode)
     scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
@@ -159,23 +195,38 @@ def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) 
     drop_v = np.where(borders > p_0[:, None], v_t * np.maximum(x_0[:, None] - x, 0.0), 0.0)
     collected = diode.charge_e(diode.reset_voltage_v, drop_v)
     taken = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
-    taken[:, 1:] += np.cumsum(_bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1)
-    row, panel = np.arange(x_0.size), np.maximum((collected + taken <= generated_e[:, None]).sum(axis=1) - 1, 0)
+    taken[:, 1:] += np.cumsum(
+        _bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1
+    )
+    row, panel = (
+        np.arange(x_0.size),
+        np.maximum((collected + taken <= generated_e[:, None]).sum(axis=1) - 1, 0),
+    )
     start, wanted = borders[row, panel], generated_e - (collected + taken)[row, panel]
-    width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start  # 0 after the last panel, where V_oc is reached
+    width = (
+        borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start
+    )  # 0 after the last panel, where V_oc is reached
     step = _solve_panel(wanted, start, width, v_oc, scale_e, diode)
     return collected[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
 
 
-def _charge_of_step_e(step: Array, start: Array, equilibrium_v: Array, diode: Diode) -> tuple[Array, Array]:
-    """Return (collected charge, fall of x) while p rises from `start` by `step`; exact for small steps too."""
+def _charge_of_step_e(
+    step: Array, start: Array, equilibrium_v: Array, diode: Diode
+) -> tuple[Array, Array]:
+    """Return (collected charge, fall of x) while p rises from `start` by `step`; exact for small
+    steps too.
+    """
     x = np.logaddexp(0.0, -start)
     fall = -np.log1p(-np.expm1(-x) * np.expm1(-step))
     return diode.charge_e(equilibrium_v + diode.thermal_v * x, diode.thermal_v * fall), fall
 
 
-def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode) -> Array:
-    """Return the step in p from `start`, within the panel, that generates the wanted charge, by Newton's method."""
+def _solve_panel(
+    wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode
+) -> Array:
+    """Return the step in p from `start`, within the panel, that generates the wanted charge, by
+    Newton's method.
+    """
     step = np.zeros_like(start)
     for _ in range(NEWTON_STEPS):
         collected, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
@@ -191,17 +242,23 @@ def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Arr
 
 
 LINEAR_WITHIN = 1e-6  # of the well: largest error of the linear law below `linear_limit_e`
-LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
+LINEAR_SHARE = (
+    0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
+)
 TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
 FIRST_ENTRIES = 129  # on each side of the knee, before refinement
 SOFT_FULL = 0.99  # of the full well: a soft saturation counts as full from here
 MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
-MAX_GENERATED = 1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
+MAX_GENERATED = (
+    1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
+)
 SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
 
 
 def stored_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
-    """Return f_t: the charge stored of what light and dark current generate in a time, in the shape of `generated_e`."""
+    """Return f_t: the charge stored of what light and dark current generate in a time, in the shape
+    of `generated_e`.
+    """
     total = np.asarray(generated_e, float) / integration_s
     return charge_from_total_e(total, np.full(total.shape, integration_s), diode)
 
@@ -215,8 +272,8 @@ def converted_e(charge_e: Array, full_well_e: float, diode: Diode) -> Array:
 def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> float:
     """Return the generated charge in e- up to which f_t is the identity to 1e-6 of the well.
 
-    It is infinite without a diode current, and lower for longer times. The loss grows with the generated charge, so the limit
-    can be bracketed.
+    It is infinite without a diode current, and lower for longer times. The loss grows with the
+    generated charge, so the limit can be bracketed.
     """
     if not diode.saturation_current_e_per_s:
         return float("inf")
@@ -224,14 +281,20 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
     for _ in range(4):  # each pass narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
         lost = grid - stored_charge_e(grid, integration_s, diode)
-        below = max(int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right")) - 1, 0)
+        below = max(
+            int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right"))
+            - 1,
+            0,
+        )
         low, high = float(grid[below]), float(grid[min(below + 1, 256)])
     return low
 
 
 @dataclass(frozen=True)
 class LevelTable:
-    """Signal level (e-) against generated charge (e-): linear in its logarithm, proportional below the first entry."""
+    """Signal level (e-) against generated charge (e-): linear in its logarithm, proportional below
+    the first entry.
+    """
 
     log_generated: Array
     level_e: Array
@@ -239,11 +302,17 @@ class LevelTable:
 
     def __call__(self, generated_e: Array) -> Array:
         share = np.minimum(generated_e / self.first_e, 1.0)
-        return share * np.interp(np.log(np.maximum(generated_e, self.first_e)), self.log_generated, self.level_e)
+        return share * np.interp(
+            np.log(np.maximum(generated_e, self.first_e)), self.log_generated, self.level_e
+        )
 
 
-def refined(function: Callable[[Array], Array], entries: Array, within: float) -> tuple[Array, Array]:
-    """Tabulate an increasing function: intervals are cut into thirds until linear interpolation is right to `within`."""
+def refined(
+    function: Callable[[Array], Array], entries: Array, within: float
+) -> tuple[Array, Array]:
+    """Tabulate an increasing function: intervals are cut into thirds until linear interpolation is
+    right to `within`.
+    """
     values = function(entries)
     low, high = np.stack([entries[:-1], values[:-1]]), np.stack([entries[1:], values[1:]])
     pieces = [np.stack([entries, values])]
@@ -252,47 +321,74 @@ def refined(function: Callable[[Array], Array], entries: Array, within: float) -
         first, second = (np.stack([line[0], function(line[0])]) for line in lines)
         off = np.maximum(np.abs(first - lines[0])[1], np.abs(second - lines[1])[1]) > within
         pieces += [first, second]
-        low, high = (np.hstack([ends[:, off] for ends in side]) for side in ((low, first, second), (first, second, high)))
+        low, high = (
+            np.hstack([ends[:, off] for ends in side])
+            for side in ((low, first, second), (first, second, high))
+        )
     table = np.hstack(pieces)
     entries, values = table[:, np.argsort(table[0])]
     return entries, np.maximum.accumulate(values)
 
 
 @lru_cache(maxsize=64)
-def level_table(diode: Diode, full_well_e: float, integration_s: float | None, bent: bool) -> LevelTable:
-    """Tabulate a well limit (a time of None: the hard clip of `swing`) and a conversion (`bent`: V(Q)), to 1e-6 of the well."""
+def level_table(
+    diode: Diode, full_well_e: float, integration_s: float | None, bent: bool
+) -> LevelTable:
+    """Tabulate a well limit (a time of None: the hard clip of `swing`) and a conversion (`bent`:
+    V(Q)), to 1e-6 of the well.
+    """
 
     def level(log_generated: Array) -> Array:
         generated_e = np.exp(log_generated)
-        stored = generated_e if integration_s is None else stored_charge_e(generated_e, integration_s, diode)
+        stored = (
+            generated_e
+            if integration_s is None
+            else stored_charge_e(generated_e, integration_s, diode)
+        )
         stored = np.minimum(stored, MAX_STORED * full_well_e)
         return converted_e(stored, full_well_e, diode) if bent else stored
 
     first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
     if integration_s is not None:
         last_e = MAX_GENERATED * full_well_e
-        first_e = first_e if bent else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
-    knee = np.linspace(np.log(first_e), np.log(min(MAX_STORED * full_well_e, last_e)), FIRST_ENTRIES)
-    beyond = np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:] if last_e > full_well_e else knee[:0]
-    return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
+        first_e = (
+            first_e
+            if bent
+            else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
+        )
+    knee = np.linspace(
+        np.log(first_e), np.log(min(MAX_STORED * full_well_e, last_e)), FIRST_ENTRIES
+    )
+    beyond = (
+        np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:]
+        if last_e > full_well_e
+        else knee[:0]
+    )
+    return LevelTable(
+        *refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e
+    )
 
 
 def saturation_level_e(integration_s: float, readout: Readout) -> float:
-    """Return the generated charge (e-) of a frame at which saturation begins: the full well of a hard clip, or `linear_limit_e`.
+    """Return the generated charge (e-) of a frame at which saturation begins: the full well of a
+    hard clip, or `linear_limit_e`.
 
     Of a burst it is that of all exposures together, if they have the same light.
 
-    At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in the packaged processes (1 s
-    to 0.1 ms). It is infinite without a diode current.
+    At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in
+    the packaged processes (1 s to 0.1 ms). It is infinite without a diode current.
     """
     diode = readout.physics.diode
     if diode is None or readout.physics.pixel.well_limit == "swing":
         return readout.exposures * readout.full_well_e
-    return readout.exposures * linear_limit_e(diode, readout.full_well_e, integration_s / readout.exposures)
+    return readout.exposures * linear_limit_e(
+        diode, readout.full_well_e, integration_s / readout.exposures
+    )
 
 
 def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArray[np.bool_]:
-    """Return which pixels are full in one exposure, (...): those at the full well, or at `SOFT_FULL` of a soft one.
+    """Return which pixels are full in one exposure, (...): those at the full well, or at
+    `SOFT_FULL` of a soft one.
 
     generated_e : charge, of light and dark
     stored_e : its signal level, of `stored_signal_e`
@@ -303,15 +399,17 @@ def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArra
 
 
 def responds_linearly(physics: PixelPhysics) -> bool:
-    """Return whether the signal is the charge below saturation: with a linear conversion, or a constant capacitance."""
+    """Return whether the signal is the charge below saturation: with a linear conversion, or a
+    constant capacitance.
+    """
     return physics.pixel.conversion != "junction" or physics.diode is None or physics.diode.constant
 
 
 def stored_signal_e(generated_e: Array, integration_s: float, readout: Readout) -> Array:
     """Return the signal level in electrons of each pixel's generated charge (light and dark).
 
-    It follows the pixel's well limit and conversion. With a linear conversion, a picture whose brightest pixel stays below
-    `linear_limit_e` is returned unchanged. Of one exposure.
+    It follows the pixel's well limit and conversion. With a linear conversion, a picture whose
+    brightest pixel stays below `linear_limit_e` is returned unchanged. Of one exposure.
     """
     diode, pixel = readout.physics.diode, readout.physics.pixel
     full_well_e = readout.full_well_e
@@ -319,6 +417,8 @@ def stored_signal_e(generated_e: Array, integration_s: float, readout: Readout) 
     swing = pixel.well_limit == "swing"
     if diode is None or (swing and not bent):
         return np.minimum(generated_e, full_well_e)
-    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(diode, full_well_e, integration_s):
+    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(
+        diode, full_well_e, integration_s
+    ):
         return generated_e
     return level_table(diode, full_well_e, None if swing else integration_s, bent)(generated_e)

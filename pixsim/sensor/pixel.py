@@ -1,7 +1,9 @@
-"""Derive a pixel from its layout and process: areas, capacitance, full well, QE, dark current, noise, DR and SNR.
+"""Derive a pixel from its layout and process: areas, capacitance, full well, QE, dark current,
+noise, DR and SNR.
 
-C(V) = area · CJ (1 + V/PB)^-MJ + perimeter · CJSW (1 + V/PBSW)^-MJSW + node, V the reverse bias. The powers are
-undefined beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below V = -FC·PB SPICE continues with the tangent.
+C(V) = area · CJ (1 + V/PB)^-MJ + perimeter · CJSW (1 + V/PBSW)^-MJSW + node, V the reverse bias.
+The powers are undefined beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below V =
+-FC·PB SPICE continues with the tangent.
 """
 
 from __future__ import annotations
@@ -27,12 +29,38 @@ from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
-from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
-from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, NO_TECHNOLOGY, NUMBERS, STANDS_FOR, Pixel, PixelOptions
-from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
+from pixsim.sensor.mismatch import (
+    E_PER_FC,
+    ELECTRON_C,
+    dark_current_of_geometry_e_per_s,
+    follower_offset_e,
+    prnu_of_area,
+)
+from pixsim.sensor.pixel_options import (
+    ABSOLUTE_ZERO_C,
+    BORDER_PIXELS,
+    NO_TECHNOLOGY,
+    NUMBERS,
+    STANDS_FOR,
+    Pixel,
+    PixelOptions,
+)
+from pixsim.sensor.quantities import (
+    WELL_RANGE_E,
+    AbsorbedWavelength,
+    AbsorptionDepth,
+    HotMedian,
+    HotSpread,
+)
 from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions
-from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
+from pixsim.sensor.technology import (
+    Junction,
+    Technology,
+    load_technology,
+    number_of,
+    with_fill_factor_law,
+)
 from pixsim.sensor.unit_slips import slip_hint
 
 # The public names; everything else is internal.
@@ -52,7 +80,9 @@ def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, gradi
     """Return C0 (1 + V/PB)^-M at a reverse bias, or its tangent below V = -FC·PB."""
     bias, knee_v = np.asarray(bias_v, float), -FORWARD_COEFFICIENT * built_in_v
     upper = zero_bias_ff * (1 + np.maximum(bias, knee_v) / built_in_v) ** -grading
-    return upper + tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(knee_v - bias, 0.0)
+    return upper + tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(
+        knee_v - bias, 0.0
+    )
 
 
 def tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
@@ -60,13 +90,26 @@ def tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> 
     return zero_bias_ff * grading / built_in_v * (1 - FORWARD_COEFFICIENT) ** (-1 - grading)
 
 
-def junction_charge_fc(high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
-    """Return ∫C dV of `junction_ff` from a reverse bias down by `drop_v` ≥ 0, exact for small drops too."""
-    high, drop, knee_v = np.asarray(high_v, float), np.asarray(drop_v, float), -FORWARD_COEFFICIENT * built_in_v
+def junction_charge_fc(
+    high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float
+) -> Array:
+    """Return ∫C dV of `junction_ff` from a reverse bias down by `drop_v` ≥ 0, exact for small drops
+    too.
+    """
+    high, drop, knee_v = (
+        np.asarray(high_v, float),
+        np.asarray(drop_v, float),
+        -FORWARD_COEFFICIENT * built_in_v,
+    )
     upper = np.minimum(drop, np.maximum(high - knee_v, 0.0))
     from_v = built_in_v + np.maximum(high, knee_v)
     one_less = 1 - grading
-    power = -(built_in_v**grading) / one_less * from_v**one_less * np.expm1(one_less * np.log1p(-upper / from_v))
+    power = (
+        -(built_in_v**grading)
+        / one_less
+        * from_v**one_less
+        * np.expm1(one_less * np.log1p(-upper / from_v))
+    )
     beyond, lower = np.maximum(knee_v - high, 0.0), drop - upper
     knee_ff = zero_bias_ff * (1 - FORWARD_COEFFICIENT) ** -grading
     tangent = tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
@@ -75,7 +118,9 @@ def junction_charge_fc(high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float
 
 @dataclass(frozen=True)
 class Diode:
-    """A photodiode as a discharging junction; its saturation current is its dark current in reverse bias."""
+    """A photodiode as a discharging junction; its saturation current is its dark current in reverse
+    bias.
+    """
 
     area_um2: float
     perimeter_um: float
@@ -115,12 +160,18 @@ class Diode:
         """Return ∫C dV/q from a reverse bias down by `drop_v` ≥ 0."""
         area, side = self.junctions
         fixed_fc = self.node_capacitance_ff * np.asarray(drop_v, float)
-        return E_PER_FC * (fixed_fc + junction_charge_fc(high_v, drop_v, *area) + junction_charge_fc(high_v, drop_v, *side))
+        return E_PER_FC * (
+            fixed_fc
+            + junction_charge_fc(high_v, drop_v, *area)
+            + junction_charge_fc(high_v, drop_v, *side)
+        )
 
     def drop_v(self, charge_e: ArrayLike) -> Array:
-        """Return the drop of the reverse bias from the reset that a charge ≥ 0 causes: the inverse of `charge_e`.
+        """Return the drop of the reverse bias from the reset that a charge ≥ 0 causes: the inverse
+        of `charge_e`.
 
-        Newton's method starts with the capacitance at reset, the smallest, and so approaches the root from one side.
+        Newton's method starts with the capacitance at reset, the smallest, and so approaches the
+        root from one side.
         """
         charge = np.asarray(charge_e, float)
         drop = charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))
@@ -128,7 +179,9 @@ class Diode:
             excess_e = self.charge_e(self.reset_voltage_v, drop) - charge
             if np.all(np.abs(excess_e) <= 1e-15 * charge):
                 break
-            drop = np.maximum(drop - excess_e / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)), 0.0)
+            drop = np.maximum(
+                drop - excess_e / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)), 0.0
+            )
         return drop
 
     @property
@@ -137,7 +190,9 @@ class Diode:
         return not any(zero_bias_ff * grading for zero_bias_ff, _, grading in self.junctions)
 
     def open_circuit_v(self, photocurrent_e_per_s: float) -> float:
-        """Return the open-circuit bias -V_T ln(1 + i/I_s) of a photocurrent; -∞ without a diode current."""
+        """Return the open-circuit bias -V_T ln(1 + i/I_s) of a photocurrent; -∞ without a diode
+        current.
+        """
         if not photocurrent_e_per_s or not self.saturation_current_e_per_s:
             return -math.inf if photocurrent_e_per_s else 0.0
         # The ratio of a large current to a tiny one may overflow; its logarithm does not.
@@ -145,35 +200,55 @@ class Diode:
         return float(-self.thermal_v * np.logaddexp(0.0, ratio_log))
 
     def scaled(self, factor: float) -> Diode:
-        """Return a diode with `factor` times the capacitance at every bias and the same currents."""
+        """Return a diode with `factor` times the capacitance at every bias and the same
+        currents.
+        """
         names = "cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
-# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the 1 V swing that its authors use.
+# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the 1
+# V swing that its authors use.
 PAPER_NODE_FF, PAPER_FF_PER_UM2, PAPER_SWING_V = 2.6, 0.22, 1.0
-WELL_REFERENCE_S = 0.03  # integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well
+WELL_REFERENCE_S = (
+    0.03  # integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well
+)
 
 
-def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
-    """Return the mean of C0 (1 + V/PB)^-M over a reverse-bias range, which turns a swing into a charge."""
-    high, low = (built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading) for v in (high_v, low_v))
+def mean_junction_ff(
+    zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float
+) -> float:
+    """Return the mean of C0 (1 + V/PB)^-M over a reverse-bias range, which turns a swing into a
+    charge.
+    """
+    high, low = (
+        built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading) for v in (high_v, low_v)
+    )
     return zero_bias_ff * (high - low) / (high_v - low_v)
 
 
 def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[float, float]:
-    """Return the capacitance of a square photodiode and its node: mean over the swing, and at reset, which sets kTC noise."""
+    """Return the capacitance of a square photodiode and its node: mean over the swing, and at
+    reset, which sets kTC noise.
+    """
     j, high_v = junction, junction.reset_voltage_v
     area_ff, side_ff = j.cj_ff_per_um2 * area_um2, j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
     swing_v = high_v, high_v - j.voltage_swing_v
-    mean_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, *swing_v) + mean_junction_ff(side_ff, j.pbsw_v, j.mjsw, *swing_v)
-    reset_ff = area_ff * (1 + high_v / j.pb_v) ** -j.mj + side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
+    mean_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, *swing_v) + mean_junction_ff(
+        side_ff, j.pbsw_v, j.mjsw, *swing_v
+    )
+    reset_ff = (
+        area_ff * (1 + high_v / j.pb_v) ** -j.mj + side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
+    )
     return mean_ff + j.node_capacitance_ff, reset_ff + j.node_capacitance_ff
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
     """Return the standard deviation √(n kTC)/q of the reset noise."""
-    return math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V) / ELECTRON_C
+    return (
+        math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V)
+        / ELECTRON_C
+    )
 
 
 @dataclass(frozen=True)
@@ -189,25 +264,36 @@ class Well:
 def diode_full_v(diode: Diode) -> float:
     """Return the reverse bias, V, at which a photodiode that may turn forward is defined as full.
 
-    It is V_oc of the light that discharges the photodiode to V = 0 in `WELL_REFERENCE_S`, limited to the bias at which the
-    area's tangent begins. Full wells in units of the swing's, at 0.5, 0.35, 0.25 and 0.18 µm and 300 K, if full means:
+    It is V_oc of the light that discharges the photodiode to V = 0 in `WELL_REFERENCE_S`, limited
+    to the bias at which the area's tangent begins. Full wells in units of the swing's, at 0.5,
+    0.35, 0.25 and 0.18 µm and 300 K, if full means:
 
-    V = 0                  2.33  2.00  2.22  2.46   the diode conducts nothing yet: the ADC would clip the soft saturation
-    this bias              2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21, -0.16 V: the knee is at the top code
-    -FC·PB                 3.13  2.52  3.14  3.46   never reached: auto exposure would aim into the saturation
+    V = 0                  2.33  2.00  2.22  2.46   the diode conducts nothing yet: the ADC would
+    clip the soft saturation this bias              2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21,
+    -0.16 V: the knee is at the top code -FC·PB                 3.13  2.52  3.14  3.46   never
+    reached: auto exposure would aim into the saturation
 
-    The knee moves by V_T for each factor e of the integration time: to 0.98 of the well in 0.1 s, 1.05 in 1 ms.
+    The knee moves by V_T for each factor e of the integration time: to 0.98 of the well in 0.1 s,
+    1.05 in 1 ms.
     """
     zero_bias_e = float(diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v))
     return max(diode.open_circuit_v(zero_bias_e / WELL_REFERENCE_S), diode.knees_v[0])
 
 
-def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float) -> Well:
-    """Return the well: of a 3T junction over its swing or down to forward bias, or of a pinned photodiode by its density."""
+def well(
+    pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float
+) -> Well:
+    """Return the well: of a 3T junction over its swing or down to forward bias, or of a pinned
+    photodiode by its density.
+    """
     junction = technology.junction
     if junction is None:
         assert technology.full_well_e_per_um2 is not None  # the record's validator
-        for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
+        for name, allowed in (
+            ("capacitance", "mosis"),
+            ("well_limit", "swing"),
+            ("conversion", "linear"),
+        ):
             if (value := getattr(pixel, name)) != allowed:
                 allowed_value = f"'{allowed}' for a pinned photodiode, or a 3T technology"
                 raise invalid(f"pixel.{name}", f"'{value}' for {technology.name}", allowed_value)
@@ -216,11 +302,18 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
     if pixel.capacitance == "paper":
         mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
         swing_v = PAPER_SWING_V
-        diode_values |= {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": mean_ff}
+        diode_values |= {
+            "cj_ff_per_um2": 0.0,
+            "cjsw_ff_per_um": 0.0,
+            "node_capacitance_ff": mean_ff,
+        }
     else:
         mean_ff, reset_ff = photodiode_capacitances_ff(area_um2, junction)
         swing_v = junction.voltage_swing_v
-    diode_values |= {"saturation_current_e_per_s": dark_current_e_per_s, "temperature_k": pixel.temperature_k}
+    diode_values |= {
+        "saturation_current_e_per_s": dark_current_e_per_s,
+        "temperature_k": pixel.temperature_k,
+    }
     diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **diode_values)
     if pixel.well_limit == "swing":
         return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
@@ -236,17 +329,22 @@ RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 def fill_factor_law(pitch_um: Positives, technology: Technology) -> Array:
-    """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
+    """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative
+    below the smallest pitch p0.
 
-    s, a width lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). It is fitted to the fill factors of Chen
-    et al. (2000) at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
+    s, a width lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). It is fitted
+    to the fill factors of Chen et al. (2000) at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
 
     >>> fill_factor_law([5.3, 6.5, 15.0], load_technology("0.35um")).round(3).tolist()
     [0.051, 0.311, 0.729]
     """
     p = np.asarray(pitch_um, float)
     inset_um = technology.fill_factor_inset_features * technology.feature_size_um
-    return technology.fill_factor_limit * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2) / p**2
+    return (
+        technology.fill_factor_limit
+        * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2)
+        / p**2
+    )
 
 
 def smallest_pitch_um(technology: Technology) -> float:
@@ -262,11 +360,19 @@ def fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name: 
     Raises PixsimError for a pitch that leaves no photodiode.
     """
     fill_factor = pixel.fill_factor or float(fill_factor_law(pitch_um, technology))
-    if fill_factor < MIN_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
-        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
+    if (
+        fill_factor < MIN_FRACTION
+    ):  # below the smallest pitch, or so little above it that rounding decides
+        allowed = (
+            f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of"
+            f" {technology.name} fill the pixel"
+        )
         hint = ""
         if missing := ", ".join(pixel.assumed):
-            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none."
+            hint = (
+                f"No technology was chosen: the default would supply {missing}. Give {missing}, and"
+                " the pixel needs none."
+            )
         raise invalid(name, f"{pitch_um:g}", allowed, hint)
     return fill_factor
 
@@ -277,8 +383,15 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
     Raises PixsimError if the fill factor is not between 0 and the technology's limit.
     """
     if not 0 < fill_factor < technology.fill_factor_limit:
-        raise invalid("fill_factor", fill_factor, f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})")
-    p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
+        raise invalid(
+            "fill_factor",
+            fill_factor,
+            f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})",
+        )
+    p0_um, inset_um = (
+        smallest_pitch_um(technology),
+        technology.fill_factor_inset_features * technology.feature_size_um,
+    )
     limit = technology.fill_factor_limit
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
     root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
@@ -288,24 +401,38 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
 @lru_cache
 def _response_table(curve: str) -> Array:
     """(wavelength_nm, value) rows."""
-    return np.loadtxt(str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4)
+    return np.loadtxt(
+        str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4
+    )
 
 
 def silicon_curve(wavelength_nm: Positives, peak_quantum_efficiency: UnitInterval) -> Array:
-    """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
+    """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0
+    outside 359-1029 nm.
 
-    The curve is ISETCam's cmosPhotodetectorQE (2008). `peak_quantum_efficiency` is in electrons per photon.
+    The curve is ISETCam's cmosPhotodetectorQE (2008). `peak_quantum_efficiency` is in electrons per
+    photon.
     """
     table_nm, qe = _response_table("silicon").T
-    return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
+    return np.interp(
+        np.asarray(wavelength_nm, float),
+        table_nm,
+        qe * peak_quantum_efficiency / qe.max(),
+        left=0.0,
+        right=0.0,
+    )
 
 
-def response_curve(wavelength_nm: Positives, reading: str, peak_quantum_efficiency: UnitInterval) -> Array:
-    """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
+def response_curve(
+    wavelength_nm: Positives, reading: str, peak_quantum_efficiency: UnitInterval
+) -> Array:
+    """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside
+    400-800 nm.
 
-    The curve is ISETCam's pdHPMosis (2003, estimated). `reading` is `Pixel.response`: with `literal` the numbers are the QE
-    (peak 4.2 %); with `scaled` they are A/W, so QE = hc/(qλ) · number, scaled to the measured peak of 0.37. Both are also
-    scaled by `peak_quantum_efficiency` / 0.37.
+    The curve is ISETCam's pdHPMosis (2003, estimated). `reading` is `Pixel.response`: with
+    `literal` the numbers are the QE (peak 4.2 %); with `scaled` they are A/W, so QE = hc/(qλ) ·
+    number, scaled to the measured peak of 0.37. Both are also scaled by `peak_quantum_efficiency` /
+    0.37.
     """
     table_nm, raw = _response_table("hp_mosis").T
     if reading == "literal":
@@ -317,15 +444,21 @@ def response_curve(wavelength_nm: Positives, reading: str, peak_quantum_efficien
 
 
 def given_efficiency(wavelength_nm: Positives, given: float | EfficiencyCurve) -> Array:
-    """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
+    """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or
+    its curve.
 
-    The curve is interpolated linearly and 0 outside its points. Raises PixsimError for fewer than two points.
+    The curve is interpolated linearly and 0 outside its points. Raises PixsimError for fewer than
+    two points.
     """
     nm = np.asarray(wavelength_nm, float)
     if not isinstance(given, tuple):
         return np.full(nm.shape, given)
     if len(given) < 2:
-        raise invalid("given", given, "a number, or at least two pairs of wavelength in nm and quantum efficiency")
+        raise invalid(
+            "given",
+            given,
+            "a number, or at least two pairs of wavelength in nm and quantum efficiency",
+        )
     known_nm, efficiency = np.array(given).T
     return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
 
@@ -334,9 +467,11 @@ ABSORPTION_DEPTH_UM = 5.0  # of silicon that collects charge, where a data sheet
 
 
 def absorbed_share(wavelength_nm: Positives, depth_um: float) -> Array:
-    """Return the share 1 - e^(-αd) of light that silicon of a depth d absorbs at 300 K, (...) as the wavelengths.
+    """Return the share 1 - e^(-αd) of light that silicon of a depth d absorbs at 300 K, (...) as
+    the wavelengths.
 
-    Light below 300 nm, where the table of α begins, is absorbed as at 300 nm, and light beyond its end at 1200 nm is not.
+    Light below 300 nm, where the table of α begins, is absorbed as at 300 nm, and light beyond its
+    end at 1200 nm is not.
     """
     nm = np.asarray(wavelength_nm, float)
     low_nm, high_nm = ABSORPTION_RANGE_NM
@@ -345,12 +480,17 @@ def absorbed_share(wavelength_nm: Positives, depth_um: float) -> Array:
 
 
 def absorbed_efficiency(
-    wavelength_nm: Positives, quantum_efficiency: UnitInterval, at_nm: AbsorbedWavelength, depth_um: AbsorptionDepth
+    wavelength_nm: Positives,
+    quantum_efficiency: UnitInterval,
+    at_nm: AbsorbedWavelength,
+    depth_um: AbsorptionDepth,
 ) -> Array:
-    """Return the QE η(λ) of silicon from its value at one wavelength, (...) as the wavelengths: η (1 - e^(-αd))/(1 - e^(-α₀d)).
+    """Return the QE η(λ) of silicon from its value at one wavelength, (...) as the wavelengths: η
+    (1 - e^(-αd))/(1 - e^(-α₀d)).
 
-    Charge is collected from the surface to the depth d, and from nowhere below it. α is that of `absorption_per_um` at 300 K, α₀
-    its value at `at_nm`. The curve is constant below 300 nm, and 0 beyond 1200 nm.
+    Charge is collected from the surface to the depth d, and from nowhere below it. α is that of
+    `absorption_per_um` at 300 K, α₀ its value at `at_nm`. The curve is constant below 300 nm, and 0
+    beyond 1200 nm.
 
     quantum_efficiency : η at `at_nm`, electrons per photon
     depth_um : d
@@ -362,13 +502,21 @@ def absorbed_efficiency(
     """
     absorbed = float(absorbed_share(at_nm, depth_um))
     if quantum_efficiency > absorbed:
-        got = f"{quantum_efficiency:g} at {at_nm:g} nm, where {depth_um:g} µm of silicon absorb {absorbed:.3g} of the light"
+        got = (
+            f"{quantum_efficiency:g} at {at_nm:g} nm, where {depth_um:g} µm of silicon absorb"
+            f" {absorbed:.3g} of the light"
+        )
         deeper = ""
         if quantum_efficiency < 1:
             needed_um = -math.log1p(-quantum_efficiency) / float(absorption_per_um(at_nm))
             deeper = f"quantum_efficiency_depth_um of at least {needed_um:.3g}, or "
         hint = f"Give {deeper}a table of wavelength in nm and quantum efficiency."
-        raise invalid("pixel.quantum_efficiency", got, f"at most {absorbed:.3g}, so that no wavelength has more than 1", hint)
+        raise invalid(
+            "pixel.quantum_efficiency",
+            got,
+            f"at most {absorbed:.3g}, so that no wavelength has more than 1",
+            hint,
+        )
     return quantum_efficiency * (absorbed_share(wavelength_nm, depth_um) / absorbed)
 
 
@@ -380,9 +528,10 @@ SOBOL_BITS = 32
 def spread_registration(repeat: int) -> tuple[float, float]:
     """Return the registration (x, y) of a repeat, 0 to 1, the same for all pixel sizes.
 
-    Which detail falls on which part of a pixel is chance. With one registration for all repeats, the mean ΔE would follow the beat
-    of pixels and dots. The first two dimensions of the sequence of Sobol' are spread evenly for every number of repeats: each half,
-    quarter, … of the square gets its share (I. M. Sobol', USSR Comput. Math. Math. Phys. 7 (1967) 86).
+    Which detail falls on which part of a pixel is chance. With one registration for all repeats,
+    the mean ΔE would follow the beat of pixels and dots. The first two dimensions of the sequence
+    of Sobol' are spread evenly for every number of repeats: each half, quarter, … of the square
+    gets its share (I. M. Sobol', USSR Comput. Math. Math. Phys. 7 (1967) 86).
 
     >>> [spread_registration(repeat) for repeat in range(4)]
     [(0.0, 0.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.25)]
@@ -409,7 +558,9 @@ class Charge:
 
     @property
     def crosstalk(self) -> float | None:
-        """Share of a pixel's charge that its four neighbours collect together, in place of diffusion."""
+        """Share of a pixel's charge that its four neighbours collect together, in place of
+        diffusion.
+        """
         return self.stack.crosstalk
 
     @property
@@ -420,7 +571,9 @@ class Charge:
 
     @property
     def silicon_k(self) -> float:
-        """Temperature for the table of absorption, whose 300 K stand for 27 °C, the temperature of a pixel that states none."""
+        """Temperature for the table of absorption, whose 300 K stand for 27 °C, the temperature of
+        a pixel that states none.
+        """
         return SILICON_K * (self.temperature_k / REFERENCE_TEMPERATURE_K)
 
     @property
@@ -434,7 +587,8 @@ class Charge:
 @checked_methods
 @dataclass(frozen=True)
 class PixelPhysics:
-    """Physical properties of a pixel, whatever reads it. Currents and charges are per pixel; noise is a standard deviation.
+    """Physical properties of a pixel, whatever reads it. Currents and charges are per pixel; noise
+    is a standard deviation.
 
     How it is read is a record of its own, `pixsim.sensor.reading.Readout`.
 
@@ -451,11 +605,14 @@ class PixelPhysics:
     column_fpn_e : offsets of columns
     diode : the photodiode; None if it is pinned
     growth : area of the photodiode over that of the measured pixel (`growth_from_data_sheet`)
-    hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
-        mean of the others, and standard deviation of its logarithm
-    channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of a colour sensor the mean
-    stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
-    charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`), and its temperature
+    hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of
+        their dark current over the mean of the others, and standard deviation of its logarithm
+    channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of
+        a colour sensor the mean
+    stack : between the surface and the photodiode; None: a pixel collects the light on its
+        photodiode, from every direction alike
+    charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`,
+        `crosstalk`), and its temperature
     """
 
     pixel: Pixel
@@ -485,9 +642,15 @@ class PixelPhysics:
 
     @property
     def channels(self) -> tuple[PixelPhysics, ...]:
-        """This pixel with the quantum efficiency of each of its channels; a monochrome pixel is its own only channel."""
+        """This pixel with the quantum efficiency of each of its channels; a monochrome pixel is its
+        own only channel.
+        """
         layout = self.layout
-        return (self,) if layout is None else tuple(replace(self, channel=letter) for letter in layout.channels)
+        return (
+            (self,)
+            if layout is None
+            else tuple(replace(self, channel=letter) for letter in layout.channels)
+        )
 
     @property
     def planes(self) -> int:
@@ -502,7 +665,9 @@ class PixelPhysics:
 
     @property
     def registration(self) -> Registration:
-        """Distances, down and across, of a border of what is read from the die's centre, in its pitches; or `CENTRED`."""
+        """Distances, down and across, of a border of what is read from the die's centre, in its
+        pitches; or `CENTRED`.
+        """
         own = self.pixel.registration
         return CENTRED if own is None else (own[1], own[0])
 
@@ -547,12 +712,16 @@ class PixelPhysics:
 
     @property
     def aperture_side_um(self) -> float:
-        """Side of the square through which light enters: the pitch under a microlens, else the photodiode's."""
+        """Side of the square through which light enters: the pitch under a microlens, else the
+        photodiode's.
+        """
         return self.pitch_um if self.stack and self.stack.microlens else self.photodiode_side_um
 
     @property
     def efficiency_f_number(self) -> float | None:
-        """F-number at which the quantum efficiency was measured on the whole pixel under a microlens; None: on the photodiode."""
+        """F-number at which the quantum efficiency was measured on the whole pixel under a
+        microlens; None: on the photodiode.
+        """
         if self.stack is None:
             return None
         own, process = self.pixel, self.technology
@@ -560,43 +729,64 @@ class PixelPhysics:
         default = of_lens if self._efficiency_is_of_sheet else process.quantum_efficiency_includes
         if (own.quantum_efficiency_includes or default) == "photodiode":
             return None
-        return own.quantum_efficiency_f_number or process.quantum_efficiency_f_number or USUAL_F_NUMBER
+        return (
+            own.quantum_efficiency_f_number or process.quantum_efficiency_f_number or USUAL_F_NUMBER
+        )
 
     @property
     def efficiency_stack(self) -> Stack | None:
-        """Stack of the whole pixel under a microlens whose quantum efficiency was measured; None: measured on the photodiode.
+        """Stack of the whole pixel under a microlens whose quantum efficiency was measured; None:
+        measured on the photodiode.
 
-        Its pitch is that of the measurement, where it is stated. A pixel without a microlens may be too wide for an ideal one at
-        its height; the lowest ideal one stands for it then, which passes all of a slow lens's light.
+        Its pitch is that of the measurement, where it is stated. A pixel without a microlens may be
+        too wide for an ideal one at its height; the lowest ideal one stands for it then, which
+        passes all of a slow lens's light.
         """
         if self.stack is None or self.efficiency_f_number is None:
             return None
         own = self.pixel
-        sheet_um = own.data_sheet_pitch_um if self._efficiency_is_of_sheet else self.technology.quantum_efficiency_pitch_um
+        sheet_um = (
+            own.data_sheet_pitch_um
+            if self._efficiency_is_of_sheet
+            else self.technology.quantum_efficiency_pitch_um
+        )
         pitch_um = own.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
-            fill_factor = fill_factor_at(pitch_um, own, self.technology, "quantum_efficiency_pitch_um")
+            fill_factor = fill_factor_at(
+                pitch_um, own, self.technology, "quantum_efficiency_pitch_um"
+            )
             side_um = math.sqrt(fill_factor) * pitch_um
-        stated_um = self.charge.stack.height_um if self.charge else None  # a wide microlens lies higher
+        stated_um = (
+            self.charge.stack.height_um if self.charge else None
+        )  # a wide microlens lies higher
         height_um = max(stated_um or self.stack.height_um, LOWEST_LENS * pitch_um)
-        return Stack(pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction)
+        return Stack(
+            pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction
+        )
 
     @property
     def _efficiency_is_of_sheet(self) -> bool:
-        """Whether the quantum efficiency is that of a data sheet, and not a number in place of the technology's."""
+        """Whether the quantum efficiency is that of a data sheet, and not a number in place of the
+        technology's.
+        """
         own = self.pixel
         stated = own.quantum_efficiency is not None or bool(efficiencies_of(own.colour))
-        return stated and (self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
+        return stated and (
+            self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None
+        )
 
     @property
     def dark_doubling_k(self) -> float:
-        """Temperature rise that doubles the dark current: of the data sheet, or of the technology."""
+        """Temperature rise that doubles the dark current: of the data sheet, or of the
+        technology.
+        """
         of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
         return of_sheet or self.technology.dark_doubling_k
 
     def number(self, quantity: str) -> float:
-        """Return a number that pixels and technologies may state: the pixel's own, or that of its technology, in its unit.
+        """Return a number that pixels and technologies may state: the pixel's own, or that of its
+        technology, in its unit.
 
         quantity : name of a field of `PixelOptions` that a technology may have, too
 
@@ -610,11 +800,20 @@ class PixelPhysics:
         colour, layout = self.pixel.colour, self.layout
         if colour is None or layout is None:
             return self._unfiltered_quantum_efficiency(wavelength_nm)
-        unfiltered = self._unfiltered_quantum_efficiency(wavelength_nm) if colour.transmittances else np.zeros_like(wavelength_nm)
+        unfiltered = (
+            self._unfiltered_quantum_efficiency(wavelength_nm)
+            if colour.transmittances
+            else np.zeros_like(wavelength_nm)
+        )
         if self.channel:
             return channel_efficiency(colour, self.channel, wavelength_nm, unfiltered)
-        parts = [channel_efficiency(colour, letter, wavelength_nm, unfiltered) for letter in layout.channels]
-        return np.asarray(sum(share * part for share, part in zip(layout.shares, parts, strict=True)))
+        parts = [
+            channel_efficiency(colour, letter, wavelength_nm, unfiltered)
+            for letter in layout.channels
+        ]
+        return np.asarray(
+            sum(share * part for share, part in zip(layout.shares, parts, strict=True))
+        )
 
     def _unfiltered_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         efficiency, at_nm = self.pixel.quantum_efficiency, self.pixel.quantum_efficiency_nm
@@ -625,12 +824,16 @@ class PixelPhysics:
             return absorbed_efficiency(wavelength_nm, efficiency, at_nm, depth_um)
         if self.technology.response_curve == "silicon":
             return silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
-        return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
+        return response_curve(
+            wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency
+        )
 
     def quantum_efficiency(self, wavelength_nm: Positives) -> Array:
-        """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut.
+        """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the
+        infrared cut.
 
-        Those of `channel`; of a colour sensor's pixel without one, the mean over the values of its frames.
+        Those of `channel`; of a colour sensor's pixel without one, the mean over the values of its
+        frames.
         """
         nm = np.asarray(wavelength_nm, float)
         return np.where(nm > self.infrared_cut_nm, 0.0, self._uncut_quantum_efficiency(nm))
@@ -640,19 +843,27 @@ class PixelPhysics:
         """`Pixel.infrared_cut_nm`, or infinity without a filter."""
         return self.pixel.infrared_cut_nm or math.inf
 
-    def band_quantum_efficiency(self, wavelength_nm: PositiveArray, band_width_nm: PositiveArray) -> Array:
-        """Return electrons per photon of bands, (B,): at their centres, times the fraction of each below the infrared cut."""
+    def band_quantum_efficiency(
+        self, wavelength_nm: PositiveArray, band_width_nm: PositiveArray
+    ) -> Array:
+        """Return electrons per photon of bands, (B,): at their centres, times the fraction of each
+        below the infrared cut.
+        """
         check_broadcast(wavelength_nm=wavelength_nm.shape, band_width_nm=band_width_nm.shape)
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
 
-def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None) -> float:
-    """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
+def growth_from_data_sheet(
+    pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None
+) -> float:
+    """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is
+    not given.
 
     full_well_e : of the measured pixel; None: `pixel.full_well_e`
 
-    Raises PixsimError if the measured pitch leaves no photodiode, or if the scaled full well is out of range.
+    Raises PixsimError if the measured pitch leaves no photodiode, or if the scaled full well is out
+    of range.
     """
     measured_um = pixel.data_sheet_pitch_um
     if measured_um is None:
@@ -663,10 +874,15 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Posit
     measured_e = pixel.full_well_e if full_well_e is None else full_well_e
     if measured_e is not None and not low_e <= growth * measured_e <= high_e:
         scaled_e = growth * measured_e
-        got = f"{pixel.pitch_um:g}, to which {measured_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
+        got = (
+            f"{pixel.pitch_um:g}, to which {measured_e:g} electrons at {measured_um:g} µm scale as"
+            f" {scaled_e:.2g}"
+        )
         name = "full_well_e" if pixel.saturation_capacity_e is None else "saturation_capacity_e"
         hint = slip_hint(name, getattr(pixel, name))
-        raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons", hint)
+        raise invalid(
+            "pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons", hint
+        )
     return growth
 
 
@@ -675,7 +891,8 @@ WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
 
 
 def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
-    """Return the given dark current of the measured pixel at the pixel's temperature; None if none is given.
+    """Return the given dark current of the measured pixel at the pixel's temperature; None if none
+    is given.
 
     doubling_k : of the technology, for a data sheet that states none
 
@@ -687,9 +904,15 @@ def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
     above_k = pixel.temperature_k + ABSOLUTE_ZERO_C - given.at_c
     current = given.e_per_s * 2 ** (above_k / (given.doubling_k or doubling_k))
     if current > MAX_CURRENT_E_PER_S:
-        got = f"{given.e_per_s:g} e-/s at {given.at_c:g} °C, which is {current:.2g} at {pixel.temperature_k:g} K"
+        got = (
+            f"{given.e_per_s:g} e-/s at {given.at_c:g} °C, which is {current:.2g} at"
+            f" {pixel.temperature_k:g} K"
+        )
         raise invalid(
-            "pixel.dark_current", got, f"at most {MAX_CURRENT_E_PER_S:g} e-/s", "Check at_c, doubling_k and temperature_k."
+            "pixel.dark_current",
+            got,
+            f"at most {MAX_CURRENT_E_PER_S:g} e-/s",
+            "Check at_c, doubling_k and temperature_k.",
         )
     return current
 
@@ -711,16 +934,31 @@ def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
     assert prnu_um is not None  # the record's validator
     prnu = prnu_of_area(prnu_um, area_um2)
     if prnu > MAX_PRNU:
-        got = f"{prnu_um:g}, which is a PRNU of {prnu:.3g} at {pixel.pitch_um:g} µm (a photodiode of {area_um2:.3g} µm²)"
-        hint = f"Give at most {prnu_um * MAX_PRNU / prnu:.3g}, or a photodiode of at least {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
-        raise invalid("pixel.prnu_um" if own else f"prnu_um of {technology.name}", got, f"a PRNU of at most {MAX_PRNU:g}", hint)
+        got = (
+            f"{prnu_um:g}, which is a PRNU of {prnu:.3g} at {pixel.pitch_um:g} µm (a photodiode of"
+            f" {area_um2:.3g} µm²)"
+        )
+        hint = (
+            f"Give at most {prnu_um * MAX_PRNU / prnu:.3g}, or a photodiode of at least"
+            f" {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
+        )
+        raise invalid(
+            "pixel.prnu_um" if own else f"prnu_um of {technology.name}",
+            got,
+            f"a PRNU of at most {MAX_PRNU:g}",
+            hint,
+        )
     return prnu
 
 
 def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
-    """Return the temporal read noise before the amplifier, and that after it in electrons at 0 dB, without the reset noise."""
+    """Return the temporal read noise before the amplifier, and that after it in electrons at 0 dB,
+    without the reset noise.
+    """
     # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
-    stated_e = pixel.read_noise_e if pixel.temporal_dark_noise_e is None else pixel.temporal_dark_noise_e
+    stated_e = (
+        pixel.read_noise_e if pixel.temporal_dark_noise_e is None else pixel.temporal_dark_noise_e
+    )
     before_e = technology.read_noise_e if stated_e is None else stated_e
     if pixel.read_noise_e is not None and pixel.read_noise_after_gain_e is None:
         return before_e, 0.0  # a pixel that states read noise alone has none after the amplifier
@@ -728,9 +966,11 @@ def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
 
 
 def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
-    """Return the spread of the pixel offsets over the full well: as stated, or that of the source followers (`follower_offset_e`).
+    """Return the spread of the pixel offsets over the full well: as stated, or that of the source
+    followers (`follower_offset_e`).
 
-    Their σ(V_t) is read over the mean capacitance of the node, so that it has the same share of the swing as of the full well.
+    Their σ(V_t) is read over the mean capacitance of the node, so that it has the same share of the
+    swing as of the full well.
 
     Raises PixsimError if one of the two numbers is missing, or the node's capacitance is unknown.
     """
@@ -740,15 +980,32 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
     if not own and technology.offset_fpn is not None:
         return technology.offset_fpn
     a_vt_mv_um = technology.a_vt_mv_um if pixel.a_vt_mv_um is None else pixel.a_vt_mv_um
-    gate_um2 = technology.follower_area_um2 if pixel.follower_area_um2 is None else pixel.follower_area_um2
+    gate_um2 = (
+        technology.follower_area_um2 if pixel.follower_area_um2 is None else pixel.follower_area_um2
+    )
     place = "pixel." if own else f"{technology.name}: "
     if a_vt_mv_um is None or gate_um2 is None:
-        names = ("a_vt_mv_um", "follower_area_um2") if gate_um2 is None else ("follower_area_um2", "a_vt_mv_um")
-        raise invalid(f"{place}{names[0]}", f"no {names[1]} beside it", "both of them", "Or give offset_fpn in place of both.")
+        names = (
+            ("a_vt_mv_um", "follower_area_um2")
+            if gate_um2 is None
+            else ("follower_area_um2", "a_vt_mv_um")
+        )
+        raise invalid(
+            f"{place}{names[0]}",
+            f"no {names[1]} beside it",
+            "both of them",
+            "Or give offset_fpn in place of both.",
+        )
     if process_well.mean_ff is None:
-        kind = "a data sheet" if technology.name == NO_TECHNOLOGY else f"the pinned photodiode of {technology.name}"
+        kind = (
+            "a data sheet"
+            if technology.name == NO_TECHNOLOGY
+            else f"the pinned photodiode of {technology.name}"
+        )
         hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
-        raise invalid(f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint)
+        raise invalid(
+            f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint
+        )
     share = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff) / process_well.full_well_e
     return share
 
@@ -762,11 +1019,32 @@ def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, floa
     own = [getattr(pixel, name) for name in names]
     fraction, median, spread = (number_of(pixel, technology, name) for name in names)
     if fraction and median == 1 and not spread:
-        name = f"hot_pixel_fraction of {technology.name}" if own[0] is None else "pixel.hot_pixel_fraction"
-        got, allowed = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
-        raise invalid(name, got, allowed, "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.")
-    if own[0] is None and not fraction and (tail := [name for name, value in zip(names, own, strict=True) if value is not None]):
-        raise invalid(f"pixel.{tail[0]}", "no hot_pixel_fraction beside it", "both", "Give hot_pixel_fraction, as 0.001.")
+        name = (
+            f"hot_pixel_fraction of {technology.name}"
+            if own[0] is None
+            else "pixel.hot_pixel_fraction"
+        )
+        got, allowed = (
+            f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0",
+            "hot pixels that differ from the others",
+        )
+        raise invalid(
+            name,
+            got,
+            allowed,
+            "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.",
+        )
+    if (
+        own[0] is None
+        and not fraction
+        and (tail := [name for name, value in zip(names, own, strict=True) if value is not None])
+    ):
+        raise invalid(
+            f"pixel.{tail[0]}",
+            "no hot_pixel_fraction beside it",
+            "both",
+            "Give hot_pixel_fraction, as 0.001.",
+        )
     return fraction, median, spread
 
 
@@ -782,14 +1060,20 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
         return None
     own = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
     restated = restated_by(StackOptions, own)
-    options = StackOptions(**{name: value for name, value in values.items() if name not in restated} | own)
+    options = StackOptions(
+        **{name: value for name, value in values.items() if name not in restated} | own
+    )
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
         got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(own)}" if own else "")
         raise invalid("pixel.stack", got, "a height and an index of refraction", hint)
     if (options.depletion_um is None) != (options.diffusion_length_um is None):
         got = "depletion_um" if options.diffusion_length_um is None else "diffusion_length_um"
-        raise invalid("pixel.stack", f"{got} alone", "depletion_um and diffusion_length_um together, or neither of them")
+        raise invalid(
+            "pixel.stack",
+            f"{got} alone",
+            "depletion_um and diffusion_length_um together, or neither of them",
+        )
     return options
 
 
@@ -800,9 +1084,11 @@ def has_microlens(pixel: PixelOptions, technology: Technology) -> bool:
 
 
 def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
-    """Return the largest pitch for which a microlens is possible at the height that a pixel gives, h √π.
+    """Return the largest pitch for which a microlens is possible at the height that a pixel gives,
+    h √π.
 
-    Infinity without a microlens, and with a technology's height, which wide lenses exceed (`stack_of`).
+    Infinity without a microlens, and with a technology's height, which wide lenses exceed
+    (`stack_of`).
 
     Raises PixsimError as `stack_options` does.
     """
@@ -814,8 +1100,8 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
 def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
     """Return the stack of a pixel from the `stack_options` of it.
 
-    The height of a technology is that of its small pixels. A microlens on a wider one than h √π lies higher, at the lowest
-    possible height, since makers would not build one that cannot focus.
+    The height of a technology is that of its small pixels. A microlens on a wider one than h √π
+    lies higher, at the lowest possible height, since makers would not build one that cannot focus.
 
     Raises PixsimError as `Stack` does, with the name of the setting.
     """
@@ -829,37 +1115,59 @@ def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> 
         shift = "optimal"
     lens, refraction = options.microlens == "square", options.refraction or "exact"
     try:
-        return Stack(pitch_um, min(photodiode_side_um, pitch_um), height_um, options.index, lens, shift, refraction)
+        return Stack(
+            pitch_um,
+            min(photodiode_side_um, pitch_um),
+            height_um,
+            options.index,
+            lens,
+            shift,
+            refraction,
+        )
     except PixsimError as error:
         raise PixsimError(f"pixel.stack.{error}") from None
 
 
 def check_colour(pixel: Pixel, technology: Technology) -> None:
-    """Raise PixsimError if a pixel's colour filters have no known response, or its charge cannot be summed."""
+    """Raise PixsimError if a pixel's colour filters have no known response, or its charge cannot be
+    summed.
+    """
     colour = pixel.colour
     if colour is None:
         return
     for letter in channels_of(colour.cell):
         channel_efficiency(colour, letter, np.array([]), np.array([]))
     if colour.binning and technology.junction is not None:
-        got, allowed = f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode", "4T pixels and data sheets"
-        raise invalid("pixel.colour.binning", got, allowed, "Take pixel.technology = '4t-bsi', or leave binning out.")
+        got, allowed = (
+            f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode",
+            "4T pixels and data sheets",
+        )
+        raise invalid(
+            "pixel.colour.binning",
+            got,
+            allowed,
+            "Take pixel.technology = '4t-bsi', or leave binning out.",
+        )
 
 
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
+    """Return the physical properties of a pixel; what its parameters do not set comes from the
+    technology.
 
-    With a technology it reads no file of the user's, and warns of nothing (`pixsim.viewer.review` does).
+    With a technology it reads no file of the user's, and warns of nothing (`pixsim.viewer.review`
+    does).
 
     technology : None loads the one that the pixel names, for calls from outside
 
-    Raises PixsimError for an unknown technology, for a pitch at or below the smallest one, which the message states, and as
-    `absorbed_efficiency`.
+    Raises PixsimError for an unknown technology, for a pitch at or below the smallest one, which
+    the message states, and as `absorbed_efficiency`.
 
     >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)  # 30 % in Chen et al. (2000)
     0.31
     """
-    technology = with_fill_factor_law(technology or load_technology(pixel.technology), pixel.fill_factor_law)
+    technology = with_fill_factor_law(
+        technology or load_technology(pixel.technology), pixel.fill_factor_law
+    )
 
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value
@@ -868,21 +1176,33 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = number_of(pixel, technology, "reset_noise_factor")
     named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
-    others_e = [number_of(pixel, technology, name) for name in STANDS_FOR["temporal_dark_noise_e"] if name not in named]
+    others_e = [
+        number_of(pixel, technology, name)
+        for name in STANDS_FOR["temporal_dark_noise_e"]
+        if name not in named
+    ]
     measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
 
     def process_dark_e_per_s(area_um2: float) -> float:
         """Dark current of a square photodiode: that of its area, and that of its perimeter."""
-        temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
+        temperature_factor = 2 ** (
+            (pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k
+        )
         perimeter_na_per_cm = NA_PER_PA * technology.dark_current_perimeter_pa_per_cm
         densities = technology.dark_current_na_per_cm2, perimeter_na_per_cm
-        return dark_current_of_geometry_e_per_s(*densities, area_um2, 4 * math.sqrt(area_um2)) * temperature_factor
+        return (
+            dark_current_of_geometry_e_per_s(*densities, area_um2, 4 * math.sqrt(area_um2))
+            * temperature_factor
+        )
 
     def offsets_e(full_well_e: float, process_well: Well) -> tuple[float, float]:
         """Spread of the offsets of pixels and of columns; DSNU1288 is that of all offsets."""
         if pixel.dsnu_e is not None:
             return pixel.dsnu_e, 0.0
-        shares = offset_share(pixel, technology, process_well), given(pixel.column_fpn, technology.column_fpn)
+        shares = (
+            offset_share(pixel, technology, process_well),
+            given(pixel.column_fpn, technology.column_fpn),
+        )
         return shares[0] * full_well_e, shares[1] * full_well_e
 
     def measured_well_e(growth: float) -> float | None:
@@ -890,9 +1210,13 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         if pixel.saturation_capacity_e is None:
             return pixel.full_well_e
         gain_e_per_dn = pixel.stated_gain_e_per_dn
-        adc_range_e = pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
+        adc_range_e = (
+            pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
+        )
         own_um2 = area_um2 / growth
-        process_well = well(pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2)))
+        process_well = well(
+            pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2))
+        )
         prnu = prnu_of(pixel, technology, own_um2)
         full_well_e = pixel.saturation_capacity_e
         for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
@@ -900,15 +1224,23 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
             reset_e = reset_noise_e(reset_ff, pixel.temperature_k, factor)
             noise_e = math.hypot(reset_e, math.hypot(*read_noises_e(pixel, technology)), *others_e)
             offset_e = math.hypot(*offsets_e(full_well_e, process_well))
-            full_well_e = full_well_for_e(pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e)
+            full_well_e = full_well_for_e(
+                pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e
+            )
         return full_well_e
 
     measured_e = measured_well_e(growth_from_data_sheet(pixel, technology, area_um2))
     growth = growth_from_data_sheet(pixel, technology, area_um2, measured_e)
-    dark_e_per_s = process_dark_e_per_s(area_um2) if measured_dark_e_per_s is None else growth * measured_dark_e_per_s
+    dark_e_per_s = (
+        process_dark_e_per_s(area_um2)
+        if measured_dark_e_per_s is None
+        else growth * measured_dark_e_per_s
+    )
     process_well = well(pixel, technology, area_um2, dark_e_per_s)
     full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
-    scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
+    scale = (
+        full_well_e / process_well.full_well_e
+    )  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
     hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
     check_colour(pixel, technology)
@@ -920,7 +1252,9 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         capacitance_ff=None if process_well.mean_ff is None else process_well.mean_ff * scale,
         full_well_e=full_well_e,
         dark_current_e_per_s=dark_e_per_s,
-        reset_noise_e=reset_noise_e((process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor),
+        reset_noise_e=reset_noise_e(
+            (process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor
+        ),
         prnu=prnu_of(pixel, technology, area_um2),
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=offset_e,
@@ -934,5 +1268,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         charge=None if charge is None else Charge(charge, pixel.temperature_k),
     )
     if pixel.quantum_efficiency_nm is not None:
-        physics.quantum_efficiency(pixel.quantum_efficiency_nm)  # refuses a value that the depth cannot have
+        physics.quantum_efficiency(
+            pixel.quantum_efficiency_nm
+        )  # refuses a value that the depth cannot have
     return physics

@@ -1,8 +1,8 @@
 """Read and write raw frames with their metadata: TIFF and PNG of 16 bits, EXR, npz.
 
-Every format holds the digital numbers unchanged, and the same metadata: black and white level, bits, pitch, gain,
-integration time, saturated fraction, the layout of the channels of a colour sensor, and of a burst the saturated pixels. Each
-format stores the metadata as follows:
+Every format holds the digital numbers unchanged, and the same metadata: black and white level,
+bits, pitch, gain, integration time, saturated fraction, the layout of the channels of a colour
+sensor, and of a burst the saturated pixels. Each format stores the metadata as follows:
 
     TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as JSON in ImageDescription
     PNG    a text chunk for each item; there is no sBIT chunk
@@ -10,8 +10,8 @@ format stores the metadata as follows:
            24 bits exactly
     npz    an array for each item; `dn` has the smallest unsigned integer type that holds it
 
-The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits, row by row, compressed by zlib,
-in Base64.
+The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits,
+row by row, compressed by zlib, in Base64.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 MAX_BITS = 32
-BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {".exr": 24}  # which float32 holds exactly
+BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {
+    ".exr": 24
+}  # which float32 holds exactly
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
 BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
 MAX_CELL = 16  # rows or columns of a cell of black levels
@@ -62,16 +64,18 @@ class RawFrame:
     """Digital numbers of a file and their metadata; None where the file does not state an item.
 
     dn : (rows, columns) unsigned integers, as stored
-    black_level_dn : DN without light and dark charge; (rows, columns) where it is not the same for all pixels
+    black_level_dn : DN without light and dark charge; (rows, columns) where it is not the same for
+        all pixels
     white_level_dn : highest code
     bits : of the ADC
     pitch_um : centre to centre
     integration_s : exposure time
     dn_per_e : gain, DN per electron above the black level
-    saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the simulation knows the
-        charge; for files of other programs there is `top_code_fraction`
+    saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the
+        simulation knows the charge; for files of other programs there is `top_code_fraction`
     layout : which channel each value belongs to, as of a `Frame`
-    saturated : (rows, columns) which pixels of a burst were full in any of its exposures, as of a `Frame`
+    saturated : (rows, columns) which pixels of a burst were full in any of its exposures, as of a
+        `Frame`
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -87,33 +91,55 @@ class RawFrame:
 
     @property
     def top_code_fraction(self) -> float | None:
-        """Fraction of pixels at or above the white level; None if the file states neither white level nor bits.
+        """Fraction of pixels at or above the white level; None if the file states neither white
+        level nor bits.
 
-        Reset noise and offsets keep saturated pixels off the top code: 42 % of the default pixels under even light of 14 wells.
+        Reset noise and offsets keep saturated pixels off the top code: 42 % of the default pixels
+        under even light of 14 wells.
         """
-        top = 2.0**self.bits - 1 if self.white_level_dn is None and self.bits is not None else self.white_level_dn
+        top = (
+            2.0**self.bits - 1
+            if self.white_level_dn is None and self.bits is not None
+            else self.white_level_dn
+        )
         return None if top is None else float(np.mean(self.dn >= top))
 
     def __repr__(self) -> str:
         facts = {name: value for name in FACTS if (value := getattr(self, name)) is not None}
-        words = [f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}" for name, value in facts.items()]
+        words = [
+            f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}"
+            for name, value in facts.items()
+        ]
         if self.layout is not None:
             words.insert(0, f"layout={self.layout}")
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
-# Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours; pixsim writes the first three.
+# Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours;
+# pixsim writes the first three.
 CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS, WRITTEN_COLOURS = 33421, 33422, "RGBCMYW", "RGB"
 ENCODING = "encoding"  # what a file states about a display's encoding of its values
-LAYOUT = "layout"  # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the other
+# as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the
+# other
+LAYOUT = "layout"
 SATURATED, BLACK_LEVEL = "saturated", "black_level_dn"
-FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
+FACTS = (
+    "black_level_dn",
+    "white_level_dn",
+    "bits",
+    "pitch_um",
+    "dn_per_e",
+    "integration_s",
+    "saturated_fraction",
+)
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """Return the metadata that a file stores with the digital numbers of a frame."""
     more: dict[str, Any] = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
-    if frame.saturated is not None and (isinstance(frame, RawFrame) or frame.exposures > 1):  # else the codes tell it
+    if frame.saturated is not None and (
+        isinstance(frame, RawFrame) or frame.exposures > 1
+    ):  # else the codes tell it
         more[SATURATED] = frame.saturated
     if isinstance(frame, RawFrame):
         facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
@@ -121,23 +147,34 @@ def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
             facts[BLACK_LEVEL] = _cell_of(facts[BLACK_LEVEL]).tolist()
         return more | facts
     facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
-    top = {"white_level_dn": 2**frame.bits - 1} | facts  # the white level of a Frame is its top code
+    top = {
+        "white_level_dn": 2**frame.bits - 1
+    } | facts  # the white level of a Frame is its top code
     return more | {name: float(top[name]) for name in FACTS} | {"bits": int(frame.bits)}
 
 
 def _cell_of(levels: Array) -> Array:
-    """Return the smallest cell of black levels (rows, columns) that repeats itself. Raises PixsimError without one."""
+    """Return the smallest cell of black levels (rows, columns) that repeats itself. Raises
+    PixsimError without one.
+    """
     sides = range(1, min(MAX_CELL, max(levels.shape)) + 1)
     for rows, columns in sorted(itertools.product(sides, repeat=2), key=math.prod):
         if np.array_equal(_tiled(levels[:rows, :columns], levels.shape), levels):
             return levels[:rows, :columns]
     hint = "Subtract it before."
-    raise invalid("black_level_dn", "another one for each pixel", f"cells of up to {MAX_CELL} × {MAX_CELL} that repeat", hint)
+    raise invalid(
+        "black_level_dn",
+        "another one for each pixel",
+        f"cells of up to {MAX_CELL} × {MAX_CELL} that repeat",
+        hint,
+    )
 
 
 def _tiled(cell: Array, shape: tuple[int, ...]) -> Array:
     """Return a picture (rows, columns) of cells side by side, which begin at the upper left."""
-    return np.tile(cell, [-(-size // part) for size, part in zip(shape, cell.shape, strict=True)])[: shape[0], : shape[1]]
+    return np.tile(cell, [-(-size // part) for size, part in zip(shape, cell.shape, strict=True)])[
+        : shape[0], : shape[1]
+    ]
 
 
 def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
@@ -149,42 +186,72 @@ def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
-    """Write the digital numbers and metadata of a frame; the file is moved into place when complete.
+    """Write the digital numbers and metadata of a frame; the file is moved into place when
+    complete.
 
-    path : ends in .tiff, .tif, .png, .exr or .npz, which sets the format; `read_frame` returns the same numbers
+    path : ends in .tiff, .tif, .png, .exr or .npz, which sets the format; `read_frame` returns the
+        same numbers
     frame : from `capture`, or from `read_frame`
 
-    Raises PixsimError for another ending, for digital numbers that the format cannot hold exactly (TIFF and PNG: 16 bits, EXR:
-    24, npz: 32; all: whole numbers of 0 or more), for metadata that are no numbers, and if `path` cannot be written.
+    Raises PixsimError for another ending, for digital numbers that the format cannot hold exactly
+    (TIFF and PNG: 16 bits, EXR: 24, npz: 32; all: whole numbers of 0 or more), for metadata that
+    are no numbers, and if `path` cannot be written.
     """
     path = Path(path)
-    writers = {".exr": _write_exr, ".npz": _write_npz, ".png": _write_png, ".tif": _write_tiff, ".tiff": _write_tiff}
+    writers = {
+        ".exr": _write_exr,
+        ".npz": _write_npz,
+        ".png": _write_png,
+        ".tif": _write_tiff,
+        ".tiff": _write_tiff,
+    }
     if path.suffix.lower() not in writers:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
     name, dn, facts = f"raw frame for '{path}'", np.asarray(frame.dn), facts_of(frame)
     _check_whole(name, dn)
     bits = BITS_OF.get(path.suffix.lower(), MAX_BITS)
     if dn.max() >= 2**bits:
-        raise invalid(name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead.")
+        raise invalid(
+            name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
+        )
     for fact, value in facts.items():
-        if fact not in (LAYOUT, SATURATED) and not np.ndim(value) and not math.isfinite(stated_number(facts, fact)):
+        if (
+            fact not in (LAYOUT, SATURATED)
+            and not np.ndim(value)
+            and not math.isfinite(stated_number(facts, fact))
+        ):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
 
 
 def _check_whole(name: str, dn: NDArray[Any]) -> None:
-    """Raise PixsimError unless an array is a picture of digital numbers: whole, from 0 to 2³² - 1."""
+    """Raise PixsimError unless an array is a picture of digital numbers: whole, from 0 to 2³² -
+    1.
+    """
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
         raise invalid(name, f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
-    if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**MAX_BITS and (dn == np.floor(dn)).all()):
+    if not (
+        np.isfinite(dn).all()
+        and dn.min() >= 0
+        and dn.max() < 2**MAX_BITS
+        and (dn == np.floor(dn)).all()
+    ):
         at = first_where(~((dn >= 0) & (dn < 2**MAX_BITS) & (dn == np.floor(dn)))) or (0, 0)
-        raise invalid(name, f"{dn[at]} at row {at[0]}, column {at[1]}", "whole numbers from 0 to 2³² - 1")
+        raise invalid(
+            name, f"{dn[at]} at row {at[0]}, column {at[1]}", "whole numbers from 0 to 2³² - 1"
+        )
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     facts = _as_text(facts)
-    attributes = {name: value for name, value in facts.items() if name != SATURATED and not isinstance(value, list)}
-    write_channels(path, {UNIT: dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)})
+    attributes = {
+        name: value
+        for name, value in facts.items()
+        if name != SATURATED and not isinstance(value, list)
+    }
+    write_channels(
+        path, {UNIT: dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)}
+    )
 
 
 def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -215,15 +282,24 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
         tags.tagtype |= {BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
         tags[BLACK_DIM_TAG], tags[BLACK_LEVEL_TAG] = levels.shape, tuple(levels.ravel().tolist())
         facts = {name: value for name, value in facts.items() if name != BLACK_LEVEL}
-    for tag, name, kind in ((BLACK_LEVEL_TAG, "black_level_dn", DOUBLE), (WHITE_LEVEL_TAG, "white_level_dn", LONG)):
+    for tag, name, kind in (
+        (BLACK_LEVEL_TAG, "black_level_dn", DOUBLE),
+        (WHITE_LEVEL_TAG, "white_level_dn", LONG),
+    ):
         if name in facts:
             tags.tagtype[tag] = kind
             tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
     layout = layout_of(facts, dn.shape)
-    if layout is not None and not layout.is_stacked and set(layout.channels) <= set(WRITTEN_COLOURS):
+    if (
+        layout is not None
+        and not layout.is_stacked
+        and set(layout.channels) <= set(WRITTEN_COLOURS)
+    ):
         tags.tagtype |= {CFA_DIM_TAG: SHORT, CFA_PATTERN_TAG: BYTE}
         tags[CFA_DIM_TAG] = layout.period
-        tags[CFA_PATTERN_TAG] = bytes(CFA_COLOURS.index(letter) for row in layout.cell for letter in row)
+        tags[CFA_PATTERN_TAG] = bytes(
+            CFA_COLOURS.index(letter) for row in layout.cell for letter in row
+        )
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 
@@ -237,10 +313,11 @@ def _picture(dn: NDArray[Any]) -> Image:
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
-    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); of TIFF/EP with its layout.
-        Of several pages the first is read, with a warning
+    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array);
+        of TIFF/EP with its layout. Of several pages the first is read, with a warning
 
-    Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
+    Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸
+    pixels.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -252,16 +329,24 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     path = Path(path)
     dn, metadata = read_picture(path, "raw frame", SUFFIXES)
     _check_whole(f"raw frame '{path}'", dn)
-    numbers = {name: value for name in FACTS if math.isfinite(value := stated_number(metadata, name))}
-    facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
+    numbers = {
+        name: value for name in FACTS if math.isfinite(value := stated_number(metadata, name))
+    }
+    facts: dict[str, Any] = {
+        name: round(value) if name == "bits" else value for name, value in numbers.items()
+    }
     if (levels := black_levels_of(metadata, dn.shape)) is not None:
         facts[BLACK_LEVEL] = levels
     layout, saturated = layout_of(metadata, dn.shape), saturated_of(metadata, dn.shape)
-    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout, saturated=saturated)
+    return RawFrame(
+        dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout, saturated=saturated
+    )
 
 
 def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
-    """Return the layout that a file states; None if it is absent or, as another program's item may be, no layout of the frame."""
+    """Return the layout that a file states; None if it is absent or, as another program's item may
+    be, no layout of the frame.
+    """
     try:
         layout = Layout.of_text(str(metadata[LAYOUT]))
     except (KeyError, ValueError):
@@ -270,7 +355,9 @@ def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None
 
 
 def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array | None:
-    """Return the black levels, (rows, columns), of a file that states a cell of them or one for each pixel; else None."""
+    """Return the black levels, (rows, columns), of a file that states a cell of them or one for
+    each pixel; else None.
+    """
     stated = metadata.get(BLACK_LEVEL)
     with suppress(TypeError, ValueError, RecursionError):
         levels = np.asarray(json.loads(stated) if isinstance(stated, str) else stated, float)
@@ -280,20 +367,30 @@ def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array |
 
 
 def saturated_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Return the saturated pixels, (rows, columns), that a file states; None if they are absent or not of this frame."""
+    """Return the saturated pixels, (rows, columns), that a file states; None if they are absent or
+    not of this frame.
+    """
     stated: Any = metadata.get(SATURATED)
     size = math.prod(shape)
     if isinstance(stated, np.ndarray):
         return stated if stated.shape == shape and stated.dtype == bool else None
-    with suppress(TypeError, ValueError, zlib.error):  # a text of another program under the same name
+    with suppress(
+        TypeError, ValueError, zlib.error
+    ):  # a text of another program under the same name
         packed = zlib.decompressobj().decompress(binascii.a2b_base64(stated), -(-size // 8))
         if len(packed) == -(-size // 8):
-            return np.unpackbits(np.frombuffer(packed, np.uint8), count=size).reshape(shape).astype(bool)
+            return (
+                np.unpackbits(np.frombuffer(packed, np.uint8), count=size)
+                .reshape(shape)
+                .astype(bool)
+            )
     return None
 
 
 def stated_number(metadata: dict[str, Any], name: str) -> float:
-    """Return an item of a file's metadata; NaN if it is absent or, as another program's item may be, no number."""
+    """Return an item of a file's metadata; NaN if it is absent or, as another program's item may
+    be, no number.
+    """
     try:
         return float(np.asarray(metadata[name]).item())
     except (KeyError, TypeError, ValueError):
@@ -303,14 +400,18 @@ def stated_number(metadata: dict[str, Any], name: str) -> float:
 def read_picture(
     path: Path, name: str, suffixes: tuple[str, ...], *, in_colour: bool = False
 ) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Values of a linear picture as stored, and the items of `FACTS` that the file states, neither of them checked.
+    """Values of a linear picture as stored, and the items of `FACTS` that the file states, neither
+    of them checked.
 
-    path : .exr (one channel), .npy, .npz (`dn`, or a single array), .png or .tiff (16 bits, or floating point)
+    path : .exr (one channel), .npy, .npz (`dn`, or a single array), .png or .tiff (16 bits, or
+        floating point)
     name : of the picture, for messages
     suffixes : that are allowed
-    in_colour : whether red, green and blue are allowed too, as (rows, columns, 3); alpha is left out
+    in_colour : whether red, green and blue are allowed too, as (rows, columns, 3); alpha is left
+        out
 
-    Raises PixsimError if the file is missing, damaged, in colour unless allowed, of 8 bits, or of another format.
+    Raises PixsimError if the file is missing, damaged, in colour unless allowed, of 8 bits, or of
+    another format.
     """
     expected = f"a readable file that ends in {', '.join(suffixes)}"
     readers: dict[str, Any] = {".exr": _read_exr, ".npy": _read_numpy, ".npz": _read_numpy}
@@ -326,7 +427,12 @@ def read_picture(
         raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
     if data.ndim == 3 and not in_colour:
         hint = "In colour a raw frame is a mosaic, with one value for each pixel."
-        raise invalid(f"{name} '{path}'", f"red, green and blue, of shape {data.shape}", "whole numbers, (rows, columns)", hint)
+        raise invalid(
+            f"{name} '{path}'",
+            f"red, green and blue, of shape {data.shape}",
+            "whole numbers, (rows, columns)",
+            hint,
+        )
     return data, metadata
 
 
@@ -336,9 +442,17 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
         return np.stack([channels[letter] for letter in "RGB"], axis=2), {}
     if len(channels) != 1:
         got = ", ".join(names_in(sorted(channels)[:8]))
-        raise invalid(f"channels of '{path}'", got, "one: digital numbers or luminance; or a picture of R, G and B")
+        raise invalid(
+            f"channels of '{path}'",
+            got,
+            "one: digital numbers or luminance; or a picture of R, G and B",
+        )
     metadata = {name: header[name] for name in (*FACTS, LAYOUT) if name in header}
-    decimals = {name: shortest(value) for name, value in metadata.items() if name != "bits" and isinstance(value, float)}
+    decimals = {
+        name: shortest(value)
+        for name, value in metadata.items()
+        if name != "bits" and isinstance(value, float)
+    }
     return next(iter(channels.values())), metadata | decimals | _json_of(header.get("facts"))
 
 
@@ -348,10 +462,21 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     def check(array: str, values: NDArray[Any]) -> None:
         if array in stored and path.suffix.lower() == ".npz":
             return  # what is no such fact is left out behind
-        if not (values.ndim == 2 or values.shape[2:] in ((3,), (4,))) or values.dtype.kind not in "biuf":
-            raise invalid(f"{name} '{path}'", f"{values.dtype} of shape {values.shape}", "real or whole numbers, (rows, columns)")
+        if (
+            not (values.ndim == 2 or values.shape[2:] in ((3,), (4,)))
+            or values.dtype.kind not in "biuf"
+        ):
+            raise invalid(
+                f"{name} '{path}'",
+                f"{values.dtype} of shape {values.shape}",
+                "real or whole numbers, (rows, columns)",
+            )
         if values.size > MAX_PICTURE:
-            raise invalid(f"{name} '{path}'", f"{' × '.join(map(str, values.shape))} samples", f"up to {MAX_PICTURE} in all")
+            raise invalid(
+                f"{name} '{path}'",
+                f"{' × '.join(map(str, values.shape))} samples",
+                f"up to {MAX_PICTURE} in all",
+            )
 
     def choose(names: list[str]) -> list[str]:
         if "dn" not in names and len(names) != 1:
@@ -363,7 +488,9 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         return _without_alpha(read_array(path, name, expected, check)), {}
     arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
-    return _without_alpha(arrays[picture]), {fact: arrays[fact] for fact in stored if fact in arrays}
+    return _without_alpha(arrays[picture]), {
+        fact: arrays[fact] for fact in stored if fact in arrays
+    }
 
 
 def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
@@ -378,41 +505,81 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     try:
         judge_picture(path)
     except PixsimError as error:
-        hint = "Save it as grey or RGB of 16 bits or as grey in floating point, or its array as .npz or .exr."
-        raise PixsimError(f"{error} It is damaged, or of a kind that Pillow does not read. {hint}") from None
+        hint = (
+            "Save it as grey or RGB of 16 bits or as grey in floating point, or its array as .npz"
+            " or .exr."
+        )
+        raise PixsimError(
+            f"{error} It is damaged, or of a kind that Pillow does not read. {hint}"
+        ) from None
 
     # Pillow warns of oddities in files that it can read.
-    with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
+    with (
+        warnings.catch_warnings(action="ignore"),
+        opened(path, name, expected) as file,
+        Image.open(file) as image,
+    ):
         is_deep_colour = image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
         tags = getattr(image, "tag_v2", {})
         if tags.get(PLANAR, 1) == 2 and len(image.getbands()) > 1:
-            raise invalid(f"{name} '{path}'", "a plane for each colour", "the colours of a pixel side by side")
+            raise invalid(
+                f"{name} '{path}'", "a plane for each colour", "the colours of a pixel side by side"
+            )
         if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
-            hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
+            hint = (
+                "Images of 8 bits are encoded for a display: write the raw digital numbers, linear"
+                " in light."
+            )
             if ";16" in str(image.tile):
                 hint = "Save it without its alpha channel."
-            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or grey float", hint)
+            raise invalid(
+                f"{name} '{path}'",
+                f"a picture of mode {image.mode}",
+                "grey or RGB, of 16 bits, or grey float",
+                hint,
+            )
         if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
-            raise invalid(f"{name} '{path}'", f"3 × {image.width} × {image.height} samples", f"up to {MAX_PICTURE} in all")
+            raise invalid(
+                f"{name} '{path}'",
+                f"3 × {image.width} × {image.height} samples",
+                f"up to {MAX_PICTURE} in all",
+            )
         if ignored := [tag_name for tag, tag_name in NOT_APPLIED.items() if tag in tags]:
             hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
-            raise invalid(f"{name} '{path}'", f"the tags {', '.join(ignored)} of DNG", "a picture without them", hint)
+            raise invalid(
+                f"{name} '{path}'",
+                f"the tags {', '.join(ignored)} of DNG",
+                "a picture without them",
+                hint,
+            )
         if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
             hint = "Save it with 0 for black (BlackIsZero)."
-            raise invalid(f"{name} '{path}'", "values whose 0 is white (WhiteIsZero)", "values that grow with the light", hint)
+            raise invalid(
+                f"{name} '{path}'",
+                "values whose 0 is white (WhiteIsZero)",
+                "values that grow with the light",
+                hint,
+            )
 
         tiles = list(image.tile)  # before the texts of a PNG, for which Pillow reads all of it
         metadata: dict[str, Any] = dict(getattr(image, "text", {}))
         encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
         if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
             metadata[ENCODING] = encoded[0]
-        if np.ptp(np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))) > 1:  # of a line, steps differ by rounding
+        if (
+            np.ptp(np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))) > 1
+        ):  # of a line, steps differ by rounding
             metadata[ENCODING] = "TransferFunction"
         samples = np.asarray(image)
         several = has_pages(image)
     if is_deep_colour:
-        with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
-            # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
+        with (
+            warnings.catch_warnings(action="ignore"),
+            opened(path, name, expected) as file,
+            Image.open(file) as image,
+        ):
+            # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is
+            # the lower one.
             image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
     if several:
@@ -421,8 +588,18 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
 
 
 PHOTOMETRIC, PLANAR, TRANSFER_FUNCTION = 262, 284, 301  # tags of TIFF 6.0
-WHITE_IS_ZERO, BLACK_IS_ZERO, MOSAIC, LINEAR_RAW = 0, 1, 32803, 34892  # photometric interpretations, of TIFF/EP and DNG too
-NOT_APPLIED = {50712: "LinearizationTable", 50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV", 50829: "ActiveArea"}  # of DNG
+WHITE_IS_ZERO, BLACK_IS_ZERO, MOSAIC, LINEAR_RAW = (
+    0,
+    1,
+    32803,
+    34892,
+)  # photometric interpretations, of TIFF/EP and DNG too
+NOT_APPLIED = {
+    50712: "LinearizationTable",
+    50715: "BlackLevelDeltaH",
+    50716: "BlackLevelDeltaV",
+    50829: "ActiveArea",
+}  # of DNG
 
 
 def _let_pillow_open_mosaics() -> None:
@@ -438,23 +615,32 @@ def _let_pillow_open_mosaics() -> None:
 
 def pages_text(path: Path) -> str:
     """Return what is said of a file of several pictures."""
-    return f"'{path}' has several pages: the first is read. Save the others as files of their own to read them"
+    return (
+        f"'{path}' has several pages: the first is read. Save the others as files of their own to"
+        " read them"
+    )
 
 
 def has_pages(image: Image) -> bool:
-    """Return whether a TIFF or PNG that Pillow opened has several pictures; a JPEG with a preview has not."""
+    """Return whether a TIFF or PNG that Pillow opened has several pictures; a JPEG with a preview
+    has not.
+    """
     if image.format == "TIFF":
         return bool(getattr(image, "tag_v2", None) and image.tag_v2.next)  # type: ignore[attr-defined]
     return image.format == "PNG" and getattr(image, "is_animated", False)
 
 
 def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
-    """Return the cell of black levels that the tags of a TIFF state, (rows, columns); None if they do not make a cell."""
+    """Return the cell of black levels that the tags of a TIFF state, (rows, columns); None if they
+    do not make a cell.
+    """
     with suppress(IndexError, TypeError, ValueError):
         values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
         if (values == values[0]).all():
             values = values[:1]
-        sides = [int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
+        sides = (
+            [int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
+        )
         levels = values.reshape(sides)
         return levels if np.isfinite(levels).all() else None
     return None
@@ -464,7 +650,9 @@ Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
 
 
 def _other_order(arguments: Decoding) -> Decoding:
-    """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16 bits."""
+    """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16
+    bits.
+    """
     if isinstance(arguments, tuple):
         return (_other_order(arguments[0]), *arguments[1:])
     assert arguments is not None  # of raw samples of 16 bits
@@ -473,13 +661,18 @@ def _other_order(arguments: Decoding) -> Decoding:
 
 
 def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
-    """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes before DNG and TIFF/EP."""
+    """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes
+    before DNG and TIFF/EP.
+    """
     stated = _json_of(tags.get(DESCRIPTION_TAG))
     metadata: dict[str, Any] = {}
     if BLACK_LEVEL_TAG in tags and BLACK_LEVEL not in stated:
         cell = _black_levels_of_tags(tags)
         if cell is None:
-            words = f"'{path}' states black levels that fit no cell (BlackLevelRepeatDim) of its pixels: they are not used"
+            words = (
+                f"'{path}' states black levels that fit no cell (BlackLevelRepeatDim) of its"
+                " pixels: they are not used"
+            )
             warn(Note("file_as_read", words=words))
         else:
             metadata[BLACK_LEVEL] = cell if cell.size > 1 else float(cell[0, 0])
@@ -490,7 +683,9 @@ def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
         rows, columns = (int(count) for count in tags[CFA_DIM_TAG])
         letters = "".join(CFA_COLOURS[code] for code in tags[CFA_PATTERN_TAG])
         if len(letters) == rows * columns:
-            metadata[LAYOUT] = ROW_MARK.join(letters[row * columns : (row + 1) * columns] for row in range(rows))
+            metadata[LAYOUT] = ROW_MARK.join(
+                letters[row * columns : (row + 1) * columns] for row in range(rows)
+            )
     return metadata | stated
 
 

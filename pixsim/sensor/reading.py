@@ -1,7 +1,8 @@
-"""How a pixel is read: gain, exposures, ADC, black level and binning, with the range, the noise and the saturation that follow.
+"""How a pixel is read: gain, exposures, ADC, black level and binning, with the range, the noise and
+the saturation that follow.
 
-`PixelPhysics` is what light and time make of a pixel; a `Readout` is one reading of its charge. Closed forms of noise, range and
-codes, and the kernels that draw frames, take a `Readout`.
+`PixelPhysics` is what light and time make of a pixel; a `Readout` is one reading of its charge.
+Closed forms of noise, range and codes, and the kernels that draw frames, take a `Readout`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ __all__ = ["Adc", "Readout"]
 
 @dataclass(frozen=True)
 class Adc:
-    """An analogue-to-digital converter, and how electrons become codes at 0 dB: by a gain, or by the charge that the codes span.
+    """An analogue-to-digital converter, and how electrons become codes at 0 dB: by a gain, or by
+    the charge that the codes span.
 
     bits : of a code
     black_level_dn : code without a signal
@@ -61,25 +63,39 @@ class Adc:
     @property
     def dn_per_e(self) -> float:
         """Codes per electron at 0 dB."""
-        return self.codes_dn / self.full_scale_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+        return (
+            self.codes_dn / self.full_scale_e
+            if self.gain_e_per_dn is None
+            else 1 / self.gain_e_per_dn
+        )
 
 
 def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
     """Return the ADC of the sum of some pixels, whose range is that of all of them."""
     pixel, gain_e_per_dn = physics.pixel, physics.pixel.stated_gain_e_per_dn
     if gain_e_per_dn is not None:
-        return Adc(pixel.bits, pixel.black_level_dn, gain_e_per_dn=pixels * (physics.growth * gain_e_per_dn))
-    span_e = physics.full_well_e if pixel.adc_full_scale_e is None else physics.growth * pixel.adc_full_scale_e
+        return Adc(
+            pixel.bits,
+            pixel.black_level_dn,
+            gain_e_per_dn=pixels * (physics.growth * gain_e_per_dn),
+        )
+    span_e = (
+        physics.full_well_e
+        if pixel.adc_full_scale_e is None
+        else physics.growth * pixel.adc_full_scale_e
+    )
     return Adc(pixel.bits, pixel.black_level_dn, span_e=pixels * span_e)
 
 
 @checked_methods
 @dataclass(frozen=True)
 class Readout:
-    """How a pixel is read. Currents, charges and noise are those of what is read, one pixel or the sum of binned ones.
+    """How a pixel is read. Currents, charges and noise are those of what is read, one pixel or the
+    sum of binned ones.
 
-    Numbers of charge and noise are those of one exposure; `saturation_e`, `noise_floor_e`, `offset_e` and codes are those of a
-    frame, which may be the sum of several. Noise is a standard deviation.
+    Numbers of charge and noise are those of one exposure; `saturation_e`, `noise_floor_e`,
+    `offset_e` and codes are those of a frame, which may be the sum of several. Noise is a standard
+    deviation.
 
     physics : of a single pixel
     adc : of an exposure, at 0 dB
@@ -105,11 +121,25 @@ class Readout:
     def __post_init__(self) -> None:
         """Raise PixsimError if the codes of a frame have more than 31 bits."""
         if self.code_bits > MAX_CODE_BITS:
-            got = f"{self.exposures} exposures of {self.adc.bits} bits, whose sum has {self.code_bits}"
-            raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
+            got = (
+                f"{self.exposures} exposures of {self.adc.bits} bits, whose sum has"
+                f" {self.code_bits}"
+            )
+            raise invalid(
+                "exposure.frames",
+                got,
+                f"sums of at most {MAX_CODE_BITS} bits",
+                "Take fewer exposures or bits.",
+            )
 
     @classmethod
-    def of(cls, physics: PixelPhysics, exposure: Exposure | None = None, *, bin_side: Count | None = None) -> Readout:
+    def of(
+        cls,
+        physics: PixelPhysics,
+        exposure: Exposure | None = None,
+        *,
+        bin_side: Count | None = None,
+    ) -> Readout:
         """Return how the settings of a pixel and of an exposure have it read.
 
         exposure : None: at 0 dB, in one exposure
@@ -130,12 +160,17 @@ class Readout:
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
-        """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError as `Readout` does."""
-        readout = self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
+        """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError
+        as `Readout` does.
+        """
+        readout = (
+            self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
+        )
         return readout.burst(exposure.frames)
 
     def burst(self, exposures: Count) -> Readout:
-        """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as `Readout` does.
+        """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as
+        `Readout` does.
 
         >>> from pixsim.sensor.pixel import derive
         >>> from pixsim.sensor.pixel_options import Pixel
@@ -146,7 +181,9 @@ class Readout:
         return self if exposures == self.exposures else replace(self, exposures=exposures)
 
     def with_physics(self, **numbers: Any) -> Readout:
-        """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC stays."""
+        """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC
+        stays.
+        """
         return replace(self, physics=replace(self.physics, **numbers))
 
     def with_silent(self, names: tuple[str, ...]) -> Readout:
@@ -178,7 +215,9 @@ class Readout:
 
     @cached_property
     def dark_spread(self) -> DarkSpread:
-        """Dark currents relative to their mean: of ordinary pixels, and of those with a hot one among them."""
+        """Dark currents relative to their mean: of ordinary pixels, and of those with a hot one
+        among them.
+        """
         p, others = self.physics, self._pixels - 1
         fraction, median = p.hot_pixel_fraction, p.hot_pixel_median
         if fraction and others:
@@ -222,7 +261,9 @@ class Readout:
 
     @property
     def saturation_e(self) -> float:
-        """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each exposure."""
+        """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each
+        exposure.
+        """
         return self.exposures * min(self.full_well_e, self.adc_range_e)
 
     @property
@@ -241,7 +282,8 @@ class Readout:
         return constant_e(self, is_temporal=False)
 
     def dynamic_range_db(self, integration_s: NotNegative) -> float:
-        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
+        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark
+        noise (Chen et al. 2000, eq. 1).
 
         Raises PixsimError if the dark charge fills the well.
 
@@ -257,9 +299,18 @@ class Readout:
                 f"less than saturation, {rounded(self.saturation_e, 3)} e-",
                 "Shorten the integration time or cool the sensor.",
             )
-            raise invalid("integration_s of the dynamic range", f"{rounded(dark_e, 3)} e- of dark charge", allowed, hint)
+            raise invalid(
+                "integration_s of the dynamic range",
+                f"{rounded(dark_e, 3)} e- of dark charge",
+                allowed,
+                hint,
+            )
         variance_e2 = self._dark_variance_e2(dark_e)
-        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
+        return (
+            20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2))
+            if variance_e2
+            else math.inf
+        )
 
     def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.

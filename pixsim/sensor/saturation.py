@@ -1,8 +1,9 @@
-"""Saturation capacity of EMVA 1288: the mean signal at the peak of the temporal variance of a pixel that clips.
+"""Saturation capacity of EMVA 1288: the mean signal at the peak of the temporal variance of a pixel
+that clips.
 
-The charge clips at the full well, then reset noise, read noise and the offsets of pixels are added, then the ADC clips at its top
-code. Shot noise is taken as normal. Moments are integrated over shot noise, and over the spread of gain and offset between
-pixels.
+The charge clips at the full well, then reset noise, read noise and the offsets of pixels are added,
+then the ADC clips at its top code. Shot noise is taken as normal. Moments are integrated over shot
+noise, and over the spread of gain and offset between pixels.
 """
 
 from __future__ import annotations
@@ -17,21 +18,33 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 
 SHOT_NODES = 65
-GAIN_NODES, OFFSET_NODES = 37, 19  # at least; more if they would be wider apart than the temporal noise
+GAIN_NODES, OFFSET_NODES = (
+    37,
+    19,
+)  # at least; more if they would be wider apart than the temporal noise
 MAX_NODES = 1000  # of gain times offset
 MAX_NODE = 5.0  # σ
-CLIP_REACH = 8.0  # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution
-PEAK_RANGE, PEAK_POINTS = (0.3, 1.0), 15  # of the brightest light, and light levels that bracket the peak
+CLIP_REACH = (
+    8.0  # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution
+)
+PEAK_RANGE, PEAK_POINTS = (
+    (0.3, 1.0),
+    15,
+)  # of the brightest light, and light levels that bracket the peak
 PEAK_WITHIN = 1e-5  # of the brightest light
 BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
 MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
 WELL_WITHIN = 1e-5  # of the saturation capacity
 RISE_OVER = 1e-4  # of the saturation capacity, either side
-CAPACITY_WITHIN = 1e-4  # of the saturation capacity: accepted for a full well at which the variance is level
+CAPACITY_WITHIN = (
+    1e-4  # of the saturation capacity: accepted for a full well at which the variance is level
+)
 
 
 def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
-    """Equally spaced quadrature nodes of a normal distribution and their weights; a single node if sigma is 0."""
+    """Equally spaced quadrature nodes of a normal distribution and their weights; a single node if
+    sigma is 0.
+    """
     if sigma == 0:
         return np.zeros(1), np.ones(1)
     nodes = np.linspace(-MAX_NODE, MAX_NODE, count)
@@ -40,14 +53,20 @@ def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
 
 
 def node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
-    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `MAX_NODES` in all.
+    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `MAX_NODES` in
+    all.
 
     Nodes wider apart than the temporal noise would be seen one by one at the clip.
     """
     needed = [min(2 * MAX_NODE * sigmas, MAX_NODES) for sigmas in (gain_sigmas, offset_sigmas)]
-    gains, offsets = max(needed[0], GAIN_NODES), max(needed[1], OFFSET_NODES) if offset_sigmas else 1
+    gains, offsets = (
+        max(needed[0], GAIN_NODES),
+        max(needed[1], OFFSET_NODES) if offset_sigmas else 1,
+    )
     share = min(1.0, math.sqrt(MAX_NODES / (gains * offsets)))
-    return max(round(share * gains), GAIN_NODES), max(round(share * offsets), OFFSET_NODES) if offset_sigmas else 1
+    return max(round(share * gains), GAIN_NODES), max(
+        round(share * offsets), OFFSET_NODES
+    ) if offset_sigmas else 1
 
 
 def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
@@ -73,7 +92,8 @@ def level_moments(
     gain_spread: float,
     offset_spread_e: float,
 ) -> tuple[float, float]:
-    """Mean (e-) and mean temporal variance (e-²) over the pixels of the level that the ADC outputs, without its rounding.
+    """Mean (e-) and mean temporal variance (e-²) over the pixels of the level that the ADC outputs,
+    without its rounding.
 
     mean_e, dark_e : mean photo-electrons and dark charge
     top_e : level at the ADC's top code; levels are relative to it, which avoids cancellation there
@@ -82,7 +102,11 @@ def level_moments(
     gain_spread : PRNU. offset_spread_e : of pixels and columns
     """
     temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
-    gains, offsets = node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e) if temporal_e else (1, 1)
+    gains, offsets = (
+        node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e)
+        if temporal_e
+        else (1, 1)
+    )
     gain, gain_weight = normal_nodes(gains, gain_spread)
     offset, offset_weight = normal_nodes(offsets, offset_spread_e)
     shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
@@ -96,28 +120,47 @@ def level_moments(
 
 
 def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
-    """Signal (e-) at which the temporal variance peaks, of `variance` at a mean signal up to `brightest_e`."""
+    """Signal (e-) at which the temporal variance peaks, of `variance` at a mean signal up to
+    `brightest_e`.
+    """
     coarse = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
     best = int(np.argmax([variance(electrons) for electrons in coarse.tolist()]))
     bounds = float(coarse[max(best - 1, 0)]), float(coarse[min(best + 1, coarse.size - 1)])
     options = {"xatol": PEAK_WITHIN * brightest_e}
     from scipy.optimize import minimize_scalar  # imported where it is needed: it takes 0.1 s
 
-    return float(minimize_scalar(lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options).x)
+    return float(
+        minimize_scalar(
+            lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options
+        ).x
+    )
 
 
 def clipping_variance_e2(
-    mean_e: float, full_well_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+    mean_e: float,
+    full_well_e: float,
+    adc_range_e: float | None,
+    noise_e: float,
+    gain_spread: float,
+    offset_spread_e: float,
 ) -> float:
-    """Mean temporal variance over the pixels of a hard clip, in a dark so short that it adds no charge."""
+    """Mean temporal variance over the pixels of a hard clip, in a dark so short that it adds no
+    charge.
+    """
     top_e = full_well_e if adc_range_e is None else adc_range_e
     spreads = {"noise_e": noise_e, "gain_spread": gain_spread, "offset_spread_e": offset_spread_e}
-    return level_moments(mean_e, 0.0, top_e, lambda generated: np.minimum(generated, full_well_e), **spreads)[1]
+    return level_moments(
+        mean_e, 0.0, top_e, lambda generated: np.minimum(generated, full_well_e), **spreads
+    )[1]
 
 
 @lru_cache(maxsize=4096)
 def saturation_capacity_e(
-    full_well_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+    full_well_e: float,
+    adc_range_e: float | None,
+    noise_e: float,
+    gain_spread: float,
+    offset_spread_e: float,
 ) -> float:
     """μ_e.sat of a pixel with a hard clip, in a dark so short that it adds no charge.
 
@@ -131,21 +174,31 @@ def saturation_capacity_e(
 
 @lru_cache(maxsize=4096)
 def full_well_for_e(
-    capacity_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+    capacity_e: float,
+    adc_range_e: float | None,
+    noise_e: float,
+    gain_spread: float,
+    offset_spread_e: float,
 ) -> float:
-    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if that alone is lower.
+    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if
+    that alone is lower.
 
-    It is sought where the variance is level at the capacity, in two evaluations for each full well where a search for the peak
-    takes thirty; that it is the highest peak is then checked.
+    It is sought where the variance is level at the capacity, in two evaluations for each full well
+    where a search for the peak takes thirty; that it is the highest peak is then checked.
     """
 
     def excess_e(full_well_e: float, range_e: float | None) -> float:
-        return saturation_capacity_e(full_well_e, range_e, noise_e, gain_spread, offset_spread_e) - capacity_e
+        return (
+            saturation_capacity_e(full_well_e, range_e, noise_e, gain_spread, offset_spread_e)
+            - capacity_e
+        )
 
     def rise_e2(full_well_e: float, range_e: float | None) -> float:
         """Rise of the variance at the capacity, 0 at the peak."""
         below, above = (
-            clipping_variance_e2(capacity_e * (1 + side), full_well_e, range_e, noise_e, gain_spread, offset_spread_e)
+            clipping_variance_e2(
+                capacity_e * (1 + side), full_well_e, range_e, noise_e, gain_spread, offset_spread_e
+            )
             for side in (-RISE_OVER, RISE_OVER)
         )
         return above - below
@@ -157,12 +210,17 @@ def full_well_for_e(
         if range_e is not None and BRIGHTEST * range_e <= capacity_e:
             continue
         if rise_e2(low_e, range_e) < 0 < rise_e2(high_e, range_e):
-            full_well_e = float(brentq(rise_e2, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e))
+            full_well_e = float(
+                brentq(rise_e2, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e)
+            )
             if abs(excess_e(full_well_e, range_e)) < CAPACITY_WITHIN * capacity_e:
                 return full_well_e
-        # The variance has several peaks, as with a spread of gains far above the temporal noise, or none: search for the highest.
+        # The variance has several peaks, as with a spread of gains far above the temporal noise, or
+        # none: search for the highest.
         if excess_e(low_e, range_e) >= 0:
             return low_e
         if excess_e(high_e, range_e) > 0:
-            return float(brentq(excess_e, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e))
+            return float(
+                brentq(excess_e, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e)
+            )
     return capacity_e

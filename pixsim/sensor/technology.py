@@ -10,7 +10,15 @@ from pydantic import Field, create_model, model_validator
 
 from pixsim.base.caller import setting
 from pixsim.base.door import checked_methods
-from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
+from pixsim.base.errors import (
+    PixsimError,
+    did_you_mean,
+    excerpt,
+    invalid,
+    name_fault,
+    one_line,
+    quoted,
+)
 from pixsim.base.layers import Layer
 from pixsim.base.records import AnyNumber, Record, checked
 from pixsim.base.toml import packaged, read_toml
@@ -46,10 +54,14 @@ class Junction(Record):
     """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
     reset_voltage_v: Volts = Field(description="reverse bias after reset, V")
-    voltage_swing_v: Volts = Field(description="voltage swing of the photodiode, from reset to full, V")
+    voltage_swing_v: Volts = Field(
+        description="voltage swing of the photodiode, from reset to full, V"
+    )
     cj_ff_per_um2: Capacitance = Field(description="junction capacitance of the area, fF/µm²")
     pb_v: Volts = Field(description="built-in potential of the area's junction, V")
-    mj: Grading = Field(description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear")
+    mj: Grading = Field(
+        description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear"
+    )
     cjsw_ff_per_um: Capacitance = Field(description="junction capacitance of the sidewall, fF/µm")
     pbsw_v: Volts = Field(description="built-in potential of the sidewall's junction, V")
     mjsw: Grading = Field(description="grading coefficient of the sidewall's junction")
@@ -58,19 +70,35 @@ class Junction(Record):
     @model_validator(mode="after")
     def _swing_and_capacitance_are_consistent(self) -> Self:
         if self.voltage_swing_v > self.reset_voltage_v:
-            raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
+            raise ValueError(
+                f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v ="
+                f" {self.reset_voltage_v:g}"
+            )
         if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < MIN_FF:
-            raise ValueError(f"one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff must be at least {MIN_FF:g}")
+            raise ValueError(
+                "one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff must be at least"
+                f" {MIN_FF:g}"
+            )
         return self
 
 
 def _declared_by_pixels() -> dict[str, Any]:
-    """Return the numbers of a process that are declared in the record of pixels, with the value where a process has none."""
+    """Return the numbers of a process that are declared in the record of pixels, with the value
+    where a process has none.
+    """
     fields = PixelOptions.model_fields
-    known = {name: number.otherwise for name, number in NUMBERS.items() if number.otherwise is not None}
+    known = {
+        name: number.otherwise for name, number in NUMBERS.items() if number.otherwise is not None
+    }
     # A process has numbers, a pixel those or None.
-    types = {name: next(kind for kind in get_args(fields[name].annotation) if kind is not type(None)) for name in known}
-    return {name: (types[name], Field(value, description=fields[name].description)) for name, value in known.items()}
+    types = {
+        name: next(kind for kind in get_args(fields[name].annotation) if kind is not type(None))
+        for name in known
+    }
+    return {
+        name: (types[name], Field(value, description=fields[name].description))
+        for name, value in known.items()
+    }
 
 
 if TYPE_CHECKING:
@@ -83,7 +111,8 @@ else:
 class Technology(NumbersOfPixels):
     """The properties of a CMOS process that set those of a pixel.
 
-    Beside these fields it has the numbers that `PixelOptions` declares with a value for processes that state none.
+    Beside these fields it has the numbers that `PixelOptions` declares with a value for processes
+    that state none.
     """
 
     ALTERNATIVES: ClassVar = (
@@ -92,104 +121,167 @@ class Technology(NumbersOfPixels):
     )
 
     name: str = Field(description="name in results")
-    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="feature size F of the process")]
+    feature_size_um: Annotated[
+        float, Field(ge=1e-4, le=1e3, description="feature size F of the process")
+    ]
     junction: Junction | None = Field(
-        None, description="3T pixel: photodiode junction, whose capacitance times the voltage swing is the full well"
+        None,
+        description=(
+            "3T pixel: photodiode junction, whose capacitance times the voltage swing is the full"
+            " well"
+        ),
     )
     full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
         None, description="4T pixel: full well of the pinned photodiode per µm² of its area"
     )
-    response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="packaged curve of the quantum efficiency")
+    response_curve: Literal["hp_mosis", "silicon"] = Field(
+        "hp_mosis", description="packaged curve of the quantum efficiency"
+    )
     dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(
         description="dark current of the photodiode's area at 27 °C, nA/cm²"
     )
     dark_current_perimeter_pa_per_cm: Annotated[float, Field(ge=0, le=1e12)] = Field(
-        0.0, description="dark current of the photodiode's perimeter at 27 °C, pA/cm, added to that of the area"
+        0.0,
+        description=(
+            "dark current of the photodiode's perimeter at 27 °C, pA/cm, added to that of the area"
+        ),
     )
     dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(
         description="temperature rise that doubles the dark current; 4 to 12 K in silicon"
     )
-    peak_quantum_efficiency: Fraction = Field(description="largest quantum efficiency, electrons per photon on the photodiode")
-    prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
-    prnu_um: AreaMismatch | None = Field(
-        None, description="in place of prnu: prnu times the side of the square photodiode, so that prnu is this at 1 µm²"
+    peak_quantum_efficiency: Fraction = Field(
+        description="largest quantum efficiency, electrons per photon on the photodiode"
     )
-    dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean, without hot pixels")
+    prnu: GainSpread | None = Field(
+        None, description="standard deviation of the gain over its mean"
+    )
+    prnu_um: AreaMismatch | None = Field(
+        None,
+        description=(
+            "in place of prnu: prnu times the side of the square photodiode, so that prnu is this"
+            " at 1 µm²"
+        ),
+    )
+    dsnu: DarkSpread = Field(
+        description="standard deviation of the dark current over its mean, without hot pixels"
+    )
     offset_fpn: OffsetSpread | None = Field(
-        None, description="standard deviation of the pixels' offsets, as a fraction of the full well"
+        None,
+        description="standard deviation of the pixels' offsets, as a fraction of the full well",
     )
     a_vt_mv_um: VoltageMismatch | None = Field(
         None,
-        description="in place of offset_fpn, with follower_area_um2: A_Vt of one source follower, mV·µm; "
-        "of a 3T pixel without double sampling",
+        description=(
+            "in place of offset_fpn, with follower_area_um2: A_Vt of one source follower, mV·µm; "
+            "of a 3T pixel without double sampling"
+        ),
     )
-    follower_area_um2: GateArea | None = Field(None, description="gate area W·L of the source follower, µm², at every pitch")
-    column_fpn: OffsetSpread = Field(description="standard deviation of the columns' offsets, as a fraction of the full well")
-    read_noise_e: NoiseElectrons = Field(description="temporal read noise before the amplifier, without the reset noise")
-    fill_factor_limit: Fraction = Field(description="η of the fill-factor law: its limit for large pixels")
+    follower_area_um2: GateArea | None = Field(
+        None, description="gate area W·L of the source follower, µm², at every pitch"
+    )
+    column_fpn: OffsetSpread = Field(
+        description="standard deviation of the columns' offsets, as a fraction of the full well"
+    )
+    read_noise_e: NoiseElectrons = Field(
+        description="temporal read noise before the amplifier, without the reset noise"
+    )
+    fill_factor_limit: Fraction = Field(
+        description="η of the fill-factor law: its limit for large pixels"
+    )
     fill_factor_zero_pitch_features: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
-        description="p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
+        description=(
+            "p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
+        )
     )
     fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
         0.0, description="s of the fill-factor law, in feature sizes: width lost at every pitch"
     )
     stack_height_um: StackHeight | None = Field(
         None,
-        description="height of the microlens or opening above the photodiode; microlenses wider than √π times it lie at 1/√π of "
-        "their pitch; None: no stack unless the pixel gives one",
+        description=(
+            "height of the microlens or opening above the photodiode; microlenses wider than √π"
+            " times it lie at 1/√π of their pitch; None: no stack unless the pixel gives one"
+        ),
     )
     stack_index: RefractiveIndex | None = Field(None, description="refractive index of the stack")
     stack_microlens: MICROLENSES | None = Field(None, description="'square' or 'none'")
     stack_shift: SHIFTS | None = Field(None, description="'none' or 'optimal'")
-    stack_depletion_um: SiliconDepth | None = Field(None, description="front-lit: depth of the depletion region")
+    stack_depletion_um: SiliconDepth | None = Field(
+        None, description="front-lit: depth of the depletion region"
+    )
     stack_diffusion_length_um: DiffusionLength | None = Field(
         None, description="front-lit: diffusion length of electrons below the depletion region"
     )
     stack_crosstalk: Crosstalk | None = Field(
-        None, description="in place of diffusion: share of a pixel's charge that its four neighbours collect together"
+        None,
+        description=(
+            "in place of diffusion: share of a pixel's charge that its four neighbours collect"
+            " together"
+        ),
     )
     quantum_efficiency_includes: Literal["photodiode", "microlens"] = Field(
-        "photodiode", description="area of the measurement behind the quantum efficiency, if there is a stack"
+        "photodiode",
+        description="area of the measurement behind the quantum efficiency, if there is a stack",
     )
     quantum_efficiency_f_number: FNumber | None = Field(
         None, description="f-number of the light of that measurement, under a microlens; None: 8"
     )
     quantum_efficiency_pitch_um: Pitch | None = Field(
-        None, description="pitch of the pixel of that measurement, under a microlens; None: every pixel has that efficiency"
+        None,
+        description=(
+            "pitch of the pixel of that measurement, under a microlens; None: every pixel has that"
+            " efficiency"
+        ),
     )
-    sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
+    sources: dict[str, str] = Field(
+        default_factory=dict, description="field -> confidence and source"
+    )
     ranges: dict[str, tuple[AnyNumber, AnyNumber]] = Field(
-        default_factory=dict, description="field -> smallest and largest plausible value, in the field's unit"
+        default_factory=dict,
+        description="field -> smallest and largest plausible value, in the field's unit",
     )
     distributions: dict[str, Distribution] = Field(
         default_factory=dict,
-        description="field -> distribution of its range, which is the central 90 % (absent: uniform, the range is its ends)",
+        description=(
+            "field -> distribution of its range, which is the central 90 % (absent: uniform, the"
+            " range is its ends)"
+        ),
     )
 
     @model_validator(mode="after")
     def _one_kind_of_well_inside_the_pixel(self) -> Self:
         if (self.junction is None) == (self.full_well_e_per_um2 is None):
             raise ValueError(
-                f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)} (a junction)"
+                "a technology needs either full_well_e_per_um2 or all of"
+                f" {', '.join(Junction.model_fields)} (a junction)"
             )
         if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
             raise ValueError(
-                f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
-                f"{self.fill_factor_zero_pitch_features:g}: the photodiode area of larger pixels would be negative"
+                f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds"
+                f" fill_factor_zero_pitch_features = {self.fill_factor_zero_pitch_features:g}: the"
+                " photodiode area of larger pixels would be negative"
             )
         return self
 
     @model_validator(mode="after")
     def _mismatch_is_stated_once(self) -> Self:
         if (self.prnu is None) == (self.prnu_um is None):
-            raise ValueError(f"got {'neither prnu nor' if self.prnu is None else 'both prnu and'} prnu_um; give one of them")
-        layout = [name for name in ("a_vt_mv_um", "follower_area_um2") if getattr(self, name) is not None]
+            raise ValueError(
+                f"got {'neither prnu nor' if self.prnu is None else 'both prnu and'} prnu_um; give"
+                " one of them"
+            )
+        layout = [
+            name for name in ("a_vt_mv_um", "follower_area_um2") if getattr(self, name) is not None
+        ]
         if self.offset_fpn is None and len(layout) < 2:
             got = f"{layout[0]} alone" if layout else "no offsets"
-            raise ValueError(f"got {got}; give offset_fpn, or both a_vt_mv_um and follower_area_um2")
+            raise ValueError(
+                f"got {got}; give offset_fpn, or both a_vt_mv_um and follower_area_um2"
+            )
         if layout and self.junction is None:
             raise ValueError(
-                "a_vt_mv_um with full_well_e_per_um2: the node capacitance of a pinned photodiode is unknown; give offset_fpn"
+                "a_vt_mv_um with full_well_e_per_um2: the node capacitance of a pinned photodiode"
+                " is unknown; give offset_fpn"
             )
         return self
 
@@ -199,35 +291,59 @@ class Technology(NumbersOfPixels):
         for name, (low, high) in self.ranges.items():
             value = numbers.get(name)
             if value is None:
-                raise invalid("range", quoted(name), f"numbers of this process: {', '.join(numbers)}")
+                raise invalid(
+                    "range", quoted(name), f"numbers of this process: {', '.join(numbers)}"
+                )
             if not low <= value <= high:
-                raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
+                raise invalid(
+                    f"range of {name}",
+                    f"[{low:g}, {high:g}]",
+                    f"low <= {value:g} (the value) <= high",
+                )
             for end in (low, high):
-                self.with_numbers({name: end}, f"range of {name}")  # the ends have the bounds of the value
+                self.with_numbers(
+                    {name: end}, f"range of {name}"
+                )  # the ends have the bounds of the value
         for name, distribution in self.distributions.items():
             if name not in self.ranges:
-                raise invalid(f"distribution of {name}", f"'{distribution}' without a range", "a range = [low, high] beside it")
+                raise invalid(
+                    f"distribution of {name}",
+                    f"'{distribution}' without a range",
+                    "a range = [low, high] beside it",
+                )
             low, high = self.ranges[name]
             if distribution == "lognormal" and not 0 < low < high:
-                raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", "0 < low < high for a lognormal distribution")
+                raise invalid(
+                    f"range of {name}",
+                    f"[{low:g}, {high:g}]",
+                    "0 < low < high for a lognormal distribution",
+                )
         return self
 
     @property
     def numbers(self) -> dict[str, float]:
         """All numbers of the process and its junction by name; the names end in the units."""
-        table = self.model_dump(exclude={"junction"}) | (self.junction.model_dump() if self.junction else {})
+        table = self.model_dump(exclude={"junction"}) | (
+            self.junction.model_dump() if self.junction else {}
+        )
         return {name: value for name, value in table.items() if isinstance(value, float)}
 
     @property
     def stack(self) -> StackOptions:
         """What the process states about the stack of its pixels."""
         return StackOptions(
-            **{name: getattr(self, f"stack_{name}") for name in StackOptions.model_fields if hasattr(self, f"stack_{name}")}
+            **{
+                name: getattr(self, f"stack_{name}")
+                for name in StackOptions.model_fields
+                if hasattr(self, f"stack_{name}")
+            }
         )
 
     @property
     def content(self) -> dict[str, Any]:
-        """The values that results depend on: the record without sources, ranges and distributions."""
+        """The values that results depend on: the record without sources, ranges and
+        distributions.
+        """
         return self.model_dump(exclude={"sources", "ranges", "distributions"})
 
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
@@ -243,31 +359,50 @@ class Technology(NumbersOfPixels):
             if name not in numbers:
                 raise invalid(source, f"'{name}'", ", ".join(numbers), did_you_mean(name, numbers))
         new_sources = {
-            name: f"set by the study; the file has {numbers[name]:g} ({self.sources.get(name, 'no source')})" for name in values
+            name: (
+                f"set by the study; the file has {numbers[name]:g}"
+                f" ({self.sources.get(name, 'no source')})"
+            )
+            for name in values
         }
-        process_values = {name: value for name, value in values.items() if name not in Junction.model_fields}
+        process_values = {
+            name: value for name, value in values.items() if name not in Junction.model_fields
+        }
         junction = {name: value for name, value in values.items() if name in Junction.model_fields}
         over = process_values | ({"junction": junction} if junction else {})
         # A study may set a value outside its plausible range, so ranges are not checked.
-        base = self.model_dump() | {"sources": self.sources | new_sources, "ranges": {}, "distributions": {}}
+        base = self.model_dump() | {
+            "sources": self.sources | new_sources,
+            "ranges": {},
+            "distributions": {},
+        }
         technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
-        return technology.model_copy(update={"ranges": self.ranges, "distributions": self.distributions})
+        return technology.model_copy(
+            update={"ranges": self.ranges, "distributions": self.distributions}
+        )
 
 
-# For a sensor that is described by a data sheet (`pixsim.sensor.pixel_options.DATA_SHEET`). Numbers that the data sheet lacks are
-# ideal: no non-uniformity, no offsets, no reset noise apart from the read noise, and a fill factor of 1, since a data sheet's
-# quantum efficiency is that of the whole pixel with its microlens. The other numbers are placeholders.
+# For a sensor that is described by a data sheet (`pixsim.sensor.pixel_options.DATA_SHEET`). Numbers
+# that the data sheet lacks are ideal: no non-uniformity, no offsets, no reset noise apart from the
+# read noise, and a fill factor of 1, since a data sheet's quantum efficiency is that of the whole
+# pixel with its microlens. The other numbers are placeholders.
 NO_PROCESS = Technology.model_validate(
     dict.fromkeys(("dark_current_na_per_cm2", "reset_noise_factor", "read_noise_e"), 0.0)
     | dict.fromkeys(("prnu", "dsnu", "offset_fpn", "column_fpn"), 0.0)
     | dict.fromkeys(("full_well_e_per_um2", "peak_quantum_efficiency", "fill_factor_limit"), 1.0)
-    | {"name": NO_TECHNOLOGY, "feature_size_um": 1e-4, "response_curve": "silicon", "dark_doubling_k": 8.0}
+    | {
+        "name": NO_TECHNOLOGY,
+        "feature_size_um": 1e-4,
+        "response_curve": "silicon",
+        "dark_doubling_k": 8.0,
+    }
     | {"fill_factor_zero_pitch_features": 1e-6}
 )
 
 
 def number_of(pixel: PixelOptions, technology: Technology, name: str) -> float:
-    """Return a number of a pixel that neither its size nor its layout changes: its own, or its technology's.
+    """Return a number of a pixel that neither its size nor its layout changes: its own, or its
+    technology's.
 
     It is 0 where the pixel states a sum that holds it.
 
@@ -279,12 +414,15 @@ def number_of(pixel: PixelOptions, technology: Technology, name: str) -> float:
     return float(getattr(technology, name) if value is None else value)
 
 
-# Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of `fill_factor_law`.
+# Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of
+# `fill_factor_law`.
 OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
 
 
 def with_fill_factor_law(technology: Technology, law: str) -> Technology:
-    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet, which has none, as it is."""
+    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet,
+    which has none, as it is.
+    """
     if law not in OTHER_FILL_FACTOR_LAWS or technology.name == NO_TECHNOLOGY:
         return technology
     names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
@@ -294,8 +432,9 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
 def load_technology(name: str) -> Technology:
     """Load a packaged technology by its name, or a user's by the path of its TOML file.
 
-    Every number of the file is a table `{value, confidence, source}`, with an optional `range = [low, high]` of plausible
-    values and their `distribution`: "uniform" (the default), "normal" or "lognormal", of which the range is the central 90 %.
+    Every number of the file is a table `{value, confidence, source}`, with an optional
+    `range = [low, high]` of plausible values and their `distribution`: "uniform" (the default),
+    "normal" or "lognormal", of which the range is the central 90 %.
 
     Raises PixsimError for an unknown name, and for a file that is damaged or incomplete.
 
@@ -331,24 +470,48 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     for key, entry in numbers.items():
         if unknown := next((name for name in entry if name not in OF_ENTRY), None):
             number = key if key in NUMBERS_OF_FILE else "a table"
-            raise invalid(f"{path}: {number}", excerpt(unknown), ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
+            raise invalid(
+                f"{path}: {number}",
+                excerpt(unknown),
+                ", ".join(OF_ENTRY),
+                did_you_mean(unknown, OF_ENTRY),
+            )
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
-        sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
+        sources = {
+            key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()
+        }
         ranges = {key: entry["range"] for key, entry in numbers.items() if "range" in entry}
-        distributions = {key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry}
-        record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges, "distributions": distributions}
+        distributions = {
+            key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry
+        }
+        record = {
+            "name": table.get("name", path.stem),
+            "sources": sources,
+            "ranges": ranges,
+            "distributions": distributions,
+        }
         record |= {"junction": junction} if junction else {}
         if isinstance(record["name"], str) and (fault := name_fault(record["name"])):
             raise invalid(f"{path}: name", f"a name that {fault}", "another name")
-        technology: Technology = checked(Technology, [Layer(values | record, str(path), named=True)])
+        technology: Technology = checked(
+            Technology, [Layer(values | record, str(path), named=True)]
+        )
         return technology
     except KeyError as missing:
-        raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence and source") from None
+        raise PixsimError(
+            f"technology '{path}': an entry has no {missing}; each needs value, confidence and"
+            " source"
+        ) from None
 
 
 def check_name(file: str, kind: str = "technology") -> None:
     """Raise PixsimError if the name of a file, or of a technology, cannot stand in tables."""
     if fault := name_fault(file) or name_fault(label_of(file)):
-        raise invalid(kind, f"'{one_line(file)}', whose name {fault}", "another name", "Rename the file, or write ./ before it.")
+        raise invalid(
+            kind,
+            f"'{one_line(file)}', whose name {fault}",
+            "another name",
+            "Rename the file, or write ./ before it.",
+        )

@@ -19,7 +19,8 @@ class UnitSlip(NamedTuple):
     unit : the other unit, in words
     factor : what converts a number from the other unit
     meant : field that states the converted number; empty for the same field
-    property : of the pixel, which has to be usual in place of the number itself; empty where the number has to be
+    property : of the pixel, which has to be usual in place of the number itself; empty where the
+        number has to be
     """
 
     usual: tuple[float, float]
@@ -29,8 +30,9 @@ class UnitSlip(NamedTuple):
     property: str = ""
 
 
-# The published sheets of the tests have pitches of 11 µm at most, wells of 7500 to 91 000 e-, 1 % PRNU at most, and ADCs that end
-# at 30 % of the well (the high-gain channel of one with two) to 2.3 wells. Pitches below 0.3 µm are finer than a wavelength.
+# The published sheets of the tests have pitches of 11 µm at most, wells of 7500 to 91 000 e-, 1 %
+# PRNU at most, and ADCs that end at 30 % of the well (the high-gain channel of one with two) to 2.3
+# wells. Pitches below 0.3 µm are finer than a wavelength.
 PITCH_UM = (0.3, 300.0)
 WELL_E = (200.0, 1e7)
 ADC_RANGE_PER_WELL = (0.25, 4.0)
@@ -42,13 +44,18 @@ SLIPS = {
     "adc_full_scale_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
     "prnu": UnitSlip((0.0, 0.05), "per cent", 0.01),
     "fill_factor": UnitSlip((0.0, 1.0), "per cent", 0.01),
-    "gain_e_per_dn": UnitSlip(ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"),
-    "dn_per_e": UnitSlip(ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", "adc_range_per_well"),
+    "gain_e_per_dn": UnitSlip(
+        ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"
+    ),
+    "dn_per_e": UnitSlip(
+        ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", "adc_range_per_well"
+    ),
 }
 
 
 def slip_hint(name: str, value: object) -> str:
-    """Return how to write a number that is unusual in its field's unit and usual in the other one; empty for others.
+    """Return how to write a number that is unusual in its field's unit and usual in the other one;
+    empty for others.
 
     name : of a field of `SLIPS` whose own number has to be usual
     """
@@ -63,7 +70,8 @@ def slip_hint(name: str, value: object) -> str:
 
 
 def unit_slips(pixel: BaseModel) -> list[Note]:
-    """Return a note for each number of a pixel that is unusual in its field's unit, and usual in the other one of `SLIPS`.
+    """Return a note for each number of a pixel that is unusual in its field's unit, and usual in
+    the other one of `SLIPS`.
 
     pixel : a `PixelOptions`
 

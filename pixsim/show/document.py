@@ -39,20 +39,25 @@ Text: TypeAlias = str | tuple[str | Strong | Link, ...]
 
 @dataclass(frozen=True)
 class DocumentRecord:
-    """A record that keeps what it is given in lists and iterators as tuples, and a text alone as the only one."""
+    """A record that keeps what it is given in lists and iterators as tuples, and a text alone as
+    the only one.
+    """
 
     def __post_init__(self) -> None:
         for attribute in fields(self):
             value = getattr(self, attribute.name)
             if attribute.type.startswith("Iterable"):
-                object.__setattr__(self, attribute.name, (value,) if isinstance(value, str) else tuple(value))
+                object.__setattr__(
+                    self, attribute.name, (value,) if isinstance(value, str) else tuple(value)
+                )
 
 
 @dataclass(frozen=True)
 class Answer(DocumentRecord):
     """A headline, and facts that belong to it, in smaller letters.
 
-    named : whether the headline begins with a name of the user's, whose first letter a page leaves small
+    named : whether the headline begins with a name of the user's, whose first letter a page leaves
+        small
     """
 
     head: Text
@@ -62,7 +67,9 @@ class Answer(DocumentRecord):
 
 @dataclass(frozen=True)
 class Fact:
-    """What is stated, of which a page makes a sentence: without a full stop, and small letters first."""
+    """What is stated, of which a page makes a sentence: without a full stop, and small letters
+    first.
+    """
 
     text: Text
 
@@ -78,12 +85,15 @@ class Listed(DocumentRecord):
 class DocumentTable(DocumentRecord):
     """Rows of text; the first column names them.
 
-    A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
+    A row of one cell is the heading of those below it. The last cell of another short row takes the
+    columns that are left.
 
     name : of what is in it, for those who do not see it
-    head : names of the columns, with their units in a second line where that is shorter; empty for a table without
+    head : names of the columns, with their units in a second line where that is shorter; empty for
+        a table without
     words : columns that are not numbers, beside the first; None for all
-    stacks : whether a row becomes lines on a small screen, its numbers behind the names of their columns
+    stacks : whether a row becomes lines on a small screen, its numbers behind the names of their
+        columns
     wide : number of the last columns for which only a page has room
     """
 
@@ -111,10 +121,14 @@ class Plot:
         return self._made if isinstance(self._made, Drawn) else self._made.drawn()
 
     def drawn_as(self, figures: Figures) -> Drawn:
-        """Return the figure with the files that are asked for; one that was drawn elsewhere has those of its drawing."""
+        """Return the figure with the files that are asked for; one that was drawn elsewhere has
+        those of its drawing.
+        """
         if figures == "svg" or isinstance(self._made, Drawn):
             return self.drawn
-        return replace(self.drawn, pdf=pdf_bytes(self._made.figure))  # drawn once, for the page as for its file
+        return replace(
+            self.drawn, pdf=pdf_bytes(self._made.figure)
+        )  # drawn once, for the page as for its file
 
 
 @dataclass(frozen=True)
@@ -189,7 +203,19 @@ class Section(DocumentRecord):
 
 
 Block: TypeAlias = (
-    Text | Answer | Fact | Note | Listed | DocumentTable | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
+    Text
+    | Answer
+    | Fact
+    | Note
+    | Listed
+    | DocumentTable
+    | Plot
+    | Pictures
+    | Tiles
+    | DeltaEScale
+    | Map
+    | Slider
+    | Section
 )
 
 
@@ -249,13 +275,20 @@ def pairs(caption: str, values: Mapping[str, Any], digits: int = 4) -> DocumentT
 
     digits : of numbers that are not whole
     """
-    texts = {name: number(value, digits) if isinstance(value, float) else str(value) for name, value in values.items()}
+    texts = {
+        name: number(value, digits) if isinstance(value, float) else str(value)
+        for name, value in values.items()
+    }
     return DocumentTable(caption, (), tuple(texts.items()), caption)
 
 
 def plain_text(text: Text) -> str:
     """Return words without their marks."""
-    return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
+    return (
+        text
+        if isinstance(text, str)
+        else "".join(part if isinstance(part, str) else part.text for part in text)
+    )
 
 
 def joined(parts: Iterable[Text], between: str = "; ") -> Text:
@@ -263,11 +296,14 @@ def joined(parts: Iterable[Text], between: str = "; ") -> Text:
     words: list[str | Strong | Link] = []
     for part in parts:
         words += ([between] if words else []) + ([part] if isinstance(part, str) else list(part))
-    return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)
+    return (
+        "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)
+    )
 
 
 def headline(parts: Iterable[Text]) -> Answer:
-    """Return the answer whose headline is the first parts that have at most 30 words together, and below it the others.
+    """Return the answer whose headline is the first parts that have at most 30 words together, and
+    below it the others.
 
     parts : of the answer, what matters most first; empty ones do not count
 

@@ -48,8 +48,9 @@ class Look:
 
 
 LEGEND_LINE = 3.5  # long enough to show the dashes
-# Okabe and Ito (2008). The order keeps the first four at least 19 apart (CIEDE2000) for every kind of colour blindness, and
-# distinct in lightness when printed grey; the later ones need their markers.
+# Okabe and Ito (2008). The order keeps the first four at least 19 apart (CIEDE2000) for every kind
+# of colour blindness, and distinct in lightness when printed grey; the later ones need their
+# markers.
 LOOKS = (
     Look("#0072B2", "-", "o"),
     Look("#D55E00", (0, (5, 2)), "s"),
@@ -77,7 +78,9 @@ TERMS = {
     "dot": ("display dot", LOOKS[7]),
 }
 MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
-ISO_SMOOTHING_DOTS = 8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
+ISO_SMOOTHING_DOTS = (
+    8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
+)
 
 
 def plain_powers(axis: Axis) -> None:
@@ -102,7 +105,9 @@ OWN_SETTINGS = {
 def _style() -> AbstractContextManager[None]:
     import matplotlib
 
-    defaults: dict[Any, Any] = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+    defaults: dict[Any, Any] = {
+        name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"
+    }
     return matplotlib.rc_context(defaults | OWN_SETTINGS)
 
 
@@ -111,14 +116,20 @@ _styled = SharedBlock(_style)
 
 @contextmanager
 def own_style() -> Iterator[None]:
-    """Matplotlib's defaults and `OWN_SETTINGS` within a block or a function, and the user's settings again after it.
+    """Matplotlib's defaults and `OWN_SETTINGS` within a block or a function, and the user's
+    settings again after it.
 
     Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also those of threads.
 
     Raises PixsimError if the import of Matplotlib would wait for what is no file.
     """
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
-        raise invalid(RC_FILE, "a link to nothing, a pipe or a device in the current folder", "a file, or none", "Move it away.")
+        raise invalid(
+            RC_FILE,
+            "a link to nothing, a pipe or a device in the current folder",
+            "a file, or none",
+            "Move it away.",
+        )
     with _styled:
         yield
 
@@ -133,7 +144,9 @@ def prepare_to_draw() -> None:
 
 @contextmanager
 def drawing_thread() -> Iterator[ThreadPoolExecutor]:
-    """Provide one thread that draws figures one after the other; those that wait are given up if the block fails."""
+    """Provide one thread that draws figures one after the other; those that wait are given up if
+    the block fails.
+    """
     pool = ThreadPoolExecutor(1, "pixsim figures")
     try:
         yield pool
@@ -142,7 +155,9 @@ def drawing_thread() -> Iterator[ThreadPoolExecutor]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return a figure that needs no display and is saved to the same bytes every time. Call and fill it in `own_style`."""
+    """Return a figure that needs no display and is saved to the same bytes every time. Call and
+    fill it in `own_style`.
+    """
     assert _styled.is_running, "a figure takes its style from the settings while it is filled"
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -160,7 +175,8 @@ def fix_margins(
     top_in: float = 0.3,
     between_in: float = 0.2,
 ) -> None:
-    """Set the margins of a figure's panels, where their labels are known to have room: computing them takes half of a drawing.
+    """Set the margins of a figure's panels, where their labels are known to have room: computing
+    them takes half of a drawing.
 
     between_in : between panels side by side or above one another
     """
@@ -168,7 +184,10 @@ def fix_margins(
     figure.set_layout_engine(None)
     place = figure.axes[0].get_subplotspec()
     rows, columns = place.get_gridspec().get_geometry() if place else (1, 1)
-    panel_in = (width_in - left_in - right_in + between_in) / columns, (height_in - bottom_in - top_in + between_in) / rows
+    panel_in = (
+        (width_in - left_in - right_in + between_in) / columns,
+        (height_in - bottom_in - top_in + between_in) / rows,
+    )
     figure.subplots_adjust(
         left=left_in / width_in,
         right=1 - right_in / width_in,
@@ -180,12 +199,17 @@ def fix_margins(
 
 
 def literal(text: str) -> str:
-    """Return text that Matplotlib draws literally: between dollar signs it would be read as mathematics.
+    """Return text that Matplotlib draws literally: between dollar signs it would be read as
+    mathematics.
 
-    A character that the font does not have is drawn as one that is missing, without a warning for each figure.
+    A character that the font does not have is drawn as one that is missing, without a warning for
+    each figure.
     """
     characters = font_characters()
-    printable = "".join(character if character.isprintable() and ord(character) in characters else "\ufffd" for character in text)
+    printable = "".join(
+        character if character.isprintable() and ord(character) in characters else "\ufffd"
+        for character in text
+    )
     return printable.replace("$", r"\$")
 
 
@@ -200,7 +224,9 @@ def font_characters() -> frozenset[int]:
 
 @own_style()
 def svg_text(figure: Figure) -> str:
-    """Return a figure as SVG with numbered ids: Matplotlib's hash coordinates whose last digit varies."""
+    """Return a figure as SVG with numbered ids: Matplotlib's hash coordinates whose last digit
+    varies.
+    """
     if layout := figure.get_layout_engine():
         layout.execute(figure)
         figure.set_layout_engine(None)  # else savefig draws everything once more for the layout
@@ -212,27 +238,41 @@ def svg_text(figure: Figure) -> str:
         lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
         text.getvalue(),
     )
-    return re.sub(r"(?<=data:image/png;base64,)([^\"]+)", lambda match: _reduced_png(match[1]), numbered)
+    return re.sub(
+        r"(?<=data:image/png;base64,)([^\"]+)", lambda match: _reduced_png(match[1]), numbered
+    )
 
 
 @own_style()
 def pdf_bytes(figure: Figure) -> bytes:
-    """Return a figure as PDF, by Matplotlib's own writer and without a date: the same bytes every time."""
+    """Return a figure as PDF, by Matplotlib's own writer and without a date: the same bytes every
+    time.
+    """
     content = io.BytesIO()
     figure.savefig(content, format="pdf", metadata={"CreationDate": None, "Creator": "pixsim"})
     return content.getvalue()
 
 
 def _reduced_png(encoded: str) -> str:
-    """Return a picture that Matplotlib wrote, in base64, with the same pixels in fewer bytes; as it is, if any is transparent."""
+    """Return a picture that Matplotlib wrote, in base64, with the same pixels in fewer bytes; as it
+    is, if any is transparent.
+    """
     from PIL import Image
 
     codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGBA"))
-    return base64.b64encode(smallest_png(codes[:, :, :3])).decode() if (codes[:, :, 3] == 255).all() else encoded
+    return (
+        base64.b64encode(smallest_png(codes[:, :, :3])).decode()
+        if (codes[:, :, 3] == 255).all()
+        else encoded
+    )
 
 
 def finish(
-    axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] | None = "best", handlelength: float | None = None
+    axes: Axes,
+    x: str,
+    y: str,
+    legend: Literal["best", "lower right"] | None = "best",
+    handlelength: float | None = None,
 ) -> None:
     """Label axes, draw their grid, and put a legend of their named lines into them.
 
@@ -255,12 +295,28 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
 
 
 def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
-    """Draw the terms of `mtf.mtf_terms` against x, with a legend, and their product, which is returned."""
+    """Draw the terms of `mtf.mtf_terms` against x, with a legend, and their product, which is
+    returned.
+    """
     for term, mtf in terms.items():
         name, look = TERMS[term]
-        axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
+        axes.plot(
+            x,
+            mtf,
+            markevery=1 if x.size < MANY_POINTS else x.size // 5,
+            ms=4,
+            label=name.format(interpolation),
+            **look.line,
+        )
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")
-    has_more = bool({"microlens", "opening", "motion"} & terms.keys())  # whose additional lines leave less room at a fixed place
-    axes.legend(frameon=False, fontsize=8, loc="best" if has_more else "lower left", handlelength=LEGEND_LINE)
+    has_more = bool(
+        {"microlens", "opening", "motion"} & terms.keys()
+    )  # whose additional lines leave less room at a fixed place
+    axes.legend(
+        frameon=False,
+        fontsize=8,
+        loc="best" if has_more else "lower left",
+        handlelength=LEGEND_LINE,
+    )
     return product

@@ -54,10 +54,18 @@ class Plate:
 
     def drawn(self, figures: Figures = "svg") -> Drawn:
         svg = svg_text(self.figure)
-        return Drawn(self.name, self.caption, svg, self.csv, pdf_bytes(self.figure) if figures == "pdf" else None)
+        return Drawn(
+            self.name,
+            self.caption,
+            svg,
+            self.csv,
+            pdf_bytes(self.figure) if figures == "pdf" else None,
+        )
 
 
-Drawing: TypeAlias = tuple["Figure", Mapping[str, Array | Column]]  # a figure, and the columns of its CSV
+Drawing: TypeAlias = tuple[
+    "Figure", Mapping[str, Array | Column]
+]  # a figure, and the columns of its CSV
 
 
 FIGURES: dict[str, str] = {}  # name -> caption, of the figures of the modules that are imported
@@ -87,7 +95,10 @@ def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable
 
 def _table_of(columns: Mapping[str, Array | Column]) -> dict[str, Column]:
     """Return columns of one length."""
-    lists = {name: column.tolist() if isinstance(column, np.ndarray) else list(column) for name, column in columns.items()}
+    lists = {
+        name: column.tolist() if isinstance(column, np.ndarray) else list(column)
+        for name, column in columns.items()
+    }
     longest = max(map(len, lists.values()))
     return {name: column + [math.nan] * (longest - len(column)) for name, column in lists.items()}
 
@@ -106,11 +117,17 @@ class Drawn:
     def files(self) -> dict[str, str | bytes]:
         """`name`.svg and `name`.csv, and `name`.pdf if there is one, with their contents."""
         contents = {"svg": self.svg, "csv": self.csv, "pdf": self.pdf}
-        return {f"{self.name}.{suffix}": content for suffix, content in contents.items() if content is not None}
+        return {
+            f"{self.name}.{suffix}": content
+            for suffix, content in contents.items()
+            if content is not None
+        }
 
     @property
     def image(self) -> str:
-        """The figure as a data URI: the same drawing without line breaks, in single quotes where it has none."""
+        """The figure as a data URI: the same drawing without line breaks, in single quotes where it
+        has none.
+        """
         text = re.sub(r"\s*\n\s*", " ", self.svg)
         return text_uri("image/svg+xml", text if "'" in text else text.replace('"', "'"))
 
@@ -125,7 +142,9 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
     rows, columns = (min(COARSE, samples) for samples in values.shape)
     strips = (np.array_split(strip, columns, axis=1) for strip in np.array_split(values, rows))
     means = np.array([[block.mean() for block in strip] for strip in strips])
-    return {"row": list(range(rows))} | {f"{name}_column_{index}": column.tolist() for index, column in enumerate(means.T)}
+    return {"row": list(range(rows))} | {
+        f"{name}_column_{index}": column.tolist() for index, column in enumerate(means.T)
+    }
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -134,9 +153,11 @@ def data_uri(kind: str, content: bytes) -> str:
 
 
 def text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str:
-    """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than `data_uri` takes.
+    """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than
+    `data_uri` takes.
 
-    It is marked as escaped: a template would escape angle brackets and single quotes, which may stand there.
+    It is marked as escaped: a template would escape angle brackets and single quotes, which may
+    stand there.
 
     more : characters that are encoded too, with their codes
     """

@@ -57,18 +57,24 @@ class PictureAxes:
 
 
 def display_codes(light: Array) -> NDArray[np.uint8]:
-    """Return relative luminance (H, W), or light of red, green and blue (H, W, 3), 1 for white, for a display of gamma 2.2."""
+    """Return relative luminance (H, W), or light of red, green and blue (H, W, 3), 1 for white, for
+    a display of gamma 2.2.
+    """
     return np.asarray(np.rint(255 * np.clip(light, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
 
 
 def light_png(light: Array) -> bytes:
-    """Return relative luminance (H, W), or light of the primaries (H, W, 3), as an RGB PNG encoded for a display of gamma 2.2."""
+    """Return relative luminance (H, W), or light of the primaries (H, W, 3), as an RGB PNG encoded
+    for a display of gamma 2.2.
+    """
     codes = display_codes(light)
     return png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2))
 
 
 def scale_end(p99_delta_e: float) -> float:
-    """Return the end of the colour scale of maps with this 99th percentile, the largest of them: the next of `SCALE_ENDS`."""
+    """Return the end of the colour scale of maps with this 99th percentile, the largest of them:
+    the next of `SCALE_ENDS`.
+    """
     return next((end for end in SCALE_ENDS if p99_delta_e <= end), SCALE_ENDS[-1])
 
 
@@ -81,13 +87,21 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     right, bottom, bar = LEFT + width, TOP + height, LEFT + width + BAR_GAP
     canvas = Image.new("RGB", (right + RIGHT, bottom + BOTTOM), WHITE)
     resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
-    canvas.paste(Image.fromarray(delta_e_colours(delta_e, end)).resize((width, height), resampling), (LEFT, TOP))
+    canvas.paste(
+        Image.fromarray(delta_e_colours(delta_e, end)).resize((width, height), resampling),
+        (LEFT, TOP),
+    )
     ramp = delta_e_colours(np.linspace(end, 0, height)[:, None], end)
     canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (bar, TOP))
 
     draw = ImageDraw.Draw(canvas)
     for x, y, anchor, text in (
-        (GAP, TOP - 2 * LINE, "ls", f"S-CIELAB difference from the ideal image, mean {estimate(delta_e.mean())}"),
+        (
+            GAP,
+            TOP - 2 * LINE,
+            "ls",
+            f"S-CIELAB difference from the ideal image, mean {estimate(delta_e.mean())}",
+        ),
         (GAP, TOP - 3 * GAP, "ls", where.down.label),
         (bar, TOP - 3 * GAP, "ls", "ΔE"),
         (LEFT + width / 2, bottom + 2 * LINE, "mt", where.across.label),
@@ -111,7 +125,9 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
 
 
 def delta_e_colours(delta_e: Array, end: float) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) colour codes of a ΔE map on the scale from 0 to `end`; larger ΔE takes the last colour."""
+    """Return the (H, W, 3) colour codes of a ΔE map on the scale from 0 to `end`; larger ΔE takes
+    the last colour.
+    """
     table = viridis()
     place = np.clip(delta_e / end * len(table), 0, len(table) - 1)
     return np.asarray(table[place.astype(int)])
@@ -119,7 +135,9 @@ def delta_e_colours(delta_e: Array, end: float) -> NDArray[np.uint8]:
 
 @lru_cache
 def viridis() -> NDArray[np.uint8]:
-    return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
+    return np.loadtxt(
+        str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2
+    )
 
 
 @lru_cache
@@ -139,13 +157,19 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
     metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
     metadata.add_text("Software", "pixsim")
     # Noise does not repeat: run lengths alone take a sixth of the time and even fewer bytes.
-    compression = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
-    Image.fromarray(np.ascontiguousarray(codes)).save(content, "png", pnginfo=metadata, **compression)
+    compression = (
+        {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
+    )
+    Image.fromarray(np.ascontiguousarray(codes)).save(
+        content, "png", pnginfo=metadata, **compression
+    )
     return content.getvalue()
 
 
 def smallest_png(codes: NDArray[np.uint8]) -> bytes:
-    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page: with a palette where 256 colours do."""
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page: with a
+    palette where 256 colours do.
+    """
     from PIL import Image, PngImagePlugin
 
     if codes.ndim == 2:
@@ -175,7 +199,9 @@ MAX_TITLE = 140  # characters
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for a page or contact sheet: grey (H, W) or coloured (H, W, 3) codes, a name, a note, and a frame if `best`."""
+    """A picture for a page or contact sheet: grey (H, W) or coloured (H, W, 3) codes, a name, a
+    note, and a frame if `best`.
+    """
 
     codes: NDArray[np.uint8] = field(repr=False, compare=False)
     name: str
@@ -211,10 +237,21 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     draw.text((SHEET_MARGIN, SHEET_MARGIN), title, BLACK, font(16), anchor="lt")
 
     for index, tile in enumerate(tiles):
-        left, top = SHEET_MARGIN + index % columns * pitch_x, SHEET_MARGIN + TITLE + index // columns * pitch_y
+        left, top = (
+            SHEET_MARGIN + index % columns * pitch_x,
+            SHEET_MARGIN + TITLE + index // columns * pitch_y,
+        )
         right, bottom = left + tile.width, top + tile.height
         if tile.best:
-            draw.rectangle((left - SHEET_FRAME, top - SHEET_FRAME, right + SHEET_FRAME - 1, bottom + SHEET_FRAME - 1), fill=BLACK)
+            draw.rectangle(
+                (
+                    left - SHEET_FRAME,
+                    top - SHEET_FRAME,
+                    right + SHEET_FRAME - 1,
+                    bottom + SHEET_FRAME - 1,
+                ),
+                fill=BLACK,
+            )
         canvas.paste(Image.fromarray(tile.codes).convert("RGB"), (left, top))
         draw.text((left, bottom + 5), tile.name, BLACK, font(14), anchor="lt")
         draw.text((left, bottom + 5 + LINE), tile.note, BLACK, font(14), anchor="lt")
@@ -222,7 +259,8 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
 
 
 DETAIL_DOTS = 112  # three of them fit side by side on a phone
-MAX_PICTURE_DOTS = 1024  # per side of a whole picture in a page: larger pictures would make pages of tens of megabytes
+# per side of a whole picture in a page: larger pictures would make pages of tens of megabytes
+MAX_PICTURE_DOTS = 1024
 DETAIL_STEPS = 4  # positions tried per width of a detail
 SCALE_DOTS = 200, 12  # width and height of the colour scale
 
@@ -237,11 +275,16 @@ class Window:
     width: float
 
     def of(self, picture: Array) -> Array:
-        """Return this part of a picture of any number of dots, (H, W) or (H, W, 3), at least one dot."""
+        """Return this part of a picture of any number of dots, (H, W) or (H, W, 3), at least one
+        dot.
+        """
         rows, columns = picture.shape[:2]
         row = min(round(self.top * rows), rows - 1)
         column = min(round(self.left * columns), columns - 1)
-        below, beside = row + max(1, round(self.height * rows)), column + max(1, round(self.width * columns))
+        below, beside = (
+            row + max(1, round(self.height * rows)),
+            column + max(1, round(self.width * columns)),
+        )
         return picture[row:below, column:beside]
 
     @property
@@ -260,7 +303,9 @@ def window_at(centre: tuple[float, float], shape: tuple[int, int]) -> Window:
 
 
 def windows(shape: tuple[int, int]) -> list[Window]:
-    """Return details of a picture of `shape` dots, a quarter of their width apart, up to its edges."""
+    """Return details of a picture of `shape` dots, a quarter of their width apart, up to its
+    edges.
+    """
     side = min(DETAIL_DOTS, *shape)
     down, across = (np.linspace(0, 1, DETAIL_STEPS * dots // side + 1).tolist() for dots in shape)
     return [window_at((x, y), shape) for y in down for x in across]
@@ -269,20 +314,27 @@ def windows(shape: tuple[int, int]) -> list[Window]:
 def worst_window(maps: Sequence[Array]) -> Window:
     """Return the detail with the largest minimum over maps of mean ΔE.
 
-    With maps of the smallest and the largest pixels, both noise and blur show there. The mean over maps would prefer a detail
-    where only one of them is very bad.
+    With maps of the smallest and the largest pixels, both noise and blur show there. The mean over
+    maps would prefer a detail where only one of them is very bad.
     """
     rows, columns = max(maps, key=np.size).shape[:2]
-    return max(windows((rows, columns)), key=lambda window: min(float(window.of(delta_e).mean()) for delta_e in maps))
+    return max(
+        windows((rows, columns)),
+        key=lambda window: min(float(window.of(delta_e).mean()) for delta_e in maps),
+    )
 
 
 def factor_for(picture: Array) -> int:
-    """Return how many dots per side are averaged into one when a whole picture is shown in a page."""
+    """Return how many dots per side are averaged into one when a whole picture is shown in a
+    page.
+    """
     return -(-max(picture.shape[:2]) // MAX_PICTURE_DOTS)
 
 
 def reduced(luminance: Array) -> Array:
-    """Return a picture of at most `MAX_PICTURE_DOTS` per side: means of square blocks; an incomplete last block is cut off."""
+    """Return a picture of at most `MAX_PICTURE_DOTS` per side: means of square blocks; an
+    incomplete last block is cut off.
+    """
     rows, columns = luminance.shape[:2]
     down, across = min(factor_for(luminance), rows), min(factor_for(luminance), columns)
     whole = luminance[: rows // down * down, : columns // across * across]
@@ -294,4 +346,8 @@ def scale(end: float) -> Picture:
     """Return the colour scale of ΔE maps, 0 on the left and `end` on the right."""
     width, height = SCALE_DOTS
     ramp = delta_e_colours(np.linspace(0.0, end, width, endpoint=False)[None], end)
-    return Picture(np.repeat(ramp, height, axis=0), f"colour scale of ΔE from 0 to {end:g}", f"{end:g} and more")
+    return Picture(
+        np.repeat(ramp, height, axis=0),
+        f"colour scale of ΔE from 0 to {end:g}",
+        f"{end:g} and more",
+    )

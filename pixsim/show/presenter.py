@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 class Presenter:
     """Functions of a result of one type.
 
-    document : what a terminal, JSON and a notebook show; and its page with all other files, unless `page` makes these
+    document : what a terminal, JSON and a notebook show; and its page with all other files, unless
+        `page` makes these
     figure : the figure that answers what was asked
     csv : its numbers as CSV
-    page : the document of its page, where that takes longer than `document`, with "pdf" for a PDF beside each SVG
+    page : the document of its page, where that takes longer than `document`, with "pdf" for a PDF
+        beside each SVG
     has_figures : whether its page has figures, of which a PDF can be written
     """
 
@@ -40,15 +42,23 @@ class Presenter:
         return self.figure(result).figure
 
     def write(
-        self, result: object, folder: str | os.PathLike[str], figures: Figures = "svg", seconds: Mapping[str, float] | None = None
+        self,
+        result: object,
+        folder: str | os.PathLike[str],
+        figures: Figures = "svg",
+        seconds: Mapping[str, float] | None = None,
     ) -> Path:
-        """Write the files of a result, and return the path of its page; the arguments are those of `Result.write`."""
+        """Write the files of a result, and return the path of its page; the arguments are those of
+        `Result.write`.
+        """
         if figures != "svg" and not self.has_figures:
             got = f"'{figures}' for a {type(result).__name__}"
             raise invalid("figures", got, "'svg', since it has pictures and no figures")
         with output_folder(folder):  # one that cannot be written fails before figures are drawn
             document = self.document(result) if self.page is None else self.page(result, figures)
-            return write(document, Path(folder), {"seconds": dict(seconds)} if seconds else {}, figures)
+            return write(
+                document, Path(folder), {"seconds": dict(seconds)} if seconds else {}, figures
+            )
 
     def cell(self, result: object) -> str:
         """Return the cell of a notebook."""

@@ -1,4 +1,6 @@
-"""The renderers of a document: as lines for a terminal, as JSON, as a page, and as the cell of a notebook."""
+"""The renderers of a document: as lines for a terminal, as JSON, as a page, and as the cell of a
+notebook.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ WIDTH = 160  # columns of output that does not go to a terminal
 def text(document: Document, width: int = WIDTH) -> str:
     """Return the lines for a terminal of so many columns."""
     blocks = enumerate(document.terminal or (*document.answers, *document.lead, *document.brief))
-    return "\n".join(line for number, block in blocks for line in lines(block, width, BELOW if number else ""))
+    return "\n".join(
+        line for number, block in blocks for line in lines(block, width, BELOW if number else "")
+    )
 
 
 def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str]:
@@ -81,7 +85,9 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
 
 
 def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]:
-    """Yield a table in columns as wide as their longest cell; where that is too wide, those of words are wrapped."""
+    """Yield a table in columns as wide as their longest cell; where that is too wide, those of
+    words are wrapped.
+    """
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)
     rows = [[plain_text(cell) for cell in row] for row in (*heads, *table.rows)]
     count = max(map(len, rows), default=0) - table.wide
@@ -89,7 +95,10 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
     words = range(count) if table.words is None else (0, *table.words)
     before = BELOW if any(len(row) == 1 for row in rows) else before
 
-    widths = [max(map(len, column)) for column in zip(*(row for row in rows if len(row) == count), strict=True)]
+    widths = [
+        max(map(len, column))
+        for column in zip(*(row for row in rows if len(row) == count), strict=True)
+    ]
     room = width - len(before) - len(BETWEEN) * (count - 1)
     while sum(widths) > room and (wide := [at for at in words if widths[at] > NARROWEST]):
         widths[max(wide, key=widths.__getitem__)] -= 1
@@ -98,11 +107,17 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
         if len(row) == 1:
             yield row[0]
             continue
-        is_text = [len(row) < count or at in words for at in range(len(row))]  # the last cell of a short row takes what is left
-        cells = [_wrapped(cell, widths[at]) if at in words and len(row) == count else [cell] for at, cell in enumerate(row)]
+        is_text = [
+            len(row) < count or at in words for at in range(len(row))
+        ]  # the last cell of a short row takes what is left
+        cells = [
+            _wrapped(cell, widths[at]) if at in words and len(row) == count else [cell]
+            for at, cell in enumerate(row)
+        ]
         for parts in zip_longest(*cells, fillvalue=""):
             padded = (
-                part.ljust(wide) if left else part.rjust(wide) for part, wide, left in zip(parts, widths, is_text, strict=False)
+                part.ljust(wide) if left else part.rjust(wide)
+                for part, wide, left in zip(parts, widths, is_text, strict=False)
             )
             yield (before + BETWEEN.join(padded)).rstrip()
 
@@ -124,7 +139,9 @@ def html(document: Document) -> str:
 def notebook(document: Document) -> str:
     """Return the cell of a notebook, which needs no style sheet and no scripts."""
     macros: Any = _environment().get_template(MACROS).module
-    lead = (block for block in document.lead if not isinstance(block, Plot))  # a cell has one figure
+    lead = (
+        block for block in document.lead if not isinstance(block, Plot)
+    )  # a cell has one figure
     return str(macros.cell((*document.answers, *document.plots[:1], *lead, *document.brief)))
 
 
@@ -134,7 +151,12 @@ def _environment() -> Environment:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     folder = str(resources.files("pixsim") / "data")
-    options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    options: dict[str, Any] = {
+        "autoescape": True,
+        "trim_blocks": True,
+        "lstrip_blocks": True,
+        "undefined": StrictUndefined,
+    }
     environment = Environment(loader=FileSystemLoader(folder), **options)
     filters: dict[str, Callable[..., object]] = {
         "png": lambda content: data_uri("image/png", content),
@@ -173,7 +195,10 @@ def _capital(text: Text) -> Text:
     if isinstance(text, str):
         return capital(text)
     first, *others = text
-    return (capital(first) if isinstance(first, str) else replace(first, text=capital(first.text)), *others)
+    return (
+        capital(first) if isinstance(first, str) else replace(first, text=capital(first.text)),
+        *others,
+    )
 
 
 def _sentence(text: Text) -> Text:
@@ -181,13 +206,20 @@ def _sentence(text: Text) -> Text:
     return joined([_capital(text), *["."] * (not plain_text(text).endswith(STOPS))], "")
 
 
-def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None, figures: Figures = "svg") -> Path:
-    """Write the page, the figures with their data, the data and further files of a document, and return the path of the page.
+def write(
+    document: Document,
+    folder: Path,
+    provenance: dict[str, Any] | None = None,
+    figures: Figures = "svg",
+) -> Path:
+    """Write the page, the figures with their data, the data and further files of a document, and
+    return the path of the page.
 
     provenance : more content of pixsim.json
     figures : "pdf" writes a PDF beside each SVG
 
-    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim
+    did not write.
     """
     with output_folder(folder) as path, publishing(path, provenance) as unfinished:
         write_files(document, unfinished, figures)
@@ -199,7 +231,11 @@ def write_files(document: Document, folder: Path, figures: Figures = "svg") -> N
     with ThreadPoolExecutor(2) as pool:
         written = [pool.submit(make, folder) for make in document.writers]
         drawn = (plot.drawn_as(figures).files for plot in document.plots)
-        plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
+        plots = {
+            f"{document.figures}/{name}": content
+            for files in drawn
+            for name, content in files.items()
+        }
         for name, content in {**plots, **document.files, PAGE: html(document)}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -31,7 +31,8 @@ def sentence(words: str) -> str:
 
 
 def setting_value(value: object, name: str = "") -> object:
-    """Return the value of a setting for a table; a curve of (wavelength in nm, value) by its size and range, and so is a table.
+    """Return the value of a setting for a table; a curve of (wavelength in nm, value) by its size
+    and range, and so is a table.
 
     name : of the setting
     """

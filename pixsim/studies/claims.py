@@ -1,4 +1,6 @@
-"""Statements of Chen, Catrysse, El Gamal and Wandell (2000), each compared with a study's result."""
+"""Statements of Chen, Catrysse, El Gamal and Wandell (2000), each compared with a study's
+result.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,11 @@ FIGURE_2_INTEGRATION_S = 0.030
 FIGURE_2_WELL_FRACTION = 0.20
 
 
-def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | None = None) -> tuple[Array, Array]:
-    """Return DR (eq. 1) and SNR at 20 % of the well (eq. 2) at 30 ms, in dB, (P,) each, as in Figure 2a.
+def dr_and_snr_db(
+    pitch_um: Array, capacitance: str, technology: Technology | None = None
+) -> tuple[Array, Array]:
+    """Return DR (eq. 1) and SNR at 20 % of the well (eq. 2) at 30 ms, in dB, (P,) each, as in
+    Figure 2a.
 
     technology : the reference technology as a study defines it; None means the packaged one
     """
@@ -43,13 +48,20 @@ def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | No
     pixels = [derive(Pixel.model_validate(option), technology) for option in options]
     readouts = [Readout.of(pixel) for pixel in pixels]
     dr = [readout.dynamic_range_db(FIGURE_2_INTEGRATION_S) for readout in readouts]
-    snr = [readout.snr_db(FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S) for readout in readouts]
+    snr = [
+        readout.snr_db(FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S)
+        for readout in readouts
+    ]
     return np.array(dr), np.array(snr)
 
 
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:
     """Return b in ratio ∝ pitch^b, by least squares in logarithms."""
-    return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
+    return float(
+        np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1)
+        .convert()
+        .coef[1]
+    )
 
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
@@ -70,7 +82,9 @@ UNKNOWN: Interval = (None, None)
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement of the paper: the quantity, what the paper gives, what a study finds, and whether the two agree."""
+    """A statement of the paper: the quantity, what the paper gives, what a study finds, and whether
+    the two agree.
+    """
 
     statement: str
     given: str
@@ -93,7 +107,12 @@ class SizeMaps(NamedTuple):
     border: tuple[float, float]
 
 
-def size_maps(result: StudyResult, pitch_um: float, technology: str = REFERENCE_TECHNOLOGY, sensors: int = SENSORS) -> SizeMaps:
+def size_maps(
+    result: StudyResult,
+    pitch_um: float,
+    technology: str = REFERENCE_TECHNOLOGY,
+    sensors: int = SENSORS,
+) -> SizeMaps:
     """Return the ΔE maps of the first sensors of a pixel size."""
     height_um, width_um = picture_size_um(result.irradiance)
     scores = result.shown_scores(technology, pitch_um, sensors)
@@ -106,7 +125,8 @@ def size_maps(result: StudyResult, pitch_um: float, technology: str = REFERENCE_
 class Evidence:
     """A study and the ΔE maps with which the statements are checked.
 
-    made : `size_maps` of the pixel sizes of Figure 6 where they are made already, such as by workers
+    made : `size_maps` of the pixel sizes of Figure 6 where they are made already, such as by
+        workers
     """
 
     result: StudyResult
@@ -116,7 +136,9 @@ class Evidence:
     @cached_property
     def sizes(self) -> Mapping[float, SizeMaps]:
         """Pitch -> ΔE maps."""
-        return self.made or {pitch_um: size_maps(self.result, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
+        return self.made or {
+            pitch_um: size_maps(self.result, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM
+        }
 
     @property
     def maps(self) -> dict[float, Array]:
@@ -124,20 +146,30 @@ class Evidence:
         return {pitch_um: maps.mean for pitch_um, maps in self.sizes.items()}
 
     def border(self, pitch_um: float) -> tuple[float, float]:
-        """Return the fractions of the chart's height and width that the maps of a pitch omit on each side."""
+        """Return the fractions of the chart's height and width that the maps of a pitch omit on
+        each side.
+        """
         return self.sizes[pitch_um].border
 
     @cached_property
     def thresholds(self) -> dict[float, Array]:
-        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf if never."""
+        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf
+        if never.
+        """
         level = self.result.study.iso_delta_e
-        return {pitch: threshold_contrast(delta_e, level, self.border(pitch)[0]) for pitch, delta_e in self.maps.items()}
+        return {
+            pitch: threshold_contrast(delta_e, level, self.border(pitch)[0])
+            for pitch, delta_e in self.maps.items()
+        }
 
     @cached_property
     def frequency_lp_per_mm(self) -> Callable[[ArrayLike], Array]:
         """Frequency of the chart on the sensor at x in [0, 1] across it."""
         width_mm = 1e-3 * picture_size_um(self.result.irradiance)[1]
-        return csf_frequency_on_sensor(self.result.irradiance.header, width_mm) or csf_frequency_lp_per_mm
+        return (
+            csf_frequency_on_sensor(self.result.irradiance.header, width_mm)
+            or csf_frequency_lp_per_mm
+        )
 
     def contrast(self, y: ArrayLike) -> Array:
         """Return the contrast of the chart at y in [0, 1], 0 at its top, (...)."""
@@ -151,41 +183,55 @@ class Evidence:
 
 def by_frequency(delta_e: Array) -> Array:
     """Return the means of a CSF map over bins of equal frequency ratio, (rows, bins)."""
-    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1)
+    return np.stack(
+        [part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1
+    )
 
 
 def chart_places(parts: int, border: float) -> Array:
-    """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1, without `border` at each end."""
+    """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1,
+    without `border` at each end.
+    """
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
 def frequency_places(border: float = 0.0) -> Array:
-    """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the chart's width on each side."""
+    """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the
+    chart's width on each side.
+    """
     return chart_places(FREQUENCY_BINS, border)
 
 
-def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:
+def frequency_contrast_table(
+    delta_e: Array, border: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array, Array]:
     """Return places across the chart (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
 
     border : fractions of the chart's height and width that the map omits on each side
     """
-    table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
+    table = np.stack(
+        [part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)]
+    )
     return frequency_places(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
 
 
 def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
-    """Return the lowest contrast at which the mean ΔE of each frequency bin exceeds a level, (F,); inf if none.
+    """Return the lowest contrast at which the mean ΔE of each frequency bin exceeds a level, (F,);
+    inf if none.
 
     border : fraction of the chart's height that the map omits above and below
     """
-    smooth = scipy.ndimage.gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter1d(
+        by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest"
+    )
     contrast = csf_contrast(chart_places(len(smooth), border))
     above = smooth > level
     return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
 
 
 def modes(delta_e: Array) -> int:
-    """Return the number of modes of a map's distribution: density maxima with a prominence of 2 % of the highest.
+    """Return the number of modes of a map's distribution: density maxima with a prominence of 2 %
+    of the highest.
 
     The density is a histogram smoothed by Silverman's rule (Density Estimation, 1986, eq. 3.31).
     """
@@ -202,11 +248,17 @@ def modes(delta_e: Array) -> int:
 
 
 def prominent_maxima(values: Array, prominence: float) -> int:
-    """Return the number of maxima with at least this prominence, as `scipy.signal.find_peaks` does, whose import takes 0.5 s.
+    """Return the number of maxima with at least this prominence, as `scipy.signal.find_peaks` does,
+    whose import takes 0.5 s.
 
-    Of values that begin and end at their least: each such maximum lies between a rise and a fall by the prominence.
+    Of values that begin and end at their least: each such maximum lies between a rise and a fall by
+    the prominence.
     """
-    count, rising, last = 0, False, float(values[0])  # the highest value since a rise, or the lowest since a fall
+    count, rising, last = (
+        0,
+        False,
+        float(values[0]),
+    )  # the highest value since a rise, or the lowest since a fall
     for value in values.tolist():
         last = max(last, value) if rising else min(last, value)
         if abs(value - last) >= prominence:
@@ -240,8 +292,13 @@ class Verdict:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict as in summary.json."""
-        cases = [{"at": curve.at, "condition": curve.condition, "alone": curve.alone} for curve in self.turned_by]
-        return asdict(self.finding) | {"turned_by": [{key: value for key, value in case.items() if value} for case in cases]}
+        cases = [
+            {"at": curve.at, "condition": curve.condition, "alone": curve.alone}
+            for curve in self.turned_by
+        ]
+        return asdict(self.finding) | {
+            "turned_by": [{key: value for key, value in case.items() if value} for case in cases]
+        }
 
 
 def verdicts(result: CasesResult) -> list[Verdict]:
@@ -255,7 +312,12 @@ def verdicts(result: CasesResult) -> list[Verdict]:
     cases = [part.curves[0] for part in result.parts]
     return [
         Verdict(
-            row, tuple(curve for curve, own in zip(cases, agrees, strict=True) if own.get(row.statement, row.agrees) != row.agrees)
+            row,
+            tuple(
+                curve
+                for curve, own in zip(cases, agrees, strict=True)
+                if own.get(row.statement, row.agrees) != row.agrees
+            ),
         )
         for row in result.findings[0]
     ]
@@ -263,22 +325,36 @@ def verdicts(result: CasesResult) -> list[Verdict]:
 
 def reference_process(study: Study) -> Technology:
     """Return the paper's process with the numbers and the fill-factor law of a study."""
-    return with_fill_factor_law(technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law)
+    return with_fill_factor_law(
+        technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law
+    )
 
 
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
         result = float(fill_factor_law(size_um, process))
-        yield Finding(f"Fill factor at {size_um:g} µm", percent(given), percent(result, 1), abs(result - given) < 0.015)
+        yield Finding(
+            f"Fill factor at {size_um:g} µm",
+            percent(given),
+            percent(result, 1),
+            abs(result - given) < 0.015,
+        )
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
-    for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
+    for name, db in zip(
+        ("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True
+    ):
         axis, reach = f"within {low:g} to {high:g} dB", f"{db.min():.1f} to {db.max():.1f} dB"
         inside = bool(low <= db.min() and db.max() <= high)
         yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside)
         exponent = growth_exponent(pitch_um, db)
-        yield Finding(f"{name} grows roughly as √pitch", "pitch^0.5", f"pitch^{exponent:.2f}", abs(exponent - 0.5) < 0.15)
+        yield Finding(
+            f"{name} grows roughly as √pitch",
+            "pitch^0.5",
+            f"pitch^{exponent:.2f}",
+            abs(exponent - 0.5) < 0.15,
+        )
 
 
 def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
@@ -299,19 +375,33 @@ def _bands(frequencies_lp_per_mm: Array) -> str:
 
 
 def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
-    """Yield the rows of Fig. 6: a pixel is better where it reaches the iso level at a higher contrast."""
+    """Yield the rows of Fig. 6: a pixel is better where it reaches the iso level at a higher
+    contrast.
+    """
     limits, centres = evidence.thresholds, evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
         better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
         result = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
         agrees = bool(better.any() and not worse.any())
-        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees)
+        yield Finding(
+            f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees
+        )
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
-    crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
-    result = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}"
-    yield Finding(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", result, crosses)
+    crosses = bool(
+        apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]]
+    )
+    result = (
+        f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at"
+        f" {_bands(centres[smallest > six])}"
+    )
+    yield Finding(
+        f"{title}: 6 and 5.3 µm cross",
+        "6 µm better at low, 5.3 µm at high frequencies",
+        result,
+        crosses,
+    )
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
@@ -322,7 +412,10 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     frequency = evidence.frequency_lp_per_mm(places)
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
-    result = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"
+    result = (
+        f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast"
+        f" {contrast[row]:.2f}"
+    )
     yield Finding("Largest errors (8 µm)", "at high frequency and high contrast", result, corner)
 
 
@@ -335,8 +428,14 @@ SCALING = (
 
 
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
-    """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a single process."""
-    sized = [(curve.feature_size_um, curve.optimum) for curve in curves if curve.feature_size_um is not None]
+    """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a
+    single process.
+    """
+    sized = [
+        (curve.feature_size_um, curve.optimum)
+        for curve in curves
+        if curve.feature_size_um is not None
+    ]
     if len(sized) < 2:
         return []
     sized.sort(key=lambda pair: -pair[0])
@@ -346,7 +445,9 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     size_um = [best.pitch_um for best in optima]
     # A minimum at the end of the pitches is no optimum: neither its pitch nor its error is known.
     size_intervals = [best.interval_um if best.inside else UNKNOWN for best in optima]
-    ratio = [best.pitch_um / feature_um for best, feature_um in zip(optima, features_um, strict=True)]
+    ratio = [
+        best.pitch_um / feature_um for best, feature_um in zip(optima, features_um, strict=True)
+    ]
     ratio_intervals = [
         (low and low / feature_um, high and high / feature_um)
         for (low, high), feature_um in zip(size_intervals, features_um, strict=True)
@@ -354,7 +455,9 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     least = [best.mean_delta_e for best in optima]
     least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
 
-    def row(statement: str, given: str, values: Sequence[float], digits: int, agrees: bool) -> Finding:
+    def row(
+        statement: str, given: str, values: Sequence[float], digits: int, agrees: bool
+    ) -> Finding:
         result = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
         return Finding(statement, given, result, agrees)
 
@@ -369,12 +472,12 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
 def rise(values: Sequence[float], intervals: Sequence[Interval]) -> bool:
     """Return whether values rise from the first process to the last.
 
-    They rise if no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
-    (a_high - a)²) for a first value a and a last value b of independent sensors.
+    They rise if no step falls and the whole rise exceeds its 95 % interval, whose half width is
+    √((b - b_low)² + (a_high - a)²) for a first value a and a last value b of independent sensors.
 
     values : one for each process, in one unit
-    intervals : 95 %, low and high; None for an open end. A rise that depends on an open end is unknown, and so is one that
-        includes a value with both ends open; neither counts as a rise.
+    intervals : 95 %, low and high; None for an open end. A rise that depends on an open end is
+        unknown, and so is one that includes a value with both ends open; neither counts as a rise.
     """
     low, high = intervals[-1][0], intervals[0][1]
     if low is None or high is None or UNKNOWN in intervals:

@@ -1,8 +1,9 @@
-"""Compare image sensors in one scene: mean ΔE of each, the differences from the first, and how sure these are.
+"""Compare image sensors in one scene: mean ΔE of each, the differences from the first, and how sure
+these are.
 
-All sensors see the same field, on one display, in the same light. The first sensor and each other one are compared as if no third
-one were there. Both frames of a pair have the random seeds of its number. Of results that exist, frames of the same light and
-random streams are pairs.
+All sensors see the same field, on one display, in the same light. The first sensor and each other
+one are compared as if no third one were there. Both frames of a pair have the random seeds of its
+number. Of results that exist, frames of the same light and random streams are pairs.
 """
 
 from __future__ import annotations
@@ -44,7 +45,14 @@ from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
-from pixsim.studies.table import CHECK, COLUMNS, MAX_BYTES, ROWS_FILE, check_replaceable_results, is_as_written
+from pixsim.studies.table import (
+    CHECK,
+    COLUMNS,
+    MAX_BYTES,
+    ROWS_FILE,
+    check_replaceable_results,
+    is_as_written,
+)
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
@@ -56,7 +64,8 @@ from pixsim.viewer.scene_light import PreparedScene
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
 
-# --- results that exist -----------------------------------------------------------------------------------------------------------
+# --- results that exist
+# -----------------------------------------------------------------------------------------------------------
 
 MAKE_AGAIN = "Make it again, with its settings.toml."
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
@@ -71,9 +80,11 @@ class ResultFolder:
     path : of the folder
     kind : "run", "study" or "comparison"
     lights : header of each light, by the case or the sensor that sees it
-    film_delta_e : largest error of a mean ΔE that the film may cause, of all lights; 0 of light that was given, NaN if unknown
+    film_delta_e : largest error of a mean ΔE that the film may cause, of all lights; 0 of light
+        that was given, NaN if unknown
     streams : what its random streams begin with
-    rows : of results.csv, by the place of each: labels, size of a study's pixels, repeat, and dots where there are several
+    rows : of results.csv, by the place of each: labels, size of a study's pixels, repeat, and dots
+        where there are several
     """
 
     path: Path
@@ -95,17 +106,26 @@ class ResultFolder:
 
 
 def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
-    """Return the result in a folder. Raises PixsimError for another folder, and for one of another version of pixsim."""
+    """Return the result in a folder. Raises PixsimError for another folder, and for one of another
+    version of pixsim.
+    """
     folder = Path(path)
     files = [name for name in RESULTS if (folder / name).is_file()]
     allowed = f"the folder of a run, a study or a comparison, with {ROWS_FILE}"
     if not files:
         raise invalid("results", f"'{folder}' without {', '.join(RESULTS)}", allowed)
     if (version := version_of_files(folder)) != VERSION:
-        got = f"'{folder}', of pixsim {version}" if version else f"'{folder}', of an unknown version of pixsim"
+        got = (
+            f"'{folder}', of pixsim {version}"
+            if version
+            else f"'{folder}', of an unknown version of pixsim"
+        )
         raise invalid("results", got, f"results of pixsim {VERSION}", MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
-        hint = "A comparison and a study keep theirs in the folder of --out; a run has written one since pixsim 2.0."
+        hint = (
+            "A comparison and a study keep theirs in the folder of --out; a run has written one"
+            " since pixsim 2.0."
+        )
         raise invalid("results", f"'{folder}' without {ROWS_FILE}", allowed, hint)
     data_file = folder / files[0]
     kind = RESULTS[files[0]]
@@ -119,7 +139,10 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         raise invalid(
-            "results", f"'{data_file}', which is damaged", f"the file of a {kind} as pixsim wrote it", MAKE_AGAIN
+            "results",
+            f"'{data_file}', which is damaged",
+            f"the file of a {kind} as pixsim wrote it",
+            MAKE_AGAIN,
         ) from None
     rows = _rows_of(folder / ROWS_FILE, kind)
     if not rows:
@@ -127,8 +150,12 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     return ResultFolder(folder, kind, lights, film_delta_e, streams, rows)
 
 
-def _lit_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
-    """Return what of a result states a light and its film, by the name of the light, and its random streams."""
+def _lit_and_streams(
+    content: Mapping[str, Any], kind: str
+) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
+    """Return what of a result states a light and its film, by the name of the light, and its random
+    streams.
+    """
     if kind == "run":
         return {"": content}, ("evaluate", content["seed"])
     if kind == "comparison":
@@ -143,7 +170,9 @@ def _lit_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str, M
 
 
 def _largest_film_error(entries: Iterable[Mapping[str, Any]]) -> float:
-    """Return the largest error of a mean ΔE by the film; 0 if no light was rendered, NaN if one is unknown."""
+    """Return the largest error of a mean ΔE by the film; 0 if no light was rendered, NaN if one is
+    unknown.
+    """
     errors = [film["delta_e"] for entry in entries if (film := entry.get("film"))]
     return math.nan if None in errors else max(errors, default=0.0)
 
@@ -159,17 +188,23 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
         raise invalid("results", f"'{path}'", "the rows of a study")
     if not all(is_as_written(line, head) for line in lines):
         raise invalid(
-            "results", f"'{path}', with a row that changed after pixsim wrote it", "rows as pixsim wrote them", MAKE_AGAIN
+            "results",
+            f"'{path}', with a row that changed after pixsim wrote it",
+            "rows as pixsim wrote them",
+            MAKE_AGAIN,
         )
 
     labels = names[names.index("repeat") + 1 : names.index(first_number)]
     numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]
     for row in reader:
         place: list[object] = [(name, row[name]) for name in labels]
-        # The sensor of a run is what is compared; the sizes of a comparison are those of its sensors.
+        # The sensor of a run is what is compared; the sizes of a comparison are those of its
+        # sensors.
         place += [] if kind == "run" else [("technology", row["technology"])]
         place += [("pitch_um", float(row["pitch_um"]))] if kind == "study" else []
-        rows[*place, ("repeat", int(row["repeat"]))] = {name: float(row[name] or "nan") for name in numbers}
+        rows[*place, ("repeat", int(row["repeat"]))] = {
+            name: float(row[name] or "nan") for name in numbers
+        }
     return rows
 
 
@@ -206,16 +241,22 @@ class ResultsComparison(Result):
 
     @property
     def film_delta_e(self) -> float | None:
-        """Largest error of a difference of mean ΔE that the film may cause, the sum of both results'; None if it is unknown."""
+        """Largest error of a difference of mean ΔE that the film may cause, the sum of both
+        results'; None if it is unknown.
+        """
         error = self.a.film_delta_e + self.b.film_delta_e
         return None if math.isnan(error) else error
 
     def film_error_of(self, metric: Metric) -> float | None:
-        """Return `film_delta_e` for ΔE, and 0 for other metrics, whose error by the film is not measured."""
+        """Return `film_delta_e` for ΔE, and 0 for other metrics, whose error by the film is not
+        measured.
+        """
         return self.film_delta_e if metric.is_delta_e else 0.0
 
     def __repr__(self) -> str:
-        return f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
+        return (
+            f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
+        )
 
 
 def names_of(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
@@ -224,11 +265,14 @@ def names_of(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
 
 
 def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> ResultsComparison:
-    """Compare two results that exist, by their folders: of two runs, two studies or two comparisons.
+    """Compare two results that exist, by their folders: of two runs, two studies or two
+    comparisons.
 
-    a, b : folders that pixsim wrote. Their light and random streams must be the same, so that their frames are pairs
+    a, b : folders that pixsim wrote. Their light and random streams must be the same, so that their
+        frames are pairs
 
-    Raises PixsimError for folders of another kind or of another version of pixsim, and says what of light and streams differs.
+    Raises PixsimError for folders of another kind or of another version of pixsim, and says what of
+    light and streams differs.
     """
     first, other = read_folder(a), read_folder(b)
     if first.kind != other.kind:
@@ -239,7 +283,9 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
         raise invalid("results", got, "results of the same light and streams", hint)
     shared = [place for place in first.rows if place in other.rows]
     if not shared:
-        raise invalid("results", "two results without a row in common", "the same cases, sizes and sensors")
+        raise invalid(
+            "results", "two results without a row in common", "the same cases, sizes and sensors"
+        )
     groups: dict[tuple[object, ...], list[tuple[object, ...]]] = {}
     for place in shared:
         groups.setdefault(place[:-1], []).append(place)
@@ -248,7 +294,10 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
     for metric in metrics_of(first, other):
         column = metric.columns[0]
         for labels, places in groups.items():
-            values_a, values_b = (np.array([folder.rows[place][column] for place in places]) for folder in (first, other))
+            values_a, values_b = (
+                np.array([folder.rows[place][column] for place in places])
+                for folder in (first, other)
+            )
             if np.isfinite([values_a, values_b]).all():
                 pairs = Pairs(names_of(first, other), values_a, values_b, metric)
                 differences.append(ResultPairs(dict(labels), pairs))  # type: ignore[arg-type]
@@ -267,7 +316,10 @@ def what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
     if a.streams != b.streams:
         yield f"random streams ({_shown(a.streams)} and {_shown(b.streams)})"
     for name in a.lights.keys() & b.lights.keys():
-        one, other = ({key: value for key, value in each.lights[name].items() if key not in OF_PIXELS} for each in (a, b))
+        one, other = (
+            {key: value for key, value in each.lights[name].items() if key not in OF_PIXELS}
+            for each in (a, b)
+        )
         for key in sorted(one.keys() | other.keys()):
             if json.dumps(one.get(key)) != json.dumps(other.get(key)):  # a NaN equals itself
                 yield f"the light's {key} ({_shown(one.get(key))} and {_shown(other.get(key))})"
@@ -277,7 +329,8 @@ def _shown(value: object) -> str:
     return f"{value}"[:60]
 
 
-# --- sensors in one scene ---------------------------------------------------------------------------------------------------------
+# --- sensors in one scene
+# ---------------------------------------------------------------------------------------------------------
 
 
 def compare(
@@ -310,37 +363,48 @@ def compare(
 ) -> Comparison:
     """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
 
-    files : of the sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of packaged ones.
-        The first is the reference
+    files : of the sensors: TOML files with a table [pixel], such as data sheets; files of
+        technologies, or names of packaged ones. The first is the reference
     scene : XML file or name of a packaged scene; None means that of the study, or csf
-    study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and conditions hold for all sensors,
-        and its lens for files that state none. Under conditions, the result is that of the weighted mean over them, and has
-        `conditions`. With axes, the result has a comparison at each of their values as `cases`. Its pixels, technologies and
+    study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and
+        conditions hold for all sensors, and its lens for files that state none. Under conditions,
+        the result is that of the weighted mean over them, and has `conditions`. With axes, the
+        result has a comparison at each of their values as `cases`. Its pixels, technologies and
         pixel sizes are not used
-    match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
-        length; 'own': each file's own camera. Only the central field that all have in common is compared. None means 'view', and
-        says whether 'lens' turns the answer
-    repeats : pairs of frames; frames of one number have the same seeds. None means 8, with `quick` 4
-    config : one or more TOML files with settings of all sensors, or of a study, which take precedence over the sensors' own files
+    match : 'view': the same field of view, f-number and object distance, those of the first file's
+        camera; 'lens': the same focal length; 'own': each file's own camera. Only the central field
+        that all have in common is compared. None means 'view', and says whether 'lens' turns the
+        answer
+    repeats : pairs of frames; frames of one number have the same seeds. None means 8, with `quick`
+        4
+    config : one or more TOML files with settings of all sensors, or of a study, which take
+        precedence over the sensors' own files
     parameters : of the scene, each in its unit
     pixel : fields of all pixels, as {"bits": 12}
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
-    quick : fewer pairs of frames, and the overrides of `study`, the file NAME.quick.toml next to its own
-    jobs : processes; None means one per core, where they are worth it. The results do not depend on it
-    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
+    quick : fewer pairs of frames, and the overrides of `study`, the file NAME.quick.toml next to
+        its own
+    jobs : processes; None means one per core, where they are worth it. The results do not depend on
+        it
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
+        replace local processes
     progress : returns a callback for each named stage
     agreed : whether a comparison with axes or sensor types may take more than 100 000 evaluations
-    out : folder whose results.csv keeps the numbers of each frame, so that an interrupted comparison goes on. None keeps nothing
-    uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
-        `uncertainty`; rounded up to a power of two. None means none
-    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
+    out : folder whose results.csv keeps the numbers of each frame, so that an interrupted
+        comparison goes on. None keeps nothing
+    uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of
+        data sheets, for the result's `uncertainty`; rounded up to a power of two. None means none
+    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
+        types
     smaller_than_um, light, without : of a study; a comparison refuses them
-    axis, condition : tables of a study, in place of those of `study`: axis=[{"name": "lens", "set": "camera.f_number", "values":
-        [2.0, 4.0]}]
-    metrics : names of further metrics, or functions of a `Score`, each a number in its own unit; the verdict is that of ΔE
-    settings : tables and fields of `Study` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They
-        take precedence over the study, but not over its conditions. Those for pixel sizes change nothing
+    axis, condition : tables of a study, in place of those of `study`: axis=[{"name": "lens", "set":
+        "camera.f_number", "values": [2.0, 4.0]}]
+    metrics : names of further metrics, or functions of a `Score`, each a number in its own unit;
+        the verdict is that of ΔE
+    settings : tables and fields of `Study` for all sensors: camera={"f_number": 2.8}, exposure={…},
+        display={…}, seed=3. They take precedence over the study, but not over its conditions. Those
+        for pixel sizes change nothing
 
     Raises PixsimError for invalid input, before anything is rendered.
 
@@ -353,7 +417,9 @@ def compare(
     options = tables_of_python(settings, metrics)
     options |= {"scene": dict(parameters)} if parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
-    options |= {name: list(tables) for name, tables in (("axis", axis), ("condition", condition)) if tables}
+    options |= {
+        name: list(tables) for name, tables in (("axis", axis), ("condition", condition)) if tables
+    }
     with collected_notes():  # also of what is found before the comparison begins
         job = prepare(
             files,
@@ -370,7 +436,9 @@ def compare(
             quick=quick,
             smaller_than_um=smaller_than_um,
         )
-        return run_prepared(job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=out)
+        return run_prepared(
+            job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=out
+        )
 
 
 def run_prepared(
@@ -388,7 +456,9 @@ def run_prepared(
     stage = progress or no_stage
     with collected_notes() as notes, ExitStack() as stack:
         folder = None if out is None else stack.enter_context(output_folder(out))
-        files = {name: None if folder is None else folder / name for name in (ROWS_FILE, TYPES_FILE)}
+        files = {
+            name: None if folder is None else folder / name for name in (ROWS_FILE, TYPES_FILE)
+        }
         for file in filter(None, files.values()):
             check_replaceable_results(file)
         workers: Workers | None = None
@@ -403,22 +473,38 @@ def run_prepared(
         table = evaluate_points(lit, files[ROWS_FILE], workers, lambda: stage("sense and score"))
         for case, rows in zip(cases, table.by_case(), strict=True):
             for reason in dict.fromkeys(rows.reasons.values()):
-                warn(Note("undefined_metric", words=reason).of(filter(None, [case.sensor, case.condition])))
+                warn(
+                    Note("undefined_metric", words=reason).of(
+                        filter(None, [case.sensor, case.condition])
+                    )
+                )
         measuring = stage("error of the film")
         sensors = []
         for number, (sensor, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
             progress_of_sensor = share_of(measuring, number / len(lit), (number + 1) / len(lit))
-            sensors.append(compared_sensor(by_number[sensor.case.group], sensor, light, plan, progress_of_sensor))
+            sensors.append(
+                compared_sensor(
+                    by_number[sensor.case.group], sensor, light, plan, progress_of_sensor
+                )
+            )
         measuring(1.0)
-        result = Comparison(job=replace(job, groups=tuple(groups), cases=tuple(cases)), table=table, compared=tuple(sensors))
+        result = Comparison(
+            job=replace(job, groups=tuple(groups), cases=tuple(cases)),
+            table=table,
+            compared=tuple(sensors),
+        )
         if job.types is not None:
-            drawn = differences_of_types(job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types"))
+            drawn = differences_of_types(
+                job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types")
+            )
             result = replace(result, uncertainty=tuple(drawn))
     return replace(result, warned=tuple(notes))
 
 
 def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
-    """Raise PixsimError for sensors whose ideal images differ; warn of their numbers, their stacks and what the display clips."""
+    """Raise PixsimError for sensors whose ideal images differ; warn of their numbers, their stacks
+    and what the display clips.
+    """
     for group in groups:
         members = [one for one in lit if one.case.group == group.first.group]
         with named(group.words):
@@ -432,8 +518,11 @@ def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
     warn_of_reviews((one.case.sensor, one.case, one.scenes.light) for one in lit)
 
 
-def render_groups(job: ComparisonJob, stage: Stage) -> tuple[list[SensorGroup], list[tuple[Light, Plan]]]:
-    """Return the groups that differ, and the light of each of their sensors with the plan of its film.
+def render_groups(
+    job: ComparisonJob, stage: Stage
+) -> tuple[list[SensorGroup], list[tuple[Light, Plan]]]:
+    """Return the groups that differ, and the light of each of their sensors with the plan of its
+    film.
 
     A pair that sees the same alone as among all sensors is not rendered again.
     """
@@ -445,7 +534,8 @@ def render_groups(job: ComparisonJob, stage: Stage) -> tuple[list[SensorGroup], 
         if pair and any(
             # Another sensor may have asked for a finer film.
             pair not in other.first.labels.values()
-            and (other.first.at, other.first.condition, other.match) == (group.first.at, group.first.condition, group.match)
+            and (other.first.at, other.first.condition, other.match)
+            == (group.first.at, group.first.condition, group.match)
             and group.sees_the_same(other)
             and on_film[place] == other.film_width
             for place, other in enumerate(groups)
@@ -459,7 +549,9 @@ def render_groups(job: ComparisonJob, stage: Stage) -> tuple[list[SensorGroup], 
         with ExitStack() as stack:
             if quiet is not None:
                 stack.enter_context(quiet)
-            stack.enter_context(named(", ".join(filter(None, (f"{pair} alone" if pair else "", group.words)))))
+            stack.enter_context(
+                named(", ".join(filter(None, (f"{pair} alone" if pair else "", group.words))))
+            )
             of_group = lights_on_one_film(group, part)
         on_film[len(groups)] = of_group[0][0].image.shape[1]
         groups.append(group)
@@ -468,14 +560,20 @@ def render_groups(job: ComparisonJob, stage: Stage) -> tuple[list[SensorGroup], 
 
 
 def lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Plan]]:
-    """Return the light of every sensor on one film, fine enough for all, with the plan of that film."""
+    """Return the light of every sensor on one film, fine enough for all, with the plan of that
+    film.
+    """
     width = group.film_width
     while True:
         lights: list[tuple[Light, Plan]] = []
         for case in group.cases:
             with named(case.sensor):
-                lights.append(rendered_light(group.request(case, width), stage(f"render {case.sensor}")))
-            if (across := lights[-1][0].image.shape[1]) > width:  # its film had to be finer: the others take that one too
+                lights.append(
+                    rendered_light(group.request(case, width), stage(f"render {case.sensor}"))
+                )
+            if (
+                across := lights[-1][0].image.shape[1]
+            ) > width:  # its film had to be finer: the others take that one too
                 width = across
                 break
         else:
@@ -483,15 +581,19 @@ def lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Pl
             for case, (light, _) in zip(group.cases, lights, strict=True):
                 shared = {"display": group.display, "border_um": group.border_um(case.camera)}
                 seen.append((Imaging.of(case.settings, case.camera).changed(**shared), light.image))
-            # Of a plate each light says what it holds: one that ends at 830 nm has less of an infrared lamp.
+            # Of a plate each light says what it holds: one that ends at 830 nm has less of an
+            # infrared lamp.
             of_all = {} if group.display.white else white_header(seen)
             for imaging, image in seen:
                 image.header |= white_header([(imaging, image)]) if group.display.white else of_all
             return lights
 
 
-def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan, progress: Progress | None = None) -> ComparedSensor:
-    """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and errors of the film.
+def compared_sensor(
+    group: SensorGroup, lit: LitCase, light: Light, plan: Plan, progress: Progress | None = None
+) -> ComparedSensor:
+    """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and
+    errors of the film.
 
     progress : of the measurement of the film's errors
     """
@@ -499,7 +601,11 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan, 
     chain = make_chain(imaging.registered(0), lit.light())
     score = chain.simulate(*case.stream, 0)
     is_shown = not case.labels.get(PAIR) and group.weight > 0
-    budget = noise_budget(chain, light.image, *case.stream, 0) if case.settings.noise_budget and is_shown else None
+    budget = (
+        noise_budget(chain, light.image, *case.stream, 0)
+        if case.settings.noise_budget and is_shown
+        else None
+    )
     time_s = score.frame.integration_s
     white_e = chain.white_e_per_s * time_s
     with without_warnings():  # the result itself warns
@@ -519,11 +625,18 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan, 
 
 
 def differences_of_types(
-    types: Types, result: Comparison, lit: Sequence[LitCase], file: Path | None, workers: Workers | None, progress: Progress
+    types: Types,
+    result: Comparison,
+    lit: Sequence[LitCase],
+    file: Path | None,
+    workers: Workers | None,
+    progress: Progress,
 ) -> list[PairUncertainty]:
-    """Evaluate the sensor types of both sensors of each pair under all conditions, and return the differences of each pair.
+    """Evaluate the sensor types of both sensors of each pair under all conditions, and return the
+    differences of each pair.
 
-    Those of ΔE come first for each pair, then those of further metrics. Warns of pairs without an unknown number.
+    Those of ΔE come first for each pair, then those of further metrics. Warns of pairs without an
+    unknown number.
 
     result : with the sensors as they are
     lit : the cases of the comparison in their light
@@ -535,7 +648,9 @@ def differences_of_types(
         if sample_of(types.sample, first, other).inputs:
             uncertain[other] = result.groups_of_pair(other)
         else:
-            words = f"{first} and {other}: nothing is drawn, since no number of these two is unknown"
+            words = (
+                f"{first} and {other}: nothing is drawn, since no number of these two is unknown"
+            )
             warn(Note("no_effect", words=words))
     base = {
         (group.first.group, one.case.sensor): one
@@ -593,12 +708,19 @@ def differences_of_types(
 
 
 def scatter_variances(differences: Array) -> Array:
-    """Return the variance of the mean of each type's frames that their common noise leaves, (types,).
+    """Return the variance of the mean of each type's frames that their common noise leaves,
+    (types,).
 
-    differences : (types, frames), in which all types have the same random numbers. What is left beside the means of types and of
-        frames is the interaction of a two-way analysis of variance.
+    differences : (types, frames), in which all types have the same random numbers. What is left
+        beside the means of types and of frames is the interaction of a two-way analysis of
+        variance.
     """
     types, frames = differences.shape
-    interaction = differences - differences.mean(axis=1, keepdims=True) - differences.mean(axis=0) + differences.mean()
+    interaction = (
+        differences
+        - differences.mean(axis=1, keepdims=True)
+        - differences.mean(axis=0)
+        + differences.mean()
+    )
     freedom = (frames - 1) * (types - 1) / types
     return np.asarray((interaction**2).sum(axis=1) / (freedom * frames))

@@ -28,7 +28,8 @@ from pixsim.viewer.noise_budget import NoiseBudget
 from pixsim.viewer.score import Cause, FrameScore
 from pixsim.viewer.setting import Run
 
-# Of the film's error on the stated display, grown with mean ΔE: on 46 of 48 other displays of six comparisons it is within this.
+# Of the film's error on the stated display, grown with mean ΔE: on 46 of 48 other displays of six
+# comparisons it is within this.
 OTHER_DISPLAY_FACTOR = 2.0
 
 
@@ -84,7 +85,8 @@ class DisplayDifference:
     """The difference of two sensors' mean ΔE on one display, b minus a.
 
     dots : across the display
-    interval_delta_e : its 95 % interval; on another display than the stated one from the frames of both
+    interval_delta_e : its 95 % interval; on another display than the stated one from the frames of
+        both
     film_delta_e : largest error of the difference that the film may cause; None if it is unknown
     """
 
@@ -101,7 +103,9 @@ class DisplayDifference:
 
     @property
     def sign(self) -> int:
-        """1 if a is surely better, -1 if b is, 0 if half of the interval and the film's error exceed the difference together."""
+        """1 if a is surely better, -1 if b is, 0 if half of the interval and the film's error
+        exceed the difference together.
+        """
         if abs(self.difference) <= self.half_delta_e + (self.film_delta_e or 0.0):
             return 0
         return 1 if self.difference > 0 else -1
@@ -111,15 +115,17 @@ class DisplayDifference:
 class Comparison(Result):
     """Sensors in one scene. The first one is a, each later one is b.
 
-    A difference of a and b is that of the two alone, with their own chart, field, dots and border. So it does not depend on the
-    other sensors. The mean ΔE of three sensors and more (`delta_e`, `scores`) are those on one display for all. Under conditions,
-    both are weighted means. With axes, they are those at their first values; `cases` has the others.
+    A difference of a and b is that of the two alone, with their own chart, field, dots and border.
+    So it does not depend on the other sensors. The mean ΔE of three sensors and more (`delta_e`,
+    `scores`) are those on one display for all. Under conditions, both are weighted means. With
+    axes, they are those at their first values; `cases` has the others.
 
     job : what was compared: scene, cameras, display and seeds
     table : of all evaluations
     compared : what else is known of the sensor of each case of the job
     warned : warnings meanwhile
-    uncertainty : of each pair, what is known of its difference over sensor types by each metric, if they were asked for
+    uncertainty : of each pair, what is known of its difference over sensor types by each metric, if
+        they were asked for
     combination : number of the values of axes
     """
 
@@ -132,16 +138,21 @@ class Comparison(Result):
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader should know besides the numbers: warnings, causes of mean ΔE, black levels that clip dark noise."""
+        """What a reader should know besides the numbers: warnings, causes of mean ΔE, black levels
+        that clip dark noise.
+        """
         return [Note.restored(**note) for note in self.as_dict()["notes"]]
 
     def verdict(self, other: str) -> str:
-        """Return the answer for the first sensor and another by the first metric: which is better, by how much, how sure.
+        """Return the answer for the first sensor and another by the first metric: which is better,
+        by how much, how sure.
 
         other : name of the other one
         """
         content = self.as_dict()
-        verdicts: dict[str, str] = (content["cases"][self.combination] if len(self.cases) > 1 else content)["verdicts"]
+        verdicts: dict[str, str] = (
+            content["cases"][self.combination] if len(self.cases) > 1 else content
+        )["verdicts"]
         return verdicts[other]
 
     @property
@@ -152,7 +163,9 @@ class Comparison(Result):
     @property
     def cases(self) -> tuple[Comparison, ...]:
         """The comparison at each combination of the values of axes: itself alone without axes."""
-        return tuple(replace(self, combination=number) for number in range(len(self.job.combinations)))
+        return tuple(
+            replace(self, combination=number) for number in range(len(self.job.combinations))
+        )
 
     @property
     def case(self) -> Case[Run]:
@@ -169,12 +182,16 @@ class Comparison(Result):
         return self.job.of_sensors(self.combination, match=match)
 
     def groups_of_pair(self, other: str, match: Match | None = None) -> list[SensorGroup]:
-        """Return the groups of the first sensor and another one alone; where they see the same as among all, that of all.
+        """Return the groups of the first sensor and another one alone; where they see the same as
+        among all, that of all.
 
         other : name of the other sensor
         match : of the cameras; None means the one that was asked for
         """
-        alone = {group.first.condition: group for group in self.job.of_sensors(self.combination, other, match)}
+        alone = {
+            group.first.condition: group
+            for group in self.job.of_sensors(self.combination, other, match)
+        }
         return [alone.get(group.first.condition, group) for group in self.groups(match)]
 
     def rows(self, groups: Sequence[SensorGroup], dots: int | None = None) -> Table:
@@ -182,7 +199,12 @@ class Comparison(Result):
 
         dots : across it; None means the stated one
         """
-        numbers = [place for group in groups for place, case in enumerate(self.job.cases) if case.group == group.first.group]
+        numbers = [
+            place
+            for group in groups
+            for place, case in enumerate(self.job.cases)
+            if case.group == group.first.group
+        ]
         rows = self.table.take(np.isin(self.table.case, numbers))
         if DOTS not in rows.columns:
             return rows
@@ -196,11 +218,17 @@ class Comparison(Result):
 
         groups : one for each condition
         """
-        return {group.first.condition: group.weight for group in groups} if len(groups) > 1 else None
+        return (
+            {group.first.condition: group.weight for group in groups} if len(groups) > 1 else None
+        )
 
     def of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
         """Return what else is known of the sensors of a group, by their names."""
-        return {sensor.name: sensor for sensor in self.compared if sensor.case.group == group.first.group}
+        return {
+            sensor.name: sensor
+            for sensor in self.compared
+            if sensor.case.group == group.first.group
+        }
 
     # --- readings
 
@@ -223,7 +251,13 @@ class Comparison(Result):
         """
         groups = [group for group in self.groups() if condition in (None, group.first.condition)]
         rows = self.rows(groups).where(technology=name)
-        return np.array(list(weighted_frames(rows, metric, self.weights(groups) if condition is None else None).values()))
+        return np.array(
+            list(
+                weighted_frames(
+                    rows, metric, self.weights(groups) if condition is None else None
+                ).values()
+            )
+        )
 
     @property
     def delta_e(self) -> dict[str, Array]:
@@ -237,8 +271,13 @@ class Comparison(Result):
 
     @property
     def judged(self) -> dict[str, dict[str, Array]]:
-        """Further metrics by their names, each in its unit: of each frame of each sensor on the stated display, (repeats,)."""
-        return {metric.name: {name: self.frames(name, metric) for name in self.names} for metric in self.further_metrics}
+        """Further metrics by their names, each in its unit: of each frame of each sensor on the
+        stated display, (repeats,).
+        """
+        return {
+            metric.name: {name: self.frames(name, metric) for name in self.names}
+            for metric in self.further_metrics
+        }
 
     @property
     def scores(self) -> dict[str, tuple[float, float, float]]:
@@ -262,7 +301,11 @@ class Comparison(Result):
         match : of the cameras; None means the one that was asked for
         condition : its name; None means the weighted mean over all
         """
-        groups = [group for group in self.groups_of_pair(other, match) if condition in (None, group.first.condition)]
+        groups = [
+            group
+            for group in self.groups_of_pair(other, match)
+            if condition in (None, group.first.condition)
+        ]
         rows = self.rows(groups, dots)
         is_of_pair = np.array([case.sensor in (self.names[0], other) for case in self.job.cases])
         weights = self.weights(groups) if condition is None else None
@@ -270,7 +313,9 @@ class Comparison(Result):
 
     @property
     def differences(self) -> dict[str, Array]:
-        """ΔE(b) - ΔE(a) of each pair of frames on the stated display, (repeats,), of each later sensor."""
+        """ΔE(b) - ΔE(a) of each pair of frames on the stated display, (repeats,), of each later
+        sensor.
+        """
         return {other: self.pairs(other).differences for other in self.names[1:]}
 
     @property
@@ -280,7 +325,9 @@ class Comparison(Result):
 
     @property
     def interval_delta_e(self) -> dict[str, tuple[float, float]]:
-        """95 % interval of each difference, from its pairs of frames; the film's error is not in it (`film_delta_e`)."""
+        """95 % interval of each difference, from its pairs of frames; the film's error is not in it
+        (`film_delta_e`).
+        """
         return {other: self.pairs(other).interval for other in self.names[1:]}
 
     @property
@@ -293,10 +340,14 @@ class Comparison(Result):
         """Largest error of each difference that the film may cause; None if it is unknown."""
         return {other: self.film_of_pair(other) for other in self.names[1:]}
 
-    def film_of_pair(self, other: str, match: Match | None = None, condition: str | None = None) -> float | None:
-        """Return the largest error of the difference of mean ΔE of the first sensor and another one that the film may cause.
+    def film_of_pair(
+        self, other: str, match: Match | None = None, condition: str | None = None
+    ) -> float | None:
+        """Return the largest error of the difference of mean ΔE of the first sensor and another one
+        that the film may cause.
 
-        Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
+        Both sensors see the same film, so that it is less than the errors of both together. Those
+        of conditions add up, by weight.
 
         other : name of the other sensor
         match : of the cameras; None means the one that was asked for
@@ -304,17 +355,25 @@ class Comparison(Result):
         """
         total = 0.0
         for group in self.groups_of_pair(other, match):
-            weight = group.weight if condition is None else float(group.first.condition == condition)
+            weight = (
+                group.weight if condition is None else float(group.first.condition == condition)
+            )
             if weight:
                 sensors = self.of_group(group)
-                total += weight * sensors[self.names[0]].steps.error_of_difference(sensors[other].steps)
+                total += weight * sensors[self.names[0]].steps.error_of_difference(
+                    sensors[other].steps
+                )
         return None if math.isnan(total) else total
 
-    def display_differences(self, other: str, match: Match | None = None) -> tuple[DisplayDifference, ...]:
-        """Return the difference of the first sensor and another one on each display, the stated one first.
+    def display_differences(
+        self, other: str, match: Match | None = None
+    ) -> tuple[DisplayDifference, ...]:
+        """Return the difference of the first sensor and another one on each display, the stated one
+        first.
 
-        On another display it is that on the stated one, plus what the display changes in the frames that both show; so is its
-        interval, which grows with mean ΔE. The film's error is measured on the stated display, and twice taken on others.
+        On another display it is that on the stated one, plus what the display changes in the frames
+        that both show; so is its interval, which grows with mean ΔE. The film's error is measured
+        on the stated display, and twice taken on others.
 
         other : name of the other one
         match : of the cameras; None means the one that was asked for
@@ -326,11 +385,21 @@ class Comparison(Result):
         for display in group.first.others:
             here = self.pairs(other, dots=display.dots, match=match)
             count = here.a.size
-            difference = stated.difference + float((here.differences - stated.differences[:count]).mean())
-            growth = max(1.0, max(float(here.a.mean()), float(here.b.mean())) / largest) if largest else 1.0
+            difference = stated.difference + float(
+                (here.differences - stated.differences[:count]).mean()
+            )
+            growth = (
+                max(1.0, max(float(here.a.mean()), float(here.b.mean())) / largest)
+                if largest
+                else 1.0
+            )
             half = stated.half_width * growth
             film_here = None if film is None else film * OTHER_DISPLAY_FACTOR * growth
-            found.append(DisplayDifference(display.dots, difference, (difference - half, difference + half), film_here))
+            found.append(
+                DisplayDifference(
+                    display.dots, difference, (difference - half, difference + half), film_here
+                )
+            )
         return tuple(found)
 
     @property
@@ -347,8 +416,16 @@ class Comparison(Result):
         """The groups of all sensors at all values of axes and under all conditions."""
         return [group for case in self.cases for group in case.groups()]
 
-    def sign(self, other: str, metric: Metric = DELTA_E, *, match: Match | None = None, condition: str | None = None) -> int:
-        """Return 1 if the first sensor is surely better than another one on the stated display, -1 if that one is, else 0.
+    def sign(
+        self,
+        other: str,
+        metric: Metric = DELTA_E,
+        *,
+        match: Match | None = None,
+        condition: str | None = None,
+    ) -> int:
+        """Return 1 if the first sensor is surely better than another one on the stated display, -1
+        if that one is, else 0.
 
         other : name of the other sensor
         metric : that tells which is better; by ΔE, the film's error counts

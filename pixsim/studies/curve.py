@@ -1,4 +1,6 @@
-"""Curves against pixel size with their optima: what a table says of a sensor's best size, and which further points it asks for."""
+"""Curves against pixel size with their optima: what a table says of a sensor's best size, and which
+further points it asks for.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from pixsim.base.result import Result
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
-from pixsim.studies.design import Sampling, Sizes, case_words, photodiode_widths_um, study_pitches_um, technology_of
+from pixsim.studies.design import (
+    Sampling,
+    Sizes,
+    case_words,
+    photodiode_widths_um,
+    study_pitches_um,
+    technology_of,
+)
 from pixsim.studies.optimum import (
     FEWEST_SIZES,
     NO_VISIBLE_DELTA_E,
@@ -41,7 +50,8 @@ from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
 if TYPE_CHECKING:
     from pixsim.studies.evaluate import LitCase
 
-# --- the curve of a table ---------------------------------------------------------------------------------------------------------
+# --- the curve of a table
+# ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,8 @@ class CaseLabels:
 class CurveErrors:
     """What makes the mean ΔE of a curve unsure, beside noise and blur.
 
-    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
+    light, light_limit : errors of the light, the film's at the best of the pitches, and what is
+        tolerated of them
     causes : of the mean ΔE of the best of the pitches, the largest first
     """
 
@@ -95,15 +106,19 @@ class Curve(Result):
     feature_size_um : of the process; None for a sensor that is described by its data sheet only
     pitch_um : (pitches,) increasing
     fill_factor : (pitches,) photodiode area over pixel area
-    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
+    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer
+        sensors than others
     fit : the curve fitted to the first metric, with its minimum
     label : the technology's name for readers, unique in a study
     metrics : that judge it
-    fits : fitted curve of each further metric, by its name, and of each variant of a metric, by its column, that tells a best size
+    fits : fitted curve of each further metric, by its name, and of each variant of a metric, by its
+        column, that tells a best size
     case : labels of its case
     errors : of its mean ΔE
-    fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
-    missing : (name of a metric, pitch in µm, reason) where a metric has no number; without a name, the pitch is left out
+    fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is
+        doubtful; None without microlenses
+    missing : (name of a metric, pitch in µm, reason) where a metric has no number; without a name,
+        the pitch is left out
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
     """
 
@@ -163,13 +178,19 @@ class Curve(Result):
 
     @property
     def words(self) -> str:
-        """Values and condition of its case as text; empty in a study without axes and conditions."""
+        """Values and condition of its case as text; empty in a study without axes and
+        conditions.
+        """
         return case_words(self.at, self.condition, self.alone)
 
     @property
     def optimum_features(self) -> float | None:
-        """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
-        return None if self.feature_size_um is None else self.optimum.pitch_um / self.feature_size_um
+        """The optimum in units of the feature size; None for a sensor given by its data sheet,
+        which has no process.
+        """
+        return (
+            None if self.feature_size_um is None else self.optimum.pitch_um / self.feature_size_um
+        )
 
     @property
     def metric(self) -> Metric:
@@ -186,23 +207,33 @@ class Curve(Result):
         if metric == self.metric.name:
             return self
         if metric not in self.optima:
-            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join(self.optima)}")
+            raise invalid(
+                "metric", f"'{metric}'", f"one that tells a best size: {', '.join(self.optima)}"
+            )
         first = next(other for other in self.metrics if other.name == metric)
         metrics = first, *(other for other in self.metrics if other is not first)
-        fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
+        fits = {self.metric.name: self.fit} | {
+            name: fit for name, fit in self.fits.items() if name != metric
+        }
         errors = replace(self.errors, causes=())
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, errors=errors, on_displays=())
+        return replace(
+            self, metrics=metrics, fit=self.fits[metric], fits=fits, errors=errors, on_displays=()
+        )
 
     @property
     def optimum(self) -> Optimum:
-        """The pitch of minimum mean ΔE, or of the best value of the first metric, with its interval."""
+        """The pitch of minimum mean ΔE, or of the best value of the first metric, with its
+        interval.
+        """
         return self.fit.optimum
 
     @property
     def optima(self) -> dict[str, Optimum]:
         """The optimum by each metric that tells a best size, by the metric's name."""
         further = (metric.name for metric in self.metrics[1:] if metric.name in self.fits)
-        return {self.metric.name: self.optimum} | {name: self.fits[name].optimum for name in further}
+        return {self.metric.name: self.optimum} | {
+            name: self.fits[name].optimum for name in further
+        }
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -221,16 +252,20 @@ class Curve(Result):
 
     @property
     def delta_e(self) -> Array:
-        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
+        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than
+        others.
 
-        Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that are not `told`.
+        Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that
+        are not `told`.
         """
         loss = self.metric.loss(self.statistics[self.metric.columns[0]])
         return np.where(self.told[:, None], loss, np.nan)
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number, or where it is worth nothing."""
+        """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number,
+        or where it is worth nothing.
+        """
         return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
 
     @property
@@ -240,16 +275,23 @@ class Curve(Result):
 
     @property
     def along(self) -> tuple[Array, Array]:
-        """Pitches in µm and the first metric there, (n,) each: the fitted curve, and pitches where some sensors have 0 or less."""
+        """Pitches in µm and the first metric there, (n,) each: the fitted curve, and pitches where
+        some sensors have 0 or less.
+        """
         values = self.statistics[self.metric.columns[0]]
         dead = np.isfinite(values).any(axis=1) & ~self.told
         pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
         order = np.argsort(pitch_um, kind="stable")
-        return pitch_um[order], np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order]
+        return (
+            pitch_um[order],
+            np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order],
+        )
 
     @property
     def means(self) -> dict[str, Array]:
-        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was not asked for."""
+        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was
+        not asked for.
+        """
         return {name: self.mean(name) for name in DELTA_E.columns if name in self.statistics}
 
     def mean(self, statistic: str | None = None) -> Array:
@@ -260,19 +302,24 @@ class Curve(Result):
         return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
 
     def typical(self, statistic: str) -> Array:
-        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit; the least one of a worst case.
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit;
+        the least one of a worst case.
 
         statistic : its column in results.csv
         """
         worst = any(statistic in metric.worst for metric in self.metrics)
-        return over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
+        return (
+            over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
+        )
 
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
-        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
+        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05,
+        uncertainty included; None if narrow.
 
-        The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
-        neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
+        The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²).
+        The range is the widest of neighbouring pitches with the best of them; one of a ratio below
+        `WIDE_RATIO` is narrow, as around any smooth minimum.
         """
         if not self.judged_by_delta_e:
             return None  # the threshold is one of ΔE
@@ -284,15 +331,21 @@ class Curve(Result):
                 differ = apart[first : last + 1, first : last + 1].copy()
                 np.fill_diagonal(differ, 0.0)
                 ratio = float(self.pitch_um[last] / self.pitch_um[first])
-                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
+                if (
+                    differ.max() < NO_VISIBLE_DELTA_E
+                    and ratio >= WIDE_RATIO
+                    and (widest is None or ratio > widest[1] / widest[0])
+                ):
                     widest = float(self.pitch_um[first]), float(self.pitch_um[last])
         return widest
 
     @property
     def fit_swings(self) -> bool:
-        """Whether the fitted curve is least outside the sizes that look alike, where the best size tried is not.
+        """Whether the fitted curve is least outside the sizes that look alike, where the best size
+        tried is not.
 
-        Beside a steep flank, a smooth curve may swing below all sizes tried. Its minimum is then doubtful.
+        Beside a steep flank, a smooth curve may swing below all sizes tried. Its minimum is then
+        doubtful.
         """
         if self.no_difference_um is None:
             return False
@@ -301,25 +354,33 @@ class Curve(Result):
 
     @property
     def doubtful(self) -> Array:
-        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below 1."""
+        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below
+        1.
+        """
         none = np.full(self.pitch_um.shape, np.inf)
         return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
 
     @property
     def doubtful_below_um(self) -> float | None:
-        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None without microlenses."""
+        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None
+        without microlenses.
+        """
         if self.fresnel_number is None:
             return None
         return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
 
     def fresnel_at(self, pitch_um: Pitch) -> float | None:
-        """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
+        """Return the Fresnel number of the microlens at any pitch, to whose square it is
+        proportional; None without microlenses.
+        """
         return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
 
     @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
-        return np.max([np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0)
+        return np.max(
+            [np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0
+        )
 
     @property
     def optimum_fill_factor(self) -> float:
@@ -328,17 +389,25 @@ class Curve(Result):
 
 
 def curve_of(
-    study: Study, technology: str, table: Table, metrics: tuple[Metric, ...] | None = None, label: str | None = None
+    study: Study,
+    technology: str,
+    table: Table,
+    metrics: tuple[Metric, ...] | None = None,
+    label: str | None = None,
 ) -> Curve:
     """Return the curve of one technology, with its optima, from its evaluations on one display.
 
-    metrics : of which there are optima, the first one that of the curve; None takes those of the table
+    metrics : of which there are optima, the first one that of the curve; None takes those of the
+        table
     label : of sensor and case, for messages
 
-    Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics tells no best size.
+    Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics
+    tells no best size.
     """
     metrics = metrics or table.metrics
-    left_out = {float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()}
+    left_out = {
+        float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()
+    }
     undefined = {
         (name, float(table.columns["pitch_um"][row])): reason
         for row, reasons in table.undefined.items()
@@ -347,7 +416,10 @@ def curve_of(
     possible = table.possible
     pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
     if left_out and pitches.size < FEWEST_SIZES:
-        got = f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
+        got = (
+            f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a"
+            f" curve needs {FEWEST_SIZES}"
+        )
         raise TooFewSizesError(f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}")
 
     repeat = possible.columns["repeat"]
@@ -362,15 +434,21 @@ def curve_of(
     width_um = partial(photodiode_widths_um, study, technology)
     columns = {metric.name: (metric, metric.columns[0]) for metric in metrics}
     columns |= {name: (metric, name) for metric in metrics for name in metric.variants}
-    fits = {name: fit_of_metric(metric, pitches, statistics[column], width_um) for name, (metric, column) in columns.items()}
+    fits = {
+        name: fit_of_metric(metric, pitches, statistics[column], width_um)
+        for name, (metric, column) in columns.items()
+    }
     fit = fits.pop(metrics[0].name)
     if fit is None:
         fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
         got = (
-            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel sizes of {label_of(technology)}"
+            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel"
+            f" sizes of {label_of(technology)}"
         )
         hint = "Name another metric first."
-        error = invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)
+        error = invalid(
+            "metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint
+        )
         raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
     process = technology_of(study, technology)
     missing = [("", pitch_um, reason) for pitch_um, reason in left_out.items()]
@@ -390,35 +468,55 @@ def curve_of(
 
 
 def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
-    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval, NaN where not `told`."""
-    told, shown, ci95 = curve.told, curve.mean(curve.metric.columns[0]), np.full(curve.pitch_um.shape, np.nan)
+    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 %
+    interval, NaN where not `told`.
+    """
+    told, shown, ci95 = (
+        curve.told,
+        curve.mean(curve.metric.columns[0]),
+        np.full(curve.pitch_um.shape, np.nan),
+    )
     mean, half = mean_and_ci95(curve.delta_e[told])
-    shown[told], ci95[told] = curve.metric.of_loss(mean), half if curve.metric.better == "less" else half / mean**2
+    shown[told], ci95[told] = (
+        curve.metric.of_loss(mean),
+        half if curve.metric.better == "less" else half / mean**2,
+    )
     return shown, ci95
 
 
-# --- further points ---------------------------------------------------------------------------------------------------------------
+# --- further points
+# ---------------------------------------------------------------------------------------------------------------
 
 ROUND = 4  # additions chosen together from one fitted curve
-SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
-# Pitches beyond each end of the interval that are candidates too. The slope at a minimum is measured best somewhat away from
-# it: with one such pitch, a tenth of simulated studies stop improving.
+SENSORS_PER_ADDITION = (
+    2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
+)
+# Pitches beyond each end of the interval that are candidates too. The slope at a minimum is
+# measured best somewhat away from it: with one such pitch, a tenth of simulated studies stop
+# improving.
 BEYOND = 2
-MAX_OPEN = 48  # evaluations that a study without a target adds to a curve whose interval has an open end
-# A study without a target adds sizes near the best one, one at a time, until half the interval is that short over the size
+MAX_OPEN = (
+    48  # evaluations that a study without a target adds to a curve whose interval has an open end
+)
+# A study without a target adds sizes near the best one, one at a time, until half the interval is
+# that short over the size
 NEAR_BEST = 0.01
 MAX_NEAR_BEST = 8  # of them
-MIN_BETWEEN = 0.5  # share of the interval's variance that is due to the curve between the sizes, from which sizes are added
+# share of the interval's variance that is due to the curve between the sizes, from which sizes are
+# added
+MIN_BETWEEN = 0.5
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a new pitch, as of a study's first pitches
 
 
 def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
-    """Return the sensors of each pitch, {µm: sensors}, after a round of additions; unchanged if none is possible.
+    """Return the sensors of each pitch, {µm: sensors}, after a round of additions; unchanged if
+    none is possible.
 
-    Each addition is the one that most lowers the variance of the curve's rise from its minimum to both ends of the interval:
-    the interval contains the pitches where that rise is uncertain. The variance of a Gaussian process does not depend on the
-    measured values, so it is known before they are measured.
+    Each addition is the one that most lowers the variance of the curve's rise from its minimum to
+    both ends of the interval: the interval contains the pitches where that rise is uncertain. The
+    variance of a Gaussian process does not depend on the measured values, so it is known before
+    they are measured.
 
     fit : of the present pitches
     max_sensors : at one pitch
@@ -428,15 +526,21 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
         options = additions(fit, chosen, max_sensors)
         if not options:
             break
-        pitch_um = min(options, key=lambda pitch: predicted_variance(fit, chosen | {pitch: options[pitch]}))
+        pitch_um = min(
+            options, key=lambda pitch: predicted_variance(fit, chosen | {pitch: options[pitch]})
+        )
         chosen[pitch_um] = options[pitch_um]
     return dict(sorted(chosen.items()))
 
 
-def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, max_sensors: int) -> dict[float, int]:
-    """Return `next_sensors` for a curve whose interval has an open end; unchanged for others, and at the limit of `MAX_OPEN`.
+def next_where_open(
+    fit: FittedCurve, sensors: dict[float, int], started: int, max_sensors: int
+) -> dict[float, int]:
+    """Return `next_sensors` for a curve whose interval has an open end; unchanged for others, and
+    at the limit of `MAX_OPEN`.
 
-    A curve that is least at an end of the range has a third of that limit: it may well go on beyond.
+    A curve that is least at an end of the range has a third of that limit: it may well go on
+    beyond.
 
     started : evaluations before any was added
     """
@@ -448,10 +552,11 @@ def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, m
 
 
 def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> dict[float, int]:
-    """Return the sensors of each pitch after one more near the best, where the interval is long for want of sizes; else unchanged.
+    """Return the sensors of each pitch after one more near the best, where the interval is long for
+    want of sizes; else unchanged.
 
-    The new pitch, of one sensor, lies in the widest gap between pitches that the interval reaches: at the minimum of the fitted
-    curve, but not in the outer quarters of the gap.
+    The new pitch, of one sensor, lies in the widest gap between pitches that the interval reaches:
+    at the minimum of the fitted curve, but not in the outer quarters of the gap.
 
     sizes : pitches before any was added
     """
@@ -473,50 +578,82 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
     quarter = (places[left + 1] - places[left]) / 4
     minimum = fit.places_of(np.array([best.pitch_um]))[0]
     is_inside = places[left] < minimum < places[left + 1]
-    place = np.clip(minimum, places[left] + quarter, places[left + 1] - quarter) if is_inside else places[left] + 2 * quarter
+    place = (
+        np.clip(minimum, places[left] + quarter, places[left + 1] - quarter)
+        if is_inside
+        else places[left] + 2 * quarter
+    )
     pitch_um = round(float(fit.pitches_at(np.array([place]))[0]), DIGITS)
     return dict(sorted((sensors | {pitch_um: 1}).items()))
 
 
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
-    """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
+    """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside
+    the interval, and midpoints.
+    """
     pitches_um = np.array(sorted(sensors))
     low, high = fit.look_interval_um
     first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
-    stop = pitches_um.size if high is None else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
+    stop = (
+        pitches_um.size
+        if high is None
+        else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
+    )
     near = pitches_um[first:stop]
-    more = {um: min(sensors[um] + SENSORS_PER_ADDITION, max_sensors) for um in near.tolist() if sensors[um] < max_sensors}
-    halfway = np.round(fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS)
-    for left, middle, right in zip(near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True):
+    more = {
+        um: min(sensors[um] + SENSORS_PER_ADDITION, max_sensors)
+        for um in near.tolist()
+        if sensors[um] < max_sensors
+    }
+    halfway = np.round(
+        fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS
+    )
+    for left, middle, right in zip(
+        near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True
+    ):
         if middle >= MIN_RATIO * left and right >= MIN_RATIO * middle:
             more[middle] = min(SENSORS_PER_ADDITION, max_sensors)
     return more
 
 
 def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
-    """Return the variance, summed over both ends of the interval, of the curve's rise from its minimum with so many sensors."""
+    """Return the variance, summed over both ends of the interval, of the curve's rise from its
+    minimum with so many sensors.
+    """
     pitches_um = np.array(sorted(sensors))
     u = fit.places_of(pitches_um)
     mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
     counts = np.array([sensors[um] for um in pitches_um.tolist()])
     best = fit.likeliest
     noise = np.array([fit.loud.get(um, fit.noise) for um in pitches_um.tolist()])
-    design = replace(best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts)
+    design = replace(
+        best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts
+    )
     low, high = fit.look_interval_um
-    ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
+    ends = np.array(
+        [
+            pitches_um[0] if low is None else low,
+            fit.optimum.pitch_um,
+            pitches_um[-1] if high is None else high,
+        ]
+    )
     fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
     return rise_variance(fit_of_design, fit.places_of(ends))
 
 
-# --- the rounds of a study --------------------------------------------------------------------------------------------------------
+# --- the rounds of a study
+# --------------------------------------------------------------------------------------------------------
 
 
-def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True) -> Sampling:
+def next_round(
+    study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True
+) -> Sampling:
     """Return the sampling after a round of additions to each curve; unchanged at a limit.
 
-    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
-    whose interval has an open end (`next_where_open`), and one whose interval is long for want of sizes near the best
-    (`next_near_best`), unless the sizes are a list of the user's.
+    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most.
+    Without a target, so does one whose interval has an open end (`next_where_open`), and one whose
+    interval is long for want of sizes near the best (`next_near_best`), unless the sizes are a list
+    of the user's.
 
     refine : whether curves without a target may have additions
 
@@ -526,7 +663,10 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
     for curve in curves:
         sensors = sampling[curve.technology]
         told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
-        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
+        sizes, most = (
+            len(study_pitches_um(study, curve.technology)),
+            max(study.repeats, study.max_repeats),
+        )
         if study.target_ci_um is None:
             if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
@@ -540,7 +680,9 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
         if study.max_evaluations is None:
             within = sum(more.values()) <= sizes * most
         else:
-            evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
+            evaluations = sum(
+                sum(counts.values()) for counts in (chosen | {curve.technology: more}).values()
+            )
             within = evaluations <= study.max_evaluations
         if within:
             chosen[curve.technology] = more
@@ -549,7 +691,8 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
 
 @dataclass
 class Rounds:
-    """The curves of a study's cases, and which further points they ask for, from the tables of its points alone.
+    """The curves of a study's cases, and which further points they ask for, from the tables of its
+    points alone.
 
     cases : in their light
     is_refined : whether curves without a target may have additions
@@ -557,7 +700,9 @@ class Rounds:
 
     cases: Sequence[LitCase]
     is_refined: bool
-    _curves: dict[tuple[int, bytes], Curve | str] = field(default_factory=dict, init=False, repr=False)
+    _curves: dict[tuple[int, bytes], Curve | str] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def curve(self, number: int, table: Table) -> Curve | str:
         """Return the curve of a case, or why it has none; it is fitted once for the same points."""
@@ -565,13 +710,19 @@ class Rounds:
         if key not in self._curves:
             case = self.cases[number].case
             try:
-                self._curves[key] = curve_of(case.settings, case.sensor, on_first_display(table), label=self.cases[number].label)
+                self._curves[key] = curve_of(
+                    case.settings,
+                    case.sensor,
+                    on_first_display(table),
+                    label=self.cases[number].label,
+                )
             except TooFewSizesError as error:
                 self._curves[key] = str(error)
         return self._curves[key]
 
     def more(self, tables: Mapping[int, Table]) -> dict[int, Sizes]:
-        """Return the sizes and sensors of the cases of a group, with further ones; the same where none are needed.
+        """Return the sizes and sensors of the cases of a group, with further ones; the same where
+        none are needed.
 
         tables : of each case
         """
@@ -593,12 +744,18 @@ class Rounds:
 
 def on_first_display(table: Table) -> Table:
     """Return the evaluations of a case on its stated display, which has all repeats."""
-    return table.take(table.columns[DOTS] == table.columns[DOTS][0]) if DOTS in table.columns else table
+    return (
+        table.take(table.columns[DOTS] == table.columns[DOTS][0])
+        if DOTS in table.columns
+        else table
+    )
 
 
 def sizes_of(table: Table) -> Sizes:
     """Return the pixel sizes of a case and the number of sensors of each, from its points."""
     sizes: Sizes = {}
-    for pitch_um, repeat in zip(table.columns["pitch_um"].tolist(), table.columns["repeat"].tolist(), strict=True):
+    for pitch_um, repeat in zip(
+        table.columns["pitch_um"].tolist(), table.columns["repeat"].tolist(), strict=True
+    ):
         sizes[pitch_um] = max(sizes.get(pitch_um, 0), repeat + 1)
     return sizes

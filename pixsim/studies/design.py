@@ -1,7 +1,8 @@
 """Cases: sensors with complete settings, their pixel sizes, and the keys of what is made of them.
 
-The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
-case. In a comparison each sensor is a case, under each condition. Each stage states the settings that it depends on once.
+The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A
+study without them is its own only case. In a comparison each sensor is a case, under each
+condition. Each stage states the settings that it depends on once.
 """
 
 from __future__ import annotations
@@ -31,7 +32,13 @@ from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.labels import labels_of
 from pixsim.sensor.motion import border_with_room_um
-from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law, largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.pixel import (
+    PixelPhysics,
+    derive,
+    fill_factor_law,
+    largest_pitch_um,
+    pitch_for_fill_factor_um,
+)
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
@@ -51,7 +58,8 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
     from pixsim.viewer.scene_light import SceneLight
 
-# --- pixels of a study ------------------------------------------------------------------------------------------------------------
+# --- pixels of a study
+# ------------------------------------------------------------------------------------------------------------
 
 
 def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
@@ -68,7 +76,8 @@ def technology_of(study: Study, name: str) -> Technology:
 
     That of a data sheet (`Study.sensors`) is the one that it names, or none.
 
-    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process numbers of a data sheet.
+    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process
+    numbers of a data sheet.
     """
     sensor, values = study.sensors.get(name), study.process.get(name)
     technology = load_technology(sensor.technology if sensor else name)
@@ -76,12 +85,17 @@ def technology_of(study: Study, name: str) -> Technology:
         return technology
     if technology.name == NO_TECHNOLOGY:
         hint = "Put them into [pixel]."
-        raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
+        raise invalid(
+            f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint
+        )
     return technology.with_numbers(values, f"process.{name}")
 
 
-def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
+def physics_of(
+    study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None
+) -> PixelPhysics:
+    """Return the physical properties of a study's pixel, with the process numbers of
+    `Study.process`.
 
     Parameters
     ----------
@@ -91,11 +105,14 @@ def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technolo
 
     Raises PixsimError as `derive` and `technology_of` do.
     """
-    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+    return derive(
+        pixel_of(study, technology, pitch_um), process or technology_of(study, technology)
+    )
 
 
 def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray) -> Array:
-    """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
+    """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels,
+    (n,) as the pitches.
 
     technology : a name or path as in `Study.technologies`
 
@@ -103,13 +120,19 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
     """
     options = study.options_of(technology)
     process = with_fill_factor_law(technology_of(study, technology), options.fill_factor_law)
-    fill_factor = options.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
+    fill_factor = options.fill_factor or np.maximum(
+        fill_factor_law(pitch_um, process), MIN_FRACTION
+    )
     return np.asarray(np.sqrt(fill_factor) * pitch_um)
 
 
 CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
-FRAME_S, PIXEL_S, DOT_S = 6e-4, 2e-7, 1.6e-7  # of a frame, its pixels and its dots, on one core of an ordinary machine
+FRAME_S, PIXEL_S, DOT_S = (
+    6e-4,
+    2e-7,
+    1.6e-7,
+)  # of a frame, its pixels and its dots, on one core of an ordinary machine
 DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
@@ -119,9 +142,11 @@ _equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
-    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no microlens (`largest_lens_um`).
+    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no
+    microlens (`largest_lens_um`).
 
-    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest of given pitches.
+    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on
+    the largest of given pitches.
     """
     largest_um = largest_lens_um(study, technology)
     if study.pitch.values_um is not None:
@@ -129,16 +154,36 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         if pitches.size < 5:
             raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         if pitches.max() > largest_um:
-            expected = f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
-            hint = "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
-            raise invalid("pitch.values_um", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
+            expected = (
+                f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
+            )
+            hint = (
+                "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens"
+                " = 'none'."
+            )
+            raise invalid(
+                "pitch.values_um",
+                f"pixels up to {pitches.max():g} µm under microlenses",
+                expected,
+                hint,
+            )
         return pitches
     (low, high), source = study.open_range_um, "pitch.min_um"
     if low is None:
-        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
+        process = with_fill_factor_law(
+            technology_of(study, technology), study.options_of(technology).fill_factor_law
+        )
         if process.name == NO_TECHNOLOGY:
-            got, expected = f"no value, with {technology} beside other technologies", "a smallest pixel size, or pitch.values_um"
-            raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
+            got, expected = (
+                f"no value, with {technology} beside other technologies",
+                "a smallest pixel size, or pitch.values_um",
+            )
+            raise invalid(
+                "pitch.min_um",
+                got,
+                expected,
+                "A data sheet has no fill factors, from which it would follow.",
+            )
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= largest_um:
@@ -156,18 +201,24 @@ def study_pitches_um(study: Study, technology: str) -> Array:
 
 
 def largest_lens_um(study: Study, technology: str) -> float:
-    """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
+    """Return the widest pixel on which a technology's stack allows a microlens, rounded down;
+    infinity without microlenses.
+    """
     largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
     return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
 
 
 def cutoff_pitch_um(camera: Camera) -> float:
-    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `CUTOFF_NM`, λ/(4 sin α)."""
+    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `CUTOFF_NM`, λ/(4 sin
+    α).
+    """
     return 1e3 / (2 * float(cutoff_cy_per_mm(CUTOFF_NM, camera.effective_f_number)))
 
 
 def largest_pixel_um(study: Study, technology: str) -> float:
-    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
+    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest
+    with a microlens.
+    """
     return min(study.pitch.max_um, largest_lens_um(study, technology))
 
 
@@ -190,7 +241,8 @@ def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -
 
 
 def border_on_um(study: Study, camera: Camera) -> float:
-    """Return the width on each side of a camera's die that a study does not score: that of its pixels, and room for what moves.
+    """Return the width on each side of a camera's die that a study does not score: that of its
+    pixels, and room for what moves.
 
     Raises PixsimError if nothing would be left.
     """
@@ -205,13 +257,18 @@ def border_on_um(study: Study, camera: Camera) -> float:
 
 
 def metrics_of(settings: Setting, repeats: int = 1) -> MetricRequest:
-    """Return which metrics judge frames, so many of which share the registrations of a pixel size."""
+    """Return which metrics judge frames, so many of which share the registrations of a pixel
+    size.
+    """
     return MetricRequest(metrics_named(settings.metrics), settings.metric, repeats)
 
 
 def first_sampling(study: Study) -> Sampling:
     """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
-    return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}
+    return {
+        name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats)
+        for name in study.technologies
+    }
 
 
 class FrameCost(NamedTuple):
@@ -224,7 +281,10 @@ class FrameCost(NamedTuple):
 def frame_cost(camera: Camera, pitch_um: float, *displays: Display) -> FrameCost:
     """Estimate one frame of a pitch and its ΔE on each display."""
     pixels = math.prod(pixels_on(camera.die_um, pitch_um))
-    dots = [pixels if display.raster == "one_to_one" else dots_on(camera, display) for display in displays]
+    dots = [
+        pixels if display.raster == "one_to_one" else dots_on(camera, display)
+        for display in displays
+    ]
     seconds = FRAME_S + pixels * PIXEL_S + sum(dots) * DOT_S
     return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * DOT_BYTES)
 
@@ -240,9 +300,14 @@ DOTS_BOUNDS = (8, 4096)  # of `Display.dots`
 
 
 def further_displays(
-    stated: Display, display: Display, die_um: tuple[float, float], pitch_um: float, border_um: float
+    stated: Display,
+    display: Display,
+    die_um: tuple[float, float],
+    pitch_um: float,
+    border_um: float,
 ) -> tuple[Display, ...]:
-    """Return the displays with half and with twice the dots, as near to that as a display may be, and with a dot within the border.
+    """Return the displays with half and with twice the dots, as near to that as a display may be,
+    and with a dot within the border.
 
     There are none where dots and viewing distance were stated, or where dots are pixels.
 
@@ -258,7 +323,9 @@ def further_displays(
     low, high = DOTS_BOUNDS
     displays: dict[int, Display] = {}
     for factor in DOTS_FACTORS:
-        other = display.model_copy(update={"dots": min(max(round(factor * display.dots), low), high)})
+        other = display.model_copy(
+            update={"dots": min(max(round(factor * display.dots), low), high)}
+        )
         try:
             dot_edges_um(die_um, pitch_um, other, border_um)
         except PixsimError:
@@ -268,7 +335,8 @@ def further_displays(
     return tuple(displays.values())
 
 
-# --- cases ------------------------------------------------------------------------------------------------------------------------
+# --- cases
+# ------------------------------------------------------------------------------------------------------------------------
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -278,22 +346,28 @@ Settings = TypeVar("Settings", bound=Setting, covariant=True)
 
 @dataclass(frozen=True)
 class Case(Generic[Settings]):
-    """A sensor under one combination of axis values and a condition, complete: nothing later reads or refuses a setting.
+    """A sensor under one combination of axis values and a condition, complete: nothing later reads
+    or refuses a setting.
 
-    settings : without axes and conditions, which have these values; the cases of a group may share them
+    settings : without axes and conditions, which have these values; the cases of a group may share
+        them
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
     sensor : its name in rows: of a technology, of a data sheet, or of a comparison's sensor
     file : of a comparison, the sensor's file or technology; else empty
-    resolved : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the
-        field that all sensors of a comparison see. None before they are looked for
+    resolved : the scene with its chart, or the picture of another program; and the camera of the
+        window, or of the part of the field that all sensors of a comparison see. None before they
+        are looked for
     without : light without the target, beside a picture, if a metric asks for it
     labels : that tell it from other cases, beside the sensor; they are columns of its rows
-    group : cases of a group share white and border, and follow one another: the sensors of a combination
-    imaging : what lies between the light and the score, at the largest pixel size; None before it is found
+    group : cases of a group share white and border, and follow one another: the sensors of a
+        combination
+    imaging : what lies between the light and the score, at the largest pixel size; None before it
+        is found
     others : further displays on which each frame is shown
-    stream : how the keys of its random streams begin; then follow the pixel size, if `stream_has_pitch`, and the repeat
+    stream : how the keys of its random streams begin; then follow the pixel size, if
+        `stream_has_pitch`, and the repeat
     sizes : pixel size in µm -> number of sensors with which it starts
     frames : that are taken with the first of its sensors; the first frame is scored
     caches_frames : whether its frames may go into the cache
@@ -342,8 +416,12 @@ class Case(Generic[Settings]):
 
     @property
     def header(self) -> dict[str, Any]:
-        """What is known of its light before a render: the header of a picture, or the parameters of a scene."""
-        return {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
+        """What is known of its light before a render: the header of a picture, or the parameters of
+        a scene.
+        """
+        return (
+            {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
+        )
 
     @property
     def words(self) -> str:
@@ -362,7 +440,9 @@ class Case(Generic[Settings]):
 
 @contextmanager
 def named(part: str) -> Iterator[None]:
-    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is only one."""
+    """Name a case, a sensor or a condition in an error about its settings; nothing, if there is
+    only one.
+    """
     try:
         yield
     except PixsimError as error:
@@ -370,7 +450,8 @@ def named(part: str) -> Iterator[None]:
 
 
 def warn_of_reviews(cases: Iterable[tuple[str, Case[Any], SceneLight | None]]) -> None:
-    """Warn of what a review says of the sensors of some cases: of their smallest pixels, which exceed a model's limits most.
+    """Warn of what a review says of the sensors of some cases: of their smallest pixels, which
+    exceed a model's limits most.
 
     cases : the sensor's name in messages, the case, and its light; None before that is rendered
     """
@@ -382,30 +463,48 @@ def warn_of_reviews(cases: Iterable[tuple[str, Case[Any], SceneLight | None]]) -
 
 
 def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:
-    """Return the values of axes and the condition of a case as text; without those where the study's own settings hold."""
+    """Return the values of axes and the condition of a case as text; without those where the
+    study's own settings hold.
+    """
     if alone:
         value = at[alone]
-        values = [f"{alone}: {value if isinstance(value, str) else f'{value:.4g}'}"]  # since 'all low' says nothing by itself
+        values = [
+            f"{alone}: {value if isinstance(value, str) else f'{value:.4g}'}"
+        ]  # since 'all low' says nothing by itself
     else:
-        values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in at.items()]
-    return ", ".join([*(value for value in values if value != BASE), *([condition] if condition else [])])
+        values = [
+            f"{name} {value:.4g}" if not isinstance(value, str) else value
+            for name, value in at.items()
+        ]
+    return ", ".join(
+        [*(value for value in values if value != BASE), *([condition] if condition else [])]
+    )
 
 
 def number_of_cases(study: Study) -> int:
     """Return how many cases the axes and conditions of a study make; 1 without any."""
     together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
-    return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(1, len(study.condition))
+    return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(
+        1, len(study.condition)
+    )
 
 
 def cases_of(study: Study) -> tuple[Case[Study], ...]:
-    """Return the combinations of a study, each under every condition: axes with each other, then those that are moved alone.
+    """Return the combinations of a study, each under every condition: axes with each other, then
+    those that are moved alone.
 
-    Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of the axis.
+    Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of
+    the axis.
     """
     if not study.has_cases:
         return (Case(study, group=0),)
     if (number := number_of_cases(study)) > MAX_CASES:
-        raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")
+        raise invalid(
+            "axis",
+            f"{number} cases, all values of all axes",
+            f"at most {MAX_CASES}",
+            "Give fewer values.",
+        )
     base = study.stated
     cases: list[Case[Study]] = []
     for chosen, alone in combinations(study.axis):
@@ -415,9 +514,13 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
         at = values_at(study.axis, chosen)
         where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
         if not study.condition:
-            cases.append(Case(_study(table, where), at, "", alone, labels=dict(at), group=len(cases)))
+            cases.append(
+                Case(_study(table, where), at, "", alone, labels=dict(at), group=len(cases))
+            )
         for condition in study.condition:
-            settings = _study(_with_settings(table, condition.set), [*where, f"condition {condition.name}"])
+            settings = _study(
+                _with_settings(table, condition.set), [*where, f"condition {condition.name}"]
+            )
             labels = at | {"condition": condition.name}
             cases.append(Case(settings, at, condition.name, alone, labels=labels, group=len(cases)))
     try:
@@ -428,10 +531,12 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
 
 
 def with_range_ends(study: Study) -> Study:
-    """Return a study whose axes over ranges of technologies have values: the ends, in all technologies and in each alone.
+    """Return a study whose axes over ranges of technologies have values: the ends, in all
+    technologies and in each alone.
 
-    A technology whose number has no range, or lies at that end already, keeps it. An axis without values is left out, with a
-    warning. Raises PixsimError for a number that no technology of the study has.
+    A technology whose number has no range, or lies at that end already, keeps it. An axis without
+    values is left out, with a warning. Raises PixsimError for a number that no technology of the
+    study has.
     """
     if not any(axis.range_of for axis in study.axis):
         return study
@@ -445,17 +550,26 @@ def with_range_ends(study: Study) -> Study:
             continue
         known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
         if number not in known:
-            raise invalid(f"axis {axis.name}: range_of", f"'{number}'", ", ".join(known), did_you_mean(number, known))
+            raise invalid(
+                f"axis {axis.name}: range_of",
+                f"'{number}'",
+                ", ".join(known),
+                did_you_mean(number, known),
+            )
         values: list[tuple[str, dict[str, dict[str, float]]]] = []
         for end, word in enumerate(("all low", "all high")):
             moved = {
                 name: {number: process.ranges[number][end]}
                 for name, process in processes.items()
-                if number in process.ranges and process.ranges[number][end] != process.numbers[number]
+                if number in process.ranges
+                and process.ranges[number][end] != process.numbers[number]
             }
             if len(moved) > 1:
                 values.append((word, moved))
-            values += [(f"{labels[name]} {value[number]:g}", {name: value}) for name, value in moved.items()]
+            values += [
+                (f"{labels[name]} {value[number]:g}", {name: value})
+                for name, value in moved.items()
+            ]
         if not values:
             reason = f"no technology of the study has a range for {number}"
             warn(Note("not_used", setting=f"axis {axis.name}", reason=reason))
@@ -466,21 +580,32 @@ def with_range_ends(study: Study) -> Study:
 
 
 def of_technology(study: Study, technology: str) -> dict[str, Any]:
-    """Return the settings of a case that one technology depends on: without the other ones and their numbers."""
+    """Return the settings of a case that one technology depends on: without the other ones and
+    their numbers.
+    """
     table = study.model_dump(mode="json", exclude={"axis", "condition", "title", "sources"})
     kept = {"technologies": [technology]}
-    return table | kept | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
+    return (
+        table
+        | kept
+        | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
+    )
 
 
-def values_at(axes: Sequence[Axis], chosen: Mapping[str, AxisPoint]) -> dict[str, float | int | str]:
-    """Return the value of each axis in a combination, `BASE` where the study's own settings hold."""
+def values_at(
+    axes: Sequence[Axis], chosen: Mapping[str, AxisPoint]
+) -> dict[str, float | int | str]:
+    """Return the value of each axis in a combination, `BASE` where the study's own settings
+    hold.
+    """
     return {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in axes}
 
 
 def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], str]]:
     """Yield the values of a combination by axis, and the axis that is moved alone, if any.
 
-    If an axis is moved alone, the study's own settings come first, unless other axes are moved together.
+    If an axis is moved alone, the study's own settings come first, unless other axes are moved
+    together.
     """
     together = [axis for axis in axes if not axis.alone]
     alone = [axis for axis in axes if axis.alone]
@@ -494,20 +619,29 @@ def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], s
 
 
 def _with_settings(table: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's tables with settings in place of theirs; those of [pixel] hold for its data sheets too."""
+    """Return a study's tables with settings in place of theirs; those of [pixel] hold for its data
+    sheets too.
+    """
     merged = merge(table, settings)
     if isinstance(pixel := settings.get("pixel"), dict) and "sensors" in merged:
-        sheets = {name: merge({"pixel": sheet}, {"pixel": pixel})["pixel"] for name, sheet in merged["sensors"].items()}
+        sheets = {
+            name: merge({"pixel": sheet}, {"pixel": pixel})["pixel"]
+            for name, sheet in merged["sensors"].items()
+        }
         merged["sensors"] = sheets
     return merged
 
 
 def _study(table: dict[str, Any], where: list[str]) -> Study:
-    """Return the study of a table. Raises PixsimError that names the value or the condition behind it."""
+    """Return the study of a table. Raises PixsimError that names the value or the condition behind
+    it.
+    """
     try:
         return Study.model_validate(table)
     except ValidationError as error:
-        raise PixsimError("\n".join(f"{', '.join(where)}: {line}" for line in explain(error).splitlines())) from None
+        raise PixsimError(
+            "\n".join(f"{', '.join(where)}: {line}" for line in explain(error).splitlines())
+        ) from None
 
 
 MAX_CASES = 10_000
@@ -517,21 +651,46 @@ MAX_UNASKED = 100_000  # evaluations of a study with axes
 def check_number(cases: int, evaluations: int, agreed: bool) -> None:
     """Raise PixsimError for very many evaluations in several cases, unless the user has agreed."""
     if cases > 1 and evaluations > MAX_UNASKED and not agreed:
-        hint = "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats; --dry-run states the time."
-        raise invalid("cases", f"{evaluations} evaluations in {cases} cases", f"up to {MAX_UNASKED} without asking", hint)
+        hint = (
+            "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats;"
+            " --dry-run states the time."
+        )
+        raise invalid(
+            "cases",
+            f"{evaluations} evaluations in {cases} cases",
+            f"up to {MAX_UNASKED} without asking",
+            hint,
+        )
 
 
-# --- keys -------------------------------------------------------------------------------------------------------------------------
+# --- keys
+# -------------------------------------------------------------------------------------------------------------------------
 
 REPEATS_PER_TASK = 8  # after which a worker reports
 MOST_REPEATS = 10_000  # of a pitch
-CHECKED_REPEATS = 2  # whose frames are shown on further displays, too: enough to see whether an answer depends on the display
-COMPUTED_BY = ("mitsuba", "drjit", "colour-science")  # their versions are in each key, with pixsim's sources
+# whose frames are shown on further displays, too: enough to see whether an answer depends on the
+# display
+CHECKED_REPEATS = 2
+COMPUTED_BY = (
+    "mitsuba",
+    "drjit",
+    "colour-science",
+)  # their versions are in each key, with pixsim's sources
 
-# The settings that each stage depends on beside those of the stage before it. The sensors decide on the noise and the film of a
-# render, and so does a part of the display.
+# The settings that each stage depends on beside those of the stage before it. The sensors decide on
+# the noise and the film of a render, and so does a part of the display.
 OF_LIGHT = (
-    *("scene", "camera", "lens", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm"),
+    *(
+        "scene",
+        "camera",
+        "lens",
+        "seed",
+        "tolerance_e",
+        "render_noise",
+        "resolution",
+        "max_seconds",
+        "window_mm",
+    ),
     *(
         "tolerance_delta_e",
         "pitch",
@@ -546,7 +705,11 @@ OF_LIGHT = (
         "display",
     ),
 )
-OF_FRAME = ("exposure", "motion", "correction")  # beside the light, the pixel and the random streams
+OF_FRAME = (
+    "exposure",
+    "motion",
+    "correction",
+)  # beside the light, the pixel and the random streams
 
 
 def light_hash(study: Study) -> str:
@@ -560,19 +723,27 @@ def light_hash(study: Study) -> str:
 def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
     """Return whether all frames of a study fit in the cache without displacing most of it."""
     bits = max(study.options_of(technology).bits for technology in study.technologies)
-    code_bytes = np.min_scalar_type(study.exposure.frames * (2**bits - 1)).itemsize + (4 if study.correction.is_on else 0)
-    sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+    code_bytes = np.min_scalar_type(study.exposure.frames * (2**bits - 1)).itemsize + (
+        4 if study.correction.is_on else 0
+    )
+    sensors_per_pitch = (
+        study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+    )
     pitches = [pitch_um for sensors in first_sampling(study).values() for pitch_um in sensors]
     pixels = sum(math.prod(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches)
     return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 
 def point_count(repeats: int, displays: int) -> int:
-    """Return the number of evaluations of a pixel size: only the first repeats are shown on all displays."""
+    """Return the number of evaluations of a pixel size: only the first repeats are shown on all
+    displays.
+    """
     return repeats + min(repeats, CHECKED_REPEATS) * (displays - 1)
 
 
 def point_at(number: int, displays: int) -> tuple[int, int]:
-    """Return the repeat and the display of the evaluation of a number, as `point_count` counts them."""
+    """Return the repeat and the display of the evaluation of a number, as `point_count` counts
+    them.
+    """
     checked = CHECKED_REPEATS * displays
     return divmod(number, displays) if number < checked else (CHECKED_REPEATS + number - checked, 0)

@@ -1,4 +1,6 @@
-"""What a command would do, before a render: its film, its pixels, its errors, its memory, and its time to a factor of about 3."""
+"""What a command would do, before a render: its film, its pixels, its errors, its memory, and its
+time to a factor of about 3.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from pixsim.viewer.setting import Run
 
 
-# On one core of an ordinary machine: the start, the kernel of a light, a sample and a cell of a film, that of one behind a real
-# lens, a page of several sizes, and the figures of a curve.
+# On one core of an ordinary machine: the start, the kernel of a light, a sample and a cell of a
+# film, that of one behind a real lens, a page of several sizes, and the figures of a curve.
 START_S, KERNEL_S = 1.5, 2.0
 SAMPLE_S, CELL_S, LENS_CELL_S = 2e-7, 5e-7, 5e-6
 PAGE_S, CURVE_S = 3.0, 0.6
@@ -39,7 +41,8 @@ FILM_BYTES_PER_CELL = 120.0
 
 @dataclass(frozen=True)
 class Cost:
-    """What a command makes: lights that it renders, evaluations of sensors; its wall time to a factor of about 3.
+    """What a command makes: lights that it renders, evaluations of sensors; its wall time to a
+    factor of about 3.
 
     memory_bytes : of all processes
     """
@@ -52,7 +55,10 @@ class Cost:
 
     def __str__(self) -> str:
         processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
-        made = f"{_counted(self.renders, 'render')}, {_counted(self.evaluations, 'evaluation')}{processes}"
+        made = (
+            f"{_counted(self.renders, 'render')},"
+            f" {_counted(self.evaluations, 'evaluation')}{processes}"
+        )
         time = duration(float(f"{self.seconds:.1g}"))
         return f"{made}; about {time}, to a factor of 3; {self.memory_bytes / 1e9:.2g} GB of memory"
 
@@ -65,7 +71,8 @@ def _counted(number: int, noun: str) -> str:
 def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
     """Estimate the render of a light on a film of (H, W) samples, and what is made of it once.
 
-    Two renders show the noise. A film whose error turns out too large is rendered again, which is not foreseen.
+    Two renders show the noise. A film whose error turns out too large is rendered again, which is
+    not foreseen.
     """
     cells = math.prod(shape)
     samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
@@ -81,15 +88,24 @@ def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
     cells = math.prod(shape)
     if 8 * cells * plan.light.planes > MOST_BYTES:
         return BASE_BYTES + film_memory_bytes(cells, plan.light.planes) - PROGRAM_BYTES
-    return BASE_BYTES + max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES)
+    return BASE_BYTES + max(
+        cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES
+    )
 
 
-def _frame_costs(study: Study, camera: Camera, known: dict[Any, list[FrameCost]]) -> list[FrameCost]:
+def _frame_costs(
+    study: Study, camera: Camera, known: dict[Any, list[FrameCost]]
+) -> list[FrameCost]:
     """Return `frame_cost` of each pitch of all technologies of a study.
 
-    known : costs by what they depend on, to which these are added: thousands of cases differ in little of that
+    known : costs by what they depend on, to which these are added: thousands of cases differ in
+        little of that
     """
-    pitches_um = [pitch_um for name in study.technologies for pitch_um in study_pitches_um(study, name).tolist()]
+    pitches_um = [
+        pitch_um
+        for name in study.technologies
+        for pitch_um in study_pitches_um(study, name).tolist()
+    ]
     key = (camera.die_um, study.display.raster, study.display.dots, *pitches_um)
     if key not in known:
         known[key] = [frame_cost(camera, pitch_um, study.display) for pitch_um in pitches_um]
@@ -97,23 +113,35 @@ def _frame_costs(study: Study, camera: Camera, known: dict[Any, list[FrameCost]]
 
 
 def fitting_jobs(study: Study, camera: Camera) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
+    """Return the number of processes of which each has a core and memory for the largest frame, at
+    least 1.
+    """
     return jobs_in_memory(largest_frame_bytes([(study, camera)]))
 
 
 def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
     """Return the memory of the largest frame of a study's cases."""
     known: dict[Any, list[FrameCost]] = {}
-    return max(frame.memory_bytes for study, camera in cases for frame in _frame_costs(study, camera, known))
+    return max(
+        frame.memory_bytes
+        for study, camera in cases
+        for frame in _frame_costs(study, camera, known)
+    )
 
 
-def run_cost(plan: Plan | None, shape: tuple[int, int], cores: int, evaluations: int, frame: FrameCost) -> Cost:
+def run_cost(
+    plan: Plan | None, shape: tuple[int, int], cores: int, evaluations: int, frame: FrameCost
+) -> Cost:
     """Estimate a run.
 
     plan : of its render; None of a picture that is read
     shape : (H, W) of the film or the picture
     """
-    render_s, light_bytes = (0.0, 0.0) if plan is None else (render_seconds(plan, shape, cores), render_bytes(plan, shape))
+    render_s, light_bytes = (
+        (0.0, 0.0)
+        if plan is None
+        else (render_seconds(plan, shape, cores), render_bytes(plan, shape))
+    )
     seconds = START_S + render_s + evaluations * frame.seconds
     return Cost(int(plan is not None), evaluations, seconds, light_bytes + frame.memory_bytes, 1)
 
@@ -151,16 +179,28 @@ def study_cost(
     seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, MOST_CURVES)
 
     cells = math.prod(shape)
-    light = min(4.0 * cells * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size), MOST_BYTES)
+    light = min(
+        4.0
+        * cells
+        * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size),
+        MOST_BYTES,
+    )
     behind_lens = FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
-    memory_bytes = max(render_bytes(plan, shape), BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))
+    memory_bytes = max(
+        render_bytes(plan, shape), BASE_BYTES + light + held + jobs * (BASE_BYTES + largest)
+    )
     return Cost(lights, evaluations, seconds, memory_bytes, jobs)
 
 
 def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
-    settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
+    settings, camera, frames, repeats = (
+        prepared.settings,
+        prepared.camera,
+        prepared.frames,
+        prepared.repeats,
+    )
     pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
     planned: dict[str, Any]
     plan: Plan | None
@@ -174,13 +214,26 @@ def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
     cost = run_cost(plan, shape, processors().usable, evaluations, frame)
     sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
-    return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
+    return (
+        planned
+        | ({"frames": frames} if frames > 1 else {})
+        | {"sensors": [sensors], "estimate": asdict(cost)}
+    )
 
 
-def planned_sensors(technology: str, pitches_um: Sequence[float], sensors: int, camera: Camera) -> dict[str, Any]:
-    """Return the pixel sizes of a technology, with their rows and columns, and the sensors of each size."""
+def planned_sensors(
+    technology: str, pitches_um: Sequence[float], sensors: int, camera: Camera
+) -> dict[str, Any]:
+    """Return the pixel sizes of a technology, with their rows and columns, and the sensors of each
+    size.
+    """
     pixels = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
-    return {"technology": technology, "pitch_um": [*pitches_um], "pixels": pixels, "sensors": sensors}
+    return {
+        "technology": technology,
+        "pitch_um": [*pitches_um],
+        "pixels": pixels,
+        "sensors": sensors,
+    }
 
 
 def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
@@ -192,29 +245,44 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     study, request = job.settings, job.request
     lights = len({light_hash(case.settings) for case in job.combinations})
     of_cases = [(case.settings, case.camera) for case in job.combinations]
-    drawn = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)  # each metric has pixel sizes of its own
+    drawn = types * sum(
+        metric.has_optimum for metric in metrics_of(study).chosen
+    )  # each metric has pixel sizes of its own
     checked = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
     cost = study_cost(of_cases, lights, request.plan, request.shape, jobs, drawn, checked)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
-    sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
+    sensors = [
+        planned_sensors(name, pitches_um, study.repeats, job.camera)
+        for name, pitches_um in sizes.items()
+    ]
     planned = planned_light(request) | {"sensors": sensors, "estimate": asdict(cost)}
     planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
     if job.complete.has_cases:
-        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.combinations]
+        planned["cases"] = [
+            {"at": case.at, "condition": case.condition, "alone": case.alone}
+            for case in job.combinations
+        ]
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 
 
 def planned_light(request: LightRequest) -> dict[str, Any]:
     """Return the film of a light, and what is known of its errors before there is light.
 
-    samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of each in each pass
+    samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of
+        each in each pass
     film_share : least error of the film as a share of mean ΔE, for dots with less than one sample
-    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
+    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits
+        them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
-    (height, width), plan, smallest, settings = request.shape, request.plan, request.measured[0], request.settings
+    (height, width), plan, smallest, settings = (
+        request.shape,
+        request.plan,
+        request.measured[0],
+        request.settings,
+    )
     per_dot = samples_per_dot(width, smallest, plan.film.chart)
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * request.camera.die_mm / width
@@ -223,5 +291,10 @@ def planned_light(request: LightRequest) -> dict[str, Any]:
         "rays_a_pixel": 0.0 if plan.samples.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }
-    film = {"samples": [height, width], "pitch_um": pitch_um, "spp": plan.samples.spp, "passes": plan.light.passes}
+    film = {
+        "samples": [height, width],
+        "pitch_um": pitch_um,
+        "spp": plan.samples.spp,
+        "passes": plan.light.passes,
+    }
     return {"film": film, "errors": errors}

@@ -1,4 +1,6 @@
-"""Parallel calls on worker processes: local ones by joblib, a cluster by Dask. Lost calls are retried."""
+"""Parallel calls on worker processes: local ones by joblib, a cluster by Dask. Lost calls are
+retried.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,16 @@ NAMED_TASKS = 4  # named in an error message
 SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
-RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
+RECONNECT_SECONDS, LOOK_SECONDS = (
+    60.0,
+    0.1,
+)  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
 BATCH_SECONDS, MOST_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
-IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0  # for workers to come back after all are lost; between two looks
+IDLE_SECONDS, WATCH_SECONDS = (
+    300.0,
+    5.0,
+)  # for workers to come back after all are lost; between two looks
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
@@ -63,7 +71,11 @@ class Workers:
     client: Client | None = None
 
     def __str__(self) -> str:
-        return f"the cluster at {self.client.scheduler.address}" if self.client else f"{self.jobs} processes"
+        return (
+            f"the cluster at {self.client.scheduler.address}"
+            if self.client
+            else f"{self.jobs} processes"
+        )
 
 
 def workers_here(jobs: int | None = None) -> Workers:
@@ -72,10 +84,14 @@ def workers_here(jobs: int | None = None) -> Workers:
 
 
 def jobs_in_memory(largest_bytes: float) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
+    """Return the number of processes of which each has a core and memory for the largest frame, at
+    least 1.
+    """
     usable = memory().usable
     cores = workers_here().jobs
-    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
+    return (
+        cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
+    )
 
 
 @contextmanager
@@ -83,9 +99,11 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
     """Provide local or cluster workers.
 
     jobs : local processes; None means one per core
-    scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
+    scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which
+        stays open
 
-    Raises PixsimError if both are given, jobs is below 1, or the cluster is unreachable, has no worker or runs another pixsim.
+    Raises PixsimError if both are given, jobs is below 1, or the cluster is unreachable, has no
+    worker or runs another pixsim.
     """
     if jobs is not None and (jobs < 1 or scheduler is not None):
         got = f"{jobs} with a scheduler" if scheduler is not None else jobs
@@ -96,11 +114,17 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
         try:
             import distributed
         except ImportError:
-            raise invalid("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+            raise invalid(
+                "--scheduler",
+                f"'{scheduler}', but Dask is not installed",
+                "pip install 'pixsim[cluster]'",
+            ) from None
 
         class Client(distributed.Client):  # type: ignore[misc]
             def __del__(self) -> None:
-                with suppress(Exception):  # of one that could not connect, after its error has been reported
+                with suppress(
+                    Exception
+                ):  # of one that could not connect, after its error has been reported
                     super().__del__()
 
         try:
@@ -113,7 +137,12 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
         ) as error:  # RuntimeError: encryption is required, or TLS has no certificate
             hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
-            raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", hint) from None
+            raise invalid(
+                "--scheduler",
+                got,
+                "the address of a running Dask scheduler, as tcp://host:8786",
+                hint,
+            ) from None
         with closing(client):
             yield _checked(client)
     else:
@@ -121,34 +150,47 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
 
 
 def _checked(client: Client) -> Workers:
-    """Return the workers of a cluster. Raises PixsimError if it has none, or one runs another version."""
+    """Return the workers of a cluster. Raises PixsimError if it has none, or one runs another
+    version.
+    """
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
         theirs = client.run(cache.version_fingerprint)
     except TimeoutError:
         hint = "Start workers with `dask worker ADDRESS`."
-        raise invalid("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", hint) from None
+        raise invalid(
+            "--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", hint
+        ) from None
     except Exception as error:  # Dask reports any failure on a worker as a plain Exception
         got = f"a worker that does not report its pixsim version ({error})"
         raise invalid("--scheduler", got, f"{cache.version_fingerprint()} on all workers") from None
     ours = cache.version_fingerprint()
     for address, other in theirs.items():
         if other != ours:
-            raise invalid("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are comparable")
+            raise invalid(
+                "--scheduler",
+                f"{other} at {address}",
+                f"{ours}, as here, so that all rows are comparable",
+            )
     return Workers(client=client)
 
 
-def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Task, Shared]], workers: Workers) -> Iterator[Result]:
+def results_of(
+    function: Function[Task, Shared, Result], calls: Sequence[Call[Task, Shared]], workers: Workers
+) -> Iterator[Result]:
     """Yield `function(task, make())` of each call (task, make), in order of completion.
 
-    Calls with the same `make` share its result, one copy per worker, made while other calls already run. If a worker dies,
-    unfinished calls are retried, those that were running last.
+    Calls with the same `make` share its result, one copy per worker, made while other calls already
+    run. If a worker dies, unfinished calls are retried, those that were running last.
 
-    Raises PixsimError naming the tasks that end their worker even when they run alone, or if the cluster's scheduler is lost.
+    Raises PixsimError naming the tasks that end their worker even when they run alone, or if the
+    cluster's scheduler is lost.
     """
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
-    address = workers.client.scheduler.address if workers.client else ""  # a closed client has forgotten it
+    address = (
+        workers.client.scheduler.address if workers.client else ""
+    )  # a closed client has forgotten it
     if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
         workers = Workers()  # one call does not need a process
 
@@ -172,26 +214,35 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
         warn(Note("machine", words=text))
         indices = list(left)
-        if len(left) < before:  # the calls started first may be the cause: the others go before them
+        if (
+            len(left) < before
+        ):  # the calls started first may be the cause: the others go before them
             half = len(indices) // 2
             left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
             continue
-        for index in indices[: SUSPECTS * workers.jobs]:  # one of the calls started first is the cause: run each alone
+        for index in indices[
+            : SUSPECTS * workers.jobs
+        ]:  # one of the calls started first is the cause: run each alone
             alone = {index: left.pop(index)}
             yield from attempt(alone)
             deadly |= alone
     if deadly:
         tasks = [str(task) for task, _ in deadly.values()]
-        named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
+        named = ", ".join(tasks[:NAMED_TASKS]) + (
+            f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else ""
+        )
         raise PixsimError(
-            f"workers ({workers}): each of these tasks ended its process, even when run alone: {named}. Often the system is out "
-            "of memory. Finished rows are kept, and the same command continues from them; --jobs 1 shows the error."
+            f"workers ({workers}): each of these tasks ended its process, even when run alone:"
+            f" {named}. Often the system is out of memory. Finished rows are kept, and the same"
+            " command continues from them; --jobs 1 shows the error."
         )
 
 
 @lru_cache
 def processes_work() -> bool:
-    """Return whether this machine can have workers, with a warning if it cannot: their locks are files of /dev/shm."""
+    """Return whether this machine can have workers, with a warning if it cannot: their locks are
+    files of /dev/shm.
+    """
     import _multiprocessing  # type: ignore[import-not-found]
 
     try:
@@ -200,30 +251,56 @@ def processes_work() -> bool:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise
         hint = "mount /dev/shm (docker run --shm-size 64m), or give --jobs 1"
-        words = f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process does all; {hint}"
+        words = (
+            f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process"
+            f" does all; {hint}"
+        )
         warn(Note("machine", words=words))
         return False
     return True
 
 
 def check_scheduler(client: Client, address: str) -> None:
-    """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it without workers."""
+    """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it
+    without workers.
+    """
     deadline = time.monotonic() + RECONNECT_SECONDS
     while client.status == "connecting" and time.monotonic() < deadline:
         time.sleep(LOOK_SECONDS)
     if client.status != "running":
-        hint = "Start a cluster again, and run the same command: finished rows are kept, and it continues from them."
-        raise invalid("--scheduler", f"a scheduler at {address} that ended before the study", "one that stays until its end", hint)
+        hint = (
+            "Start a cluster again, and run the same command: finished rows are kept, and it"
+            " continues from them."
+        )
+        raise invalid(
+            "--scheduler",
+            f"a scheduler at {address} that ended before the study",
+            "one that stays until its end",
+            hint,
+        )
     _checked(client)
 
 
 def is_death(error: BaseException) -> bool:
-    """Return whether an error means a lost worker or cluster; compared by name, since neither package need be installed."""
+    """Return whether an error means a lost worker or cluster; compared by name, since neither
+    package need be installed.
+    """
     names = {kind.__name__ for kind in type(error).__mro__}
-    return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
+    return bool(
+        names
+        & {
+            "BrokenProcessPool",
+            "KilledWorker",
+            "CommClosedError",
+            "FutureCancelledError",
+            "CancelledError",
+        }
+    )
 
 
-def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers) -> Iterator[tuple[int, Result]]:
+def _once(
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers
+) -> Iterator[tuple[int, Result]]:
     """Yield each call's number and result, in order of completion, without retrying."""
     if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
@@ -231,7 +308,8 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
     if workers.client:
         results = _on_cluster(function, calls, workers.client)
     else:
-        # At least two: after a worker's death, joblib must not run the remaining calls in this process.
+        # At least two: after a worker's death, joblib must not run the remaining calls in this
+        # process.
         results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
     shown: set[Note] = set()
     for index, result, notes in results:
@@ -242,17 +320,28 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
         yield index, result
 
 
-def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Client) -> Iterator[Reply[Result]]:
+def _on_cluster(
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Client
+) -> Iterator[Reply[Result]]:
     makes = {id(make): make for _, make in calls.values()}
-    # On all workers: what only a lost one had could not be made again. (Equal data, as None, would be one object by its content.)
-    remote = dict(zip(makes, client.scatter([make() for make in makes.values()], broadcast=True, hash=False), strict=True))
+    # On all workers: what only a lost one had could not be made again. (Equal data, as None, would
+    # be one object by its content.)
+    remote = dict(
+        zip(
+            makes,
+            client.scatter([make() for make in makes.values()], broadcast=True, hash=False),
+            strict=True,
+        )
+    )
     with _given_up_without_workers(client):
         yield from _replies(function, calls, remote, client)
 
 
 @contextmanager
 def _given_up_without_workers(client: Client) -> Iterator[None]:
-    """Cancel the calls of this context if a cluster has no worker for `IDLE_SECONDS`: Dask would wait for ever."""
+    """Cancel the calls of this context if a cluster has no worker for `IDLE_SECONDS`: Dask would
+    wait for ever.
+    """
     from distributed import Future as Promise
 
     before, ended = set(client.futures), threading.Event()
@@ -264,7 +353,9 @@ def _given_up_without_workers(client: Client) -> Iterator[None]:
                 if client.nthreads():
                     seen = time.monotonic()
                 elif time.monotonic() - seen > IDLE_SECONDS:
-                    client.cancel([Promise(key, client) for key in set(client.futures) - before], force=True)
+                    client.cancel(
+                        [Promise(key, client) for key in set(client.futures) - before], force=True
+                    )
 
     thread = threading.Thread(target=watch, name="pixsim cluster", daemon=True)
     thread.start()
@@ -275,11 +366,16 @@ def _given_up_without_workers(client: Client) -> Iterator[None]:
 
 
 def _replies(
-    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], remote: dict[int, Any], client: Client
+    function: Function[Task, Shared, Result],
+    calls: Calls[Task, Shared],
+    remote: dict[int, Any],
+    client: Client,
 ) -> Iterator[Reply[Result]]:
-    """Yield the replies of a cluster, whose tasks are batches of calls: Dask spends about 10 ms of processor time on each task.
+    """Yield the replies of a cluster, whose tasks are batches of calls: Dask spends about 10 ms of
+    processor time on each task.
 
-    A batch is the next calls, as many as take `BATCH_SECONDS` at the pace of the last batch, and at most a part of what is left.
+    A batch is the next calls, as many as take `BATCH_SECONDS` at the pace of the last batch, and at
+    most a part of what is left.
 
     remote : id of the function that makes shared data -> these data on the workers
     """
@@ -295,7 +391,10 @@ def _replies(
         threads = max(1, sum(client.nthreads().values()))
         while unsent and sent.count() < BATCHES_A_THREAD * threads:
             most = -(-unsent // (BATCHES_A_THREAD * threads))
-            batch = [(index, task, remote[id(make)]) for index, (task, make) in islice(left, max(1, min(size, most)))]
+            batch = [
+                (index, task, remote[id(make)])
+                for index, (task, make) in islice(left, max(1, min(size, most)))
+            ]
             unsent -= len(batch)
             sent.add(client.submit(_batch, function, batch, pure=False))
 
@@ -311,33 +410,55 @@ def _replies(
             client.cancel(list(sent.futures))
 
 
-def _batch(function: Function[Task, Shared, Result], calls: list[tuple[int, Task, Shared]]) -> tuple[list[Reply[Result]], float]:
-    """Return the replies of some calls, and the seconds of a processor that they took: workers may share one."""
+def _batch(
+    function: Function[Task, Shared, Result], calls: list[tuple[int, Task, Shared]]
+) -> tuple[list[Reply[Result]], float]:
+    """Return the replies of some calls, and the seconds of a processor that they took: workers may
+    share one.
+    """
     start = time.thread_time()
-    return [_numbered(function, index, task, shared) for index, task, shared in calls], time.thread_time() - start
+    return [
+        _numbered(function, index, task, shared) for index, task, shared in calls
+    ], time.thread_time() - start
 
 
-def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Reply[Result]:
+def _numbered(
+    function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared
+) -> Reply[Result]:
     """Return a call's number, its result and its warnings, which the parent process shows once."""
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always")
         result = function(task, shared)
-    return index, result, [note_of(warning.message) for warning in recorded if issubclass(warning.category, UserWarning)]
+    return (
+        index,
+        result,
+        [
+            note_of(warning.message)
+            for warning in recorded
+            if issubclass(warning.category, UserWarning)
+        ],
+    )
 
 
-# loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and warns of that. No result depends on
-# it.
+# loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and
+# warns of that. No result depends on it.
 REPLACED = "A worker stopped while some jobs were given to the executor"
 
 
-def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:
+def _on_processes(
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int
+) -> Iterator[Reply[Result]]:
     """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
 
     (joblib would do so by itself, but waits a second at the end for workers to release them.)
     """
     from joblib import Parallel, delayed, parallel_config
 
-    with safe_children(), temporary_folder() as folder, closing(SharedFiles(folder, [make for _, make in calls.values()])) as files:
+    with (
+        safe_children(),
+        temporary_folder() as folder,
+        closing(SharedFiles(folder, [make for _, make in calls.values()])) as files,
+    ):
         makers = {index: make for index, (_, make) in calls.items()}
         left = Counter(map(id, makers.values()))
 
@@ -349,7 +470,9 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
 
         @contextmanager
         def begun() -> Iterator[Iterator[Reply[Result]]]:
-            """The replies of running calls: entered and left as a whole, since joblib ends only workers that it has registered."""
+            """The replies of running calls: entered and left as a whole, since joblib ends only
+            workers that it has registered.
+            """
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
                 results = parallel(numbered(taken))
@@ -360,8 +483,12 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                 with warnings.catch_warnings(action="ignore"):
                     results.close()
 
-        # Workers of other arguments are not used again: those of another current folder would take a relative path from there.
-        watched: dict[str, Any] = {"initializer": begin_worker, "initargs": (os.getpid(), current_folder())}
+        # Workers of other arguments are not used again: those of another current folder would take
+        # a relative path from there.
+        watched: dict[str, Any] = {
+            "initializer": begin_worker,
+            "initargs": (os.getpid(), current_folder()),
+        }
         with parallel_config("loky", inner_max_num_threads=1, **watched):
             warnings.filterwarnings("ignore", REPLACED, UserWarning)
             with begun() as replies:
@@ -374,7 +501,8 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
 
 
 class SharedFiles:
-    """Files of shared data, each made once: the first when it is asked for, the next ones in the background until then.
+    """Files of shared data, each made once: the first when it is asked for, the next ones in the
+    background until then.
 
     Those that wait have `AHEAD_BYTES` together, or are one.
 
@@ -401,7 +529,9 @@ class SharedFiles:
     def _make_ahead(self) -> None:
         """Begin with the next file, if none is being made and those that wait leave room."""
         waiting = self._ahead.values()
-        if not self._next or not all(future.done() and not future.exception() for future in waiting):
+        if not self._next or not all(
+            future.done() and not future.exception() for future in waiting
+        ):
             return
         if sum(future.result().stat().st_size for future in waiting) < AHEAD_BYTES:
             first = next(iter(self._next))
@@ -411,7 +541,9 @@ class SharedFiles:
         from joblib import dump
 
         path, content = self._folder / f"{id(make)}.joblib", make()
-        with disk_faults_named(self._folder, self._folder, "TMPDIR sets another folder for temporary files."):
+        with disk_faults_named(
+            self._folder, self._folder, "TMPDIR sets another folder for temporary files."
+        ):
             dump(content, path)
         return path
 
@@ -444,15 +576,19 @@ def begin_worker(parent: int, _: str) -> None:
 
 
 def watch_parent(parent: int) -> None:
-    """End this worker when its parent has ended: loky's workers would wait 300 s for it, and keep its pipes open.
+    """End this worker when its parent has ended: loky's workers would wait 300 s for it, and keep
+    its pipes open.
 
-    (A death signal of the system would not do: it comes when the thread ends that started the worker.)
+    (A death signal of the system would not do: it comes when the thread ends that started the
+    worker.)
     """
 
     def run() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH_S)
-        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))  # on Windows, the latter ends a process at once
+        os.kill(
+            os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM)
+        )  # on Windows, the latter ends a process at once
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
 
@@ -475,9 +611,11 @@ _safe = SharedBlock(_safe_environment)
 
 @contextmanager
 def safe_children() -> Iterator[None]:
-    """Give `safe_variables` to all processes that are started meanwhile, also by joblib's threads and its trackers.
+    """Give `safe_variables` to all processes that are started meanwhile, also by joblib's threads
+    and its trackers.
 
-    Blocks of several threads may overlap. A user's own modules reach the workers with the path of this process.
+    Blocks of several threads may overlap. A user's own modules reach the workers with the path of
+    this process.
     """
     with _safe:
         yield
@@ -485,7 +623,8 @@ def safe_children() -> Iterator[None]:
 
 @contextmanager
 def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
-    """Block Ctrl-C in this thread, for the processes that it starts: they inherit this, and their parent ends them.
+    """Block Ctrl-C in this thread, for the processes that it starts: they inherit this, and their
+    parent ends them.
 
     Gives a context manager in which it is taken as before.
     """
@@ -494,7 +633,8 @@ def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
         return
     import multiprocessing.resource_tracker
 
-    multiprocessing.resource_tracker.ensure_running()  # it would unblock Ctrl-C when the first worker starts
+    # it would unblock Ctrl-C when the first worker starts
+    multiprocessing.resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
 
     @contextmanager
@@ -518,7 +658,9 @@ def _mapped(path: str) -> object:
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(function: Function[Task, Any, Result], index: int, task: Task, path: str) -> Reply[Result]:
+def _numbered_from(
+    function: Function[Task, Any, Result], index: int, task: Task, path: str
+) -> Reply[Result]:
     if not gc.isenabled():
         gc.freeze()
         gc.enable()

@@ -1,8 +1,10 @@
-"""From cases and their light to a table: the points that are missing are evaluated on processes or a cluster, and are resumable.
+"""From cases and their light to a table: the points that are missing are evaluated on processes or
+a cluster, and are resumable.
 
-A point is a case, a pixel size, a repeat and a display. Its key is a hash of everything that it depends on. A frame does not depend
-on the display: frames are cached under their own key, and reused for another display. One process appends rows as they finish, so
-that interrupted work keeps them.
+A point is a case, a pixel size, a repeat and a display. Its key is a hash of everything that it
+depends on. A frame does not depend on the display: frames are cached under their own key, and
+reused for another display. One process appends rows as they finish, so that interrupted work keeps
+them.
 """
 
 from __future__ import annotations
@@ -46,12 +48,19 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metrics import PIXEL_STATISTICS, columns_of_metrics
-from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, SharedLight, registered_in
+from pixsim.viewer.scene_light import (
+    PreparedScene,
+    SceneCache,
+    SceneLight,
+    SharedLight,
+    registered_in,
+)
 from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ideal_light_of_dots
 
 FEW_CASES = 64  # among which the case of a row of a file is looked for
 FEW_SECONDS = 3.0  # of all frames: processes take a second to start
-FILES_OF_MEMORY = 2  # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
+# lights in files, for each that is stored in memory: fewer batches draw the same sensors again
+FILES_OF_MEMORY = 2
 
 
 @dataclass(frozen=True)
@@ -86,10 +95,17 @@ class LitCase:
 
     @cached_property
     def light_key(self) -> tuple[bytes, float, str]:
-        """What the light behind the lens depends on, beside the irradiance, the camera and the displays of `scenes`."""
+        """What the light behind the lens depends on, beside the irradiance, the camera and the
+        displays of `scenes`.
+        """
         physics = self.imaging.physics
-        charge = physics.charge.content_hash if physics.charge else ""  # diffusion is in the light behind the lens
-        electrons = b"".join(electrons_per_joule(channel, self.scenes.irradiance).tobytes() for channel in physics.channels)
+        charge = (
+            physics.charge.content_hash if physics.charge else ""
+        )  # diffusion is in the light behind the lens
+        electrons = b"".join(
+            electrons_per_joule(channel, self.scenes.irradiance).tobytes()
+            for channel in physics.channels
+        )
         return electrons, self.border_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
 
     @property
@@ -117,14 +133,26 @@ class LitCase:
 
     @cached_property
     def frames_hash(self) -> str:
-        """Hash of the light, camera, exposure, correction and random streams, without pixel and display."""
+        """Hash of the light, camera, exposure, correction and random streams, without pixel and
+        display.
+        """
         settings = [getattr(self.imaging, name).model_dump() for name in OF_FRAME]
-        # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
-        return content_hash([self.scenes.content, settings, *self.case.stream, cache.version_fingerprint(*COMPUTED_BY)])
+        # With pixsim's sources and the versions of the packages that compute, so that no row of
+        # another formula is reused.
+        return content_hash(
+            [
+                self.scenes.content,
+                settings,
+                *self.case.stream,
+                cache.version_fingerprint(*COMPUTED_BY),
+            ]
+        )
 
     @cached_property
     def display_hashes(self) -> list[str]:
-        """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
+        """Hash of each display, of the part of the die that is scored on it, of the development,
+        and of the precision.
+        """
         imaging = self.imaging
         border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
         shared = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
@@ -133,37 +161,56 @@ class LitCase:
     @cached_property
     def light_hash(self) -> str:
         """Hash of the light behind the lens, and of the pixel but its size."""
-        return content_hash([self.frames_hash, self.display_hashes, *self._pixel_content(self.imaging.pixel, "pitch_um")])
+        return content_hash(
+            [
+                self.frames_hash,
+                self.display_hashes,
+                *self._pixel_content(self.imaging.pixel, "pitch_um"),
+            ]
+        )
 
     def _pixel_content(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
-        return self.imaging.physics.technology.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+        return self.imaging.physics.technology.content, pixel.model_dump(
+            exclude={"technology", *but}
+        )  # a path is no content
 
     def pixel_hash(self, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
         if pitch_um not in self._pixel_hashes:
             at_pitch = self.imaging.at(pitch_um)
             # The raster decides on registrations.
-            content = [self.frames_hash, *self._pixel_content(at_pitch.pixel), at_pitch.display.raster]
+            content = [
+                self.frames_hash,
+                *self._pixel_content(at_pitch.pixel),
+                at_pitch.display.raster,
+            ]
             self._pixel_hashes[pitch_um] = content_hash(content)
         return self._pixel_hashes[pitch_um]
 
     def keys(self, pitch_um: float, count: int) -> list[str]:
-        """Return the key of each evaluation of a pitch: of `count` repeats, of the first ones on each display."""
+        """Return the key of each evaluation of a pitch: of `count` repeats, of the first ones on
+        each display.
+        """
         keys = self._keys.setdefault(pitch_um, [])
         displays = len(self.displays)
         end = point_count(count, displays)
         for number in range(len(keys), end):
             repeat, display = point_at(number, displays)
-            keys.append(content_hash([self.pixel_hash(pitch_um), self.display_hashes[display], repeat]))
+            keys.append(
+                content_hash([self.pixel_hash(pitch_um), self.display_hashes[display], repeat])
+            )
         return keys[:end]
 
     def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
-        """Return whether a row of results.csv may belong to the case and has the key of its pitch and repeat.
+        """Return whether a row of results.csv may belong to the case and has the key of its pitch
+        and repeat.
 
         pitches_um : with which the case starts
         """
         pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
-        if row["technology"] != self.case.sensor or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
+        if row["technology"] != self.case.sensor or not (
+            0 <= repeat < MOST_REPEATS and repeat.is_integer()
+        ):
             return False
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
@@ -172,16 +219,27 @@ class LitCase:
 
 
 def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCase]:
-    """Return cases with their lights; cases that see the same on the same display share what lies behind the lens."""
+    """Return cases with their lights; cases that see the same on the same display share what lies
+    behind the lens.
+    """
     caches: dict[str, SceneCache] = {}
     lit: list[LitCase] = []
     for case, light in zip(cases, lights, strict=True):
         imaging, image, without = case.imaging, light.image, light.without
         assert imaging is not None
-        # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
-        seen = [image.header, image.shape, image.pitch_um, light.camera.model_dump(), None if without is None else without.header]
+        # The header states everything that a render depends on, so that cases of other pixels may
+        # have equal ones.
+        seen = [
+            image.header,
+            image.shape,
+            image.pitch_um,
+            light.camera.model_dump(),
+            None if without is None else without.header,
+        ]
         displays = [display.content_hash for display in (imaging.display, *case.others)]
-        key = content_hash([*seen, displays, imaging.metrics.content, imaging.develop.tone, imaging.single])
+        key = content_hash(
+            [*seen, displays, imaging.metrics.content, imaging.develop.tone, imaging.single]
+        )
         if key not in caches:
             caches[key] = SceneCache(imaging, SceneLight(image, without), others=case.others)
         caches[key].channels = max(caches[key].channels, len(imaging.physics.channels))
@@ -190,7 +248,9 @@ def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCa
 
 
 def check_ideals(cases: Sequence[LitCase]) -> None:
-    """Raise PixsimError if monochrome and colour sensors among some cases look at one coloured scene."""
+    """Raise PixsimError if monochrome and colour sensors among some cases look at one coloured
+    scene.
+    """
     grey = [lit.label for lit in cases if lit.imaging.pixel.colour is None]
     coloured: dict[int, LitCase] = {}
     for lit in cases:
@@ -198,13 +258,16 @@ def check_ideals(cases: Sequence[LitCase]) -> None:
             coloured.setdefault(id(lit.scenes), lit)
     if grey:
         ideals = {
-            lit.label: display_image(ideal_light_of_dots(lit.imaging, lit.scenes.irradiance), lit.imaging.display)
+            lit.label: display_image(
+                ideal_light_of_dots(lit.imaging, lit.scenes.irradiance), lit.imaging.display
+            )
             for lit in coloured.values()
         }
         check_one_ideal(grey, ideals)
 
 
-# --- tasks of workers -------------------------------------------------------------------------------------------------------------
+# --- tasks of workers
+# -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -215,7 +278,8 @@ class Task:
     imaging : at this size
     displays : on which each frame is shown
     stream : how the keys of its random streams begin, before the repeat
-    light_key, frames_key : hashes of everything that their light and their frames depend on; empty: frames are not cached
+    light_key, frames_key : hashes of everything that their light and their frames depend on; empty:
+        frames are not cached
     keys : of its rows, by their numbers as of `LitCase.keys`
     shares_sensors : whether other cases may have the same sensors
     """
@@ -234,7 +298,9 @@ class Task:
 
     @property
     def place(self) -> tuple[float, str, int]:
-        """Its place among the tasks of several lights: small pixels first, the same sensors together."""
+        """Its place among the tasks of several lights: small pixels first, the same sensors
+        together.
+        """
         return self.imaging.pixel.pitch_um, self.name, min(self.keys)
 
     @property
@@ -278,7 +344,8 @@ class FirstFrame(NamedTuple):
 
 
 def task_of(lit: LitCase, imaging: Imaging, block: int, keys: Mapping[int, str]) -> Task:
-    """Return the task of some evaluations of a block of repeats, whose frames share a file of the cache.
+    """Return the task of some evaluations of a block of repeats, whose frames share a file of the
+    cache.
 
     imaging : of the case, at the pixel size
     """
@@ -308,22 +375,31 @@ def tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iter
                 yield task_of(lit, imaging, block, missing)
 
 
-# A thread's last chain and last sensors: they are expensive, and the tasks of a pixel size follow one another.
+# A thread's last chain and last sensors: they are expensive, and the tasks of a pixel size follow
+# one another.
 _recent = threading.local()
 SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
 
 
 def cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
-    """Return the sensor of `ImagingChain.sensor`. Other cases may have the same ones, of which a thread keeps the last."""
+    """Return the sensor of `ImagingChain.sensor`. Other cases may have the same ones, of which a
+    thread keeps the last.
+    """
     physics = chain.readout.physics
-    pixels = chain.readout.with_physics(pixel=physics.pixel.model_copy(update={"registration": None}))
+    pixels = chain.readout.with_physics(
+        pixel=physics.pixel.model_copy(update={"registration": None})
+    )
     if getattr(_recent, "pixels", None) != pixels:
         _recent.pixels, _recent.sensors = pixels, {}
     sensors: dict[object, Sensor] = _recent.sensors
     place = key, physics.registration, chain.signal_e_per_s.shape
     if place not in sensors:
         sensor = chain.sensor(*key)
-        size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
+        size = sum(
+            pattern.nbytes
+            for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e)
+            if pattern is not None
+        )
         if (len(sensors) + 1) * size > SENSORS_BYTES:
             sensors.clear()
         if size > SENSORS_BYTES:
@@ -333,7 +409,9 @@ def cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
 
 
 def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
-    """Return the imaging chain of a repeat, with its registration; that of the last one, if it is the same."""
+    """Return the imaging chain of a repeat, with its registration; that of the last one, if it is
+    the same.
+    """
     imaging = registered_in(task.imaging, light, repeat)
     key = task.light_key, imaging.pixel.pitch_um, imaging.pixel.registration
     if getattr(_recent, "key", None) != key:
@@ -342,8 +420,11 @@ def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
     return chain
 
 
-def evaluate_task(task: Task, light: SharedLight, first: list[FirstFrame] | None = None) -> list[Evaluated]:
-    """Return the evaluations of a task; of pixels whose colours cannot be told apart, the reason in their place.
+def evaluate_task(
+    task: Task, light: SharedLight, first: list[FirstFrame] | None = None
+) -> list[Evaluated]:
+    """Return the evaluations of a task; of pixels whose colours cannot be told apart, the reason in
+    their place.
 
     first : gets the first frame of the first repeat, with its pictures
     """
@@ -351,12 +432,21 @@ def evaluate_task(task: Task, light: SharedLight, first: list[FirstFrame] | None
     repeats, request = task.repeats, task.imaging.metrics
     names = *PIXEL_STATISTICS, *columns_of_metrics(request.chosen)
     try:
-        for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=not request.needs_light):
+        for repeat, chain, frame, mean_e in frames_of(
+            task, light, repeats, shown=not request.needs_light
+        ):
             cached_mean = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
-                on_screen = chain if isinstance(light, SceneLight) else chain.on(light.screens[display])
-                of_run = 0, task.imaging.stream_of(task.stream, repeat)  # each sensor of a run is one by itself
-                judged = FrameUnderTest.of(on_screen, frame, *(of_run if task.imaging.is_run else (repeat, task.stream)))
+                on_screen = (
+                    chain if isinstance(light, SceneLight) else chain.on(light.screens[display])
+                )
+                of_run = (
+                    0,
+                    task.imaging.stream_of(task.stream, repeat),
+                )  # each sensor of a run is one by itself
+                judged = FrameUnderTest.of(
+                    on_screen, frame, *(of_run if task.imaging.is_run else (repeat, task.stream))
+                )
                 undefined: dict[str, str] = {}
                 numbers = judged.statistics(undefined) | cached_mean
                 if first is not None and not first:
@@ -364,33 +454,50 @@ def evaluate_task(task: Task, light: SharedLight, first: list[FirstFrame] | None
                 key = task.key(repeat, display)
                 values = tuple(float(numbers[name]) for name in names)
                 place = key, task.imaging.pixel.pitch_um, repeat, display
-                evaluated.append(Evaluated(*place, values, undefined=undefined, from_cache=mean_e is not None))
+                evaluated.append(
+                    Evaluated(*place, values, undefined=undefined, from_cache=mean_e is not None)
+                )
     except AlikeChannelsError as error:
         pitch_um, displays = task.imaging.pixel.pitch_um, len(task.displays)
-        return [Evaluated(key, pitch_um, *point_at(number, displays), impossible=str(error)) for number, key in task.keys.items()]
+        return [
+            Evaluated(key, pitch_um, *point_at(number, displays), impossible=str(error))
+            for number, key in task.keys.items()
+        ]
     return evaluated
 
 
 def cached_frames(frames_key: str) -> cache.Arrays:
-    """Return the frames that the cache has under a key, which may be empty, by the names of `name_of`."""
+    """Return the frames that the cache has under a key, which may be empty, by the names of
+    `name_of`.
+    """
     return (cache.arrays("frames", frames_key) if frames_key else None) or {}
 
 
-DN, SATURATED, MEAN, TIME, CORRECTED = "dn", "saturated_fraction", "mean_electrons_e", "integration_s", "corrected_e"
+DN, SATURATED, MEAN, TIME, CORRECTED = (
+    "dn",
+    "saturated_fraction",
+    "mean_electrons_e",
+    "integration_s",
+    "corrected_e",
+)
 SATURATED_PIXELS = "saturated"
 
 
 def name_of(repeat: int, what: str) -> str:
     """Return the name of an array of a frame in the cache.
 
-    Beside digital numbers and corrected electrons, it is what does not follow from them: the saturated fraction, of a burst the
-    saturated pixels, the time and the mean of the electrons.
+    Beside digital numbers and corrected electrons, it is what does not follow from them: the
+    saturated fraction, of a burst the saturated pixels, the time and the mean of the electrons.
     """
     return f"{repeat}_{what}"
 
 
-def cached_frame(frames: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging) -> cache.Arrays | None:
-    """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is missing."""
+def cached_frame(
+    frames: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging
+) -> cache.Arrays | None:
+    """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is
+    missing.
+    """
     pictures = [DN]
     if imaging.correction.is_on:
         pictures.append(CORRECTED)
@@ -399,18 +506,25 @@ def cached_frame(frames: cache.Arrays, repeat: int, shape: tuple[int, int], imag
     parts = (*pictures, SATURATED, MEAN, TIME)
     arrays = {part: frames.get(name_of(repeat, part)) for part in parts}
     whole = {part: array for part, array in arrays.items() if array is not None}
-    is_whole = all(array.shape == (shape if part in pictures else ()) for part, array in whole.items())
+    is_whole = all(
+        array.shape == (shape if part in pictures else ()) for part, array in whole.items()
+    )
     return whole if len(whole) == len(parts) and is_whole else None
 
 
-def shown_chain(task: Task, light: SharedLight, repeat: int, frames: cache.Arrays) -> ImagingChain | None:
-    """Return the imaging chain of a repeat that shows its frame of the cache again; None if it is not there.
+def shown_chain(
+    task: Task, light: SharedLight, repeat: int, frames: cache.Arrays
+) -> ImagingChain | None:
+    """Return the imaging chain of a repeat that shows its frame of the cache again; None if it is
+    not there.
 
     It lacks the light behind the frame, so that its `Frame.mean_e` is 0.
 
     frames : of `cached_frames`
     """
-    if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":  # which knows the light
+    if (
+        not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound"
+    ):  # which knows the light
         return None
     imaging = registered_in(task.imaging, light, repeat)
     physics = imaging.physics
@@ -426,7 +540,8 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, frames: cache.Array
 def frames_of(
     task: Task, light: SharedLight, repeats: Iterable[int], *, shown: bool
 ) -> Iterator[tuple[int, ImagingChain, Frame, float | None]]:
-    """Yield repeats with their imaging chain, their frame, and the mean of its electrons if the cache has it.
+    """Yield repeats with their imaging chain, their frame, and the mean of its electrons if the
+    cache has it.
 
     New frames are stored there, after the last one.
 
@@ -435,20 +550,36 @@ def frames_of(
     before = cached_frames(task.frames_key)
     frames = dict(before)
     for repeat in repeats:
-        chain = (shown_chain(task, light, repeat, before) if shown and before else None) or chain_of(task, light, repeat)
+        chain = (
+            shown_chain(task, light, repeat, before) if shown and before else None
+        ) or chain_of(task, light, repeat)
         if chain.rendition is not None:
             chain.development.matrix  # noqa: B018 – raises an error before a frame is made
         shape = chain.signal_e_per_s.shape
         cached = cached_frame(before, repeat, (shape[0], shape[1]), task.imaging)
         if cached is not None:
-            dn, fraction, saturated = cached[DN].astype(np.int32), float(cached[SATURATED]), cached.get(SATURATED_PIXELS)
-            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.readout, chain.exposure, saturated)
-            yield repeat, chain, replace(frame, corrected_e=cached.get(CORRECTED)), float(cached[MEAN])
+            dn, fraction, saturated = (
+                cached[DN].astype(np.int32),
+                float(cached[SATURATED]),
+                cached.get(SATURATED_PIXELS),
+            )
+            frame = make_frame(
+                dn, fraction, chain.signal_e_per_s, chain.readout, chain.exposure, saturated
+            )
+            yield (
+                repeat,
+                chain,
+                replace(frame, corrected_e=cached.get(CORRECTED)),
+                float(cached[MEAN]),
+            )
             continue
         sensor_of = partial(cached_sensor, chain) if task.shares_sensors else None
         frame = chain.capture(*task.imaging.stream_of(task.stream, repeat), sensor_of=sensor_of)
         if task.frames_key:
-            made = {DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)), SATURATED: np.array(frame.saturated_fraction)}
+            made = {
+                DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)),
+                SATURATED: np.array(frame.saturated_fraction),
+            }
             made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
             made |= {} if frame.corrected_e is None else {CORRECTED: frame.corrected_e}
             if frame.exposures > 1 and frame.saturated is not None:
@@ -460,24 +591,37 @@ def frames_of(
 
 
 def ideal_facts(lit: LitCase, smallest_um: float) -> IdealFacts:
-    """Return facts of the ideal image of a case, of its smallest pixels if pixels are the display's dots.
+    """Return facts of the ideal image of a case, of its smallest pixels if pixels are the display's
+    dots.
 
-    They follow from the light, not from the rows, so that a resumed study knows them as one that evaluates them.
+    They follow from the light, not from the rows, so that a resumed study knows them as one that
+    evaluates them.
     """
     smallest = lit.imaging.at(smallest_um)
     electrons, *others = lit.light_key
-    pixels_um = smallest.physics.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
-    seen = [lit.frames_hash, lit.display_hashes[0], blake2b(electrons).hexdigest(), *others, pixels_um]
+    pixels_um = (
+        smallest.physics.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
+    )
+    seen = [
+        lit.frames_hash,
+        lit.display_hashes[0],
+        blake2b(electrons).hexdigest(),
+        *others,
+        pixels_um,
+    ]
 
     def read(entry: dict[str, Any]) -> IdealFacts:
         low, high = entry["lightness"]
         return IdealFacts(float(entry["beyond_white"]), (float(low), float(high)))
 
     compute = partial(lit.scenes.ideal_facts, lit.light_key, smallest)
-    return cache.load_or_compute("ideal", content_hash(seen), read, compute, lambda facts: facts._asdict())
+    return cache.load_or_compute(
+        "ideal", content_hash(seen), read, compute, lambda facts: facts._asdict()
+    )
 
 
-# --- evaluation -------------------------------------------------------------------------------------------------------------------
+# --- evaluation
+# -------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -486,7 +630,8 @@ class Counts:
 
     cases : combinations of axes and conditions
     prepared_scenes : lights behind the lens, for each render, display and spectral response
-    frames_reused : of the evaluations made, those whose frame was known, as where only the display differs
+    frames_reused : of the evaluations made, those whose frame was known, as where only the display
+        differs
     """
 
     cases: int
@@ -498,12 +643,19 @@ class Counts:
 
     def __str__(self) -> str:
         frames = self.evaluations_made - self.frames_reused
-        made = f"{self.renders} renders, {self.prepared_scenes} lights behind the lens, {frames} frames"
-        known = f"{self.evaluations_reused} evaluations known before, {self.frames_reused} frames reused"
+        made = (
+            f"{self.renders} renders, {self.prepared_scenes} lights behind the lens, {frames}"
+            " frames"
+        )
+        known = (
+            f"{self.evaluations_reused} evaluations known before, {self.frames_reused} frames"
+            " reused"
+        )
         return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {known}"
 
 
-# The tables of cases that are evaluated together -> the sizes and sensors of each, with further ones; the same if none are needed.
+# The tables of cases that are evaluated together -> the sizes and sensors of each, with further
+# ones; the same if none are needed.
 More = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
 Known = Callable[[int, Table], object]  # the number of a case, and its table
 
@@ -520,20 +672,23 @@ def evaluate_points(
     first: list[FirstFrame] | None = None,
     in_parts: bool = False,
 ) -> Table:
-    """Evaluate the points of cases that results.csv does not have yet, and return all of them as a table.
+    """Evaluate the points of cases that results.csv does not have yet, and return all of them as a
+    table.
 
     cases : those of a group follow one another
     results : results.csv, whose folder the caller has locked; None keeps no file
     workers : None takes as many processes as are worth it
     progress : returns a callback for each round
-    more : asked for each group when its points are known; it depends on the tables alone, so that a resumed study adds the same
-        points. None adds none
+    more : asked for each group when its points are known; it depends on the tables alone, so that a
+        resumed study adds the same points. None adds none
     known : called with each case as soon as its points are known, while workers go on with others
     counts : gets what was made
     first : gets the very first frame, with its pictures; then this process makes all of them
-    in_parts : whether groups whose lights fit into memory together get all of their rounds before the next ones
+    in_parts : whether groups whose lights fit into memory together get all of their rounds before
+        the next ones
 
-    A point that is impossible is a row with its reason. Raises PixsimError if the file cannot be written; finished rows stay in it.
+    A point that is impossible is a row with its reason. Raises PixsimError if the file cannot be
+    written; finished rows stay in it.
     """
     workers = Workers() if first is not None else workers or suitable_workers(cases)
     evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first)
@@ -548,16 +703,28 @@ def suitable_workers(cases: Sequence[LitCase]) -> Workers:
         for pitch_um, count in lit.case.sizes.items()
     ]
     seconds = sum(count * cost.seconds for count, cost in costs)
-    return workers_here(1 if seconds < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs)))
+    return workers_here(
+        1 if seconds < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs))
+    )
 
 
 class _Evaluation:
     """The state of one `evaluate_points`."""
 
     def __init__(
-        self, cases: Sequence[LitCase], results: Path | None, workers: Workers, counts: Counts, first_frame: list[FirstFrame] | None
+        self,
+        cases: Sequence[LitCase],
+        results: Path | None,
+        workers: Workers,
+        counts: Counts,
+        first_frame: list[FirstFrame] | None,
     ) -> None:
-        self.cases, self.workers, self.counts, self.first_frame = cases, workers, counts, first_frame
+        self.cases, self.workers, self.counts, self.first_frame = (
+            cases,
+            workers,
+            counts,
+            first_frame,
+        )
         first = cases[0]
         self.has_displays = any(len(lit.displays) > 1 for lit in cases)
         labels = *first.case.labels, *((DOTS, DEGREE) if self.has_displays else ())
@@ -575,7 +742,13 @@ class _Evaluation:
         counts.renders = len({id(lit.scenes) for lit in cases})
         counts.prepared_scenes = len({lit.light_id for lit in cases})
 
-    def run(self, progress: Callable[[], Progress | None], more: More | None, known: Known | None, in_parts: bool) -> Table:
+    def run(
+        self,
+        progress: Callable[[], Progress | None],
+        more: More | None,
+        known: Known | None,
+        in_parts: bool,
+    ) -> Table:
         """Evaluate all points, in rounds, and return the table."""
         self.store.resume(self._is_expected())
         self.counts.evaluations_reused = len(self.store)
@@ -584,20 +757,30 @@ class _Evaluation:
             for part in parts:
                 changed = part
                 while changed:
-                    # Groups that need no more points stay, so that their lights are not prepared again.
+                    # Groups that need no more points stay, so that their lights are not prepared
+                    # again.
                     changed = self._round(changed, progress(), more, known)
                 if self.counts.prepared_scenes > self.capacity:
                     self._drop_lights()
         finally:
-            _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
+            # in this process; a worker keeps its last chain until its next task
+            _recent.__dict__.clear()
 
         table = self.table(range(len(self.cases)))
         if self.store.path is not None:
-            keys = {key for number in range(len(self.cases)) for key in self._keys(number)} - self.impossible.keys()
+            keys = {
+                key for number in range(len(self.cases)) for key in self._keys(number)
+            } - self.impossible.keys()
             self.store.finish(keys, self._lines(table))
         return table
 
-    def _round(self, groups: Sequence[object], progress: Progress | None, more: More | None, known: Known | None) -> list[object]:
+    def _round(
+        self,
+        groups: Sequence[object],
+        progress: Progress | None,
+        more: More | None,
+        known: Known | None,
+    ) -> list[object]:
         """Evaluate the points of some groups, and return those that got more."""
         chosen = [number for group in groups for number in self.groups[group]]
         missing = {group: len(self.groups[group]) for group in groups}
@@ -618,22 +801,35 @@ class _Evaluation:
         return changed
 
     def _finished(self, chosen: Sequence[int], progress: Progress | None) -> Iterator[int]:
-        """Evaluate what is missing of some cases; yield the number of each as soon as all of its points are known."""
+        """Evaluate what is missing of some cases; yield the number of each as soon as all of its
+        points are known.
+        """
         batches = self._batches(chosen)
         missing: dict[int, int] = {}
         waiting: dict[str, list[int]] = {}
         for number in chosen:
-            unknown = {key for key in self._keys(number) if key not in self.store and key not in self.impossible}
+            unknown = {
+                key
+                for key in self._keys(number)
+                if key not in self.store and key not in self.impossible
+            }
             missing[number] = len(unknown)
             for key in unknown:
                 waiting.setdefault(key, []).append(number)
         yield from (number for number in chosen if not missing[number])
 
         total = left = len(waiting)
-        # A cluster gets the lights of all calls at once; processes of this machine get each one when it is due.
-        together = batches if self.workers.client else [[call for calls in batches for call in calls]]
+        # A cluster gets the lights of all calls at once; processes of this machine get each one
+        # when it is due.
+        together = (
+            batches if self.workers.client else [[call for calls in batches for call in calls]]
+        )
         for calls in together:
-            evaluate = evaluate_task if self.first_frame is None else partial(evaluate_task, first=self.first_frame)
+            evaluate = (
+                evaluate_task
+                if self.first_frame is None
+                else partial(evaluate_task, first=self.first_frame)
+            )
             for evaluated in results_of(evaluate, calls, self.workers):
                 self._take(evaluated, waiting)
                 left -= len(evaluated)
@@ -662,7 +858,9 @@ class _Evaluation:
         self.counts.evaluations_made += len(made)
         self.counts.frames_reused += sum(point.from_cache for point in made)
 
-    def _line(self, number: int, place: tuple[str, float, int, int], values: Iterable[float]) -> tuple[Any, ...]:
+    def _line(
+        self, number: int, place: tuple[str, float, int, int], values: Iterable[float]
+    ) -> tuple[Any, ...]:
         """Return a row of results.csv.
 
         number : of the case
@@ -672,21 +870,40 @@ class _Evaluation:
         lit = self.cases[number]
         viewed = lit.displays[display]
         of_display = (viewed.dots, viewed.samples_per_deg) if self.has_displays else ()
-        return key, lit.case.sensor, pitch_um, repeat, *lit.case.labels.values(), *of_display, *values
+        return (
+            key,
+            lit.case.sensor,
+            pitch_um,
+            repeat,
+            *lit.case.labels.values(),
+            *of_display,
+            *values,
+        )
 
     def _keys(self, number: int) -> list[str]:
         """Return the keys of all points of a case, in their order."""
         lit = self.cases[number]
-        return [key for pitch_um, count in self.sizes[number].items() for key in lit.keys(pitch_um, count)]
+        return [
+            key
+            for pitch_um, count in self.sizes[number].items()
+            for key in lit.keys(pitch_um, count)
+        ]
 
     def _lines(self, table: Table) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of results.csv in their order: all points that are possible."""
         names = "pitch_um", "repeat", *self.store.numbers
         possible = table.possible
-        keys = (key for number in range(len(self.cases)) for key in self._keys(number) if key not in self.impossible)
+        keys = (
+            key
+            for number in range(len(self.cases))
+            for key in self._keys(number)
+            if key not in self.impossible
+        )
         columns = [possible.columns[name].tolist() for name in names]
         displays = self._displays(possible)
-        for key, number, display, pitch_um, repeat, *values in zip(keys, possible.case.tolist(), displays, *columns, strict=True):
+        for key, number, display, pitch_um, repeat, *values in zip(
+            keys, possible.case.tolist(), displays, *columns, strict=True
+        ):
             yield self._line(number, (key, pitch_um, repeat, display), values)
 
     def _displays(self, table: Table) -> list[int]:
@@ -694,7 +911,10 @@ class _Evaluation:
         if not self.has_displays:
             return [0] * len(table)
         dots = [[display.dots for display in lit.displays] for lit in self.cases]
-        return [dots[case].index(count) for case, count in zip(table.case.tolist(), table.columns[DOTS].tolist(), strict=True)]
+        return [
+            dots[case].index(count)
+            for case, count in zip(table.case.tolist(), table.columns[DOTS].tolist(), strict=True)
+        ]
 
     def table(self, numbers: Sequence[int]) -> Table:
         """Return the points of some cases, with their labels; all points must be known."""
@@ -710,54 +930,86 @@ class _Evaluation:
                 pitches.append(np.full(order.size, pitch_um))
                 checked = CHECKED_REPEATS * count_displays
                 is_checked = order < checked
-                repeats.append(np.where(is_checked, order // count_displays, CHECKED_REPEATS + order - checked))
+                repeats.append(
+                    np.where(is_checked, order // count_displays, CHECKED_REPEATS + order - checked)
+                )
                 displays.append(np.where(is_checked, order % count_displays, 0))
         case = np.concatenate(of_case)
-        columns: dict[str, Any] = {"pitch_um": np.concatenate(pitches), "repeat": np.concatenate(repeats).astype(np.int32)}
+        columns: dict[str, Any] = {
+            "pitch_um": np.concatenate(pitches),
+            "repeat": np.concatenate(repeats).astype(np.int32),
+        }
         if self.has_displays:
             number_of_display = np.concatenate(displays)
             for name, kind in ((DOTS, np.int32), (DEGREE, np.float64)):
-                values = [[getattr(display, name) for display in self.cases[number].displays] for number in numbers]
+                values = [
+                    [getattr(display, name) for display in self.cases[number].displays]
+                    for number in numbers
+                ]
                 most = max(map(len, values))
                 padded = np.array([[*row, *[0] * (most - len(row))] for row in values], kind)
                 columns[name] = padded[case, number_of_display]
         numbers_of_rows = self.store.values_of(keys)
-        columns |= {name: np.ascontiguousarray(numbers_of_rows[:, place]) for place, name in enumerate(self.store.numbers)}
+        columns |= {
+            name: np.ascontiguousarray(numbers_of_rows[:, place])
+            for place, name in enumerate(self.store.numbers)
+        }
         labels: list[dict[str, Label]] = [
-            {"technology": self.cases[number].case.sensor, **self.cases[number].case.labels} for number in numbers
+            {"technology": self.cases[number].case.sensor, **self.cases[number].case.labels}
+            for number in numbers
         ]
         impossible = (
-            {row: self.impossible[key] for row, key in enumerate(keys) if key in self.impossible} if self.impossible else {}
+            {row: self.impossible[key] for row, key in enumerate(keys) if key in self.impossible}
+            if self.impossible
+            else {}
         )
-        undefined = {row: self.undefined[key] for row, key in enumerate(keys) if key in self.undefined} if self.undefined else {}
+        undefined = (
+            {row: self.undefined[key] for row, key in enumerate(keys) if key in self.undefined}
+            if self.undefined
+            else {}
+        )
         return Table(tuple(labels), case, columns, self.metrics, impossible, undefined)
 
     # --- what a file's rows are trusted by
 
     def _is_expected(self) -> Callable[[Row], bool]:
-        """Return whether a row of the file may belong to the cases, and has the key of its pixel size and repeat."""
+        """Return whether a row of the file may belong to the cases, and has the key of its pixel
+        size and repeat.
+        """
         names = tuple(self.cases[0].case.labels)
         by_labels: dict[tuple[str, ...], list[int]] = {}
         for number, lit in enumerate(self.cases):
-            texts = tuple(value if isinstance(value, str) else repr(value) for value in lit.case.labels.values())
+            texts = tuple(
+                value if isinstance(value, str) else repr(value)
+                for value in lit.case.labels.values()
+            )
             by_labels.setdefault(texts, []).append(number)
 
         def is_expected(row: Row) -> bool:
-            """A row of another case may have the same numbers; it is looked for among few cases only."""
+            """A row of another case may have the same numbers; it is looked for among few cases
+            only.
+            """
             same = by_labels.get(tuple(row[name] for name in names), [])
             others = range(len(self.cases)) if len(self.cases) <= FEW_CASES else ()
-            return any(self.cases[number].is_expected_row(row, self.sizes[number]) for number in (*same, *others))
+            return any(
+                self.cases[number].is_expected_row(row, self.sizes[number])
+                for number in (*same, *others)
+            )
 
         return is_expected
 
     # --- lights in memory
 
     def _parts(self) -> list[list[object]]:
-        """Return the groups that are evaluated together, in rounds, which take the same lights several times: as many as fit."""
+        """Return the groups that are evaluated together, in rounds, which take the same lights
+        several times: as many as fit.
+        """
         parts: list[list[object]] = []
         lights: set[object] = set()
         first = {id(lit.scenes): number for number, lit in reversed(list(enumerate(self.cases)))}
-        for group in sorted(self.groups, key=lambda group: first[id(self.cases[self.groups[group][0]].scenes)]):
+        for group in sorted(
+            self.groups, key=lambda group: first[id(self.cases[self.groups[group][0]].scenes)]
+        ):
             own = {self.cases[number].light_id for number in self.groups[group]}
             if not parts or len(lights | own) > self.capacity:
                 parts.append([])
@@ -767,9 +1019,11 @@ class _Evaluation:
         return parts
 
     def _batches(self, chosen: Sequence[int]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
-        """Return the tasks that are missing, each evaluation once, with the function that makes their light.
+        """Return the tasks that are missing, each evaluation once, with the function that makes
+        their light.
 
-        The lights of a batch fit together into memory, or into some files. Its tasks with the same sensors follow one another.
+        The lights of a batch fit together into memory, or into some files. Its tasks with the same
+        sensors follow one another.
         """
         tasks: dict[object, list[Task]] = {}
         lights: dict[object, LitCase] = {}
@@ -787,12 +1041,15 @@ class _Evaluation:
         for first in range(0, len(tasks), size):
             together = list(tasks)[first : first + size]
             makers: dict[object, Callable[[], SharedLight]] = {
-                light: partial(self._light, first if len(together) <= self.capacity else number, lights[light])
+                light: partial(
+                    self._light, first if len(together) <= self.capacity else number, lights[light]
+                )
                 for number, light in enumerate(together, first)
             }
             calls = [(task, makers[light]) for light in together for task in tasks[light]]
             if len(together) > 1:
-                # The tasks of the very first light keep the workers busy while the next ones are made.
+                # The tasks of the very first light keep the workers busy while the next ones are
+                # made.
                 begin = None if batches or self.workers.jobs == 1 else makers[together[0]]
                 calls.sort(key=lambda call: (call[1] is not begin, call[0].place))
             batches.append(calls)
@@ -803,7 +1060,9 @@ class _Evaluation:
         return key in self.store or key in self.impossible or key in asked
 
     def _light(self, batch: int, lit: LitCase) -> SharedLight:
-        """Return a light; those of another batch are dropped. In a batch that does not fit into memory, each counts as one."""
+        """Return a light; those of another batch are dropped. In a batch that does not fit into
+        memory, each counts as one.
+        """
         if batch != self.batch:
             self._drop_lights()
             self.batch = batch

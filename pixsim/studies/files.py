@@ -1,4 +1,6 @@
-"""The files of a study: those that it reads, and settings.toml, from which a command makes the same numbers again."""
+"""The files of a study: those that it reads, and settings.toml, from which a command makes the same
+numbers again.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,15 @@ from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
 from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
-from pixsim.studies.settings import Study, has_study_settings, is_case_name, owner_of, paths_of, setting_path, study_layers
+from pixsim.studies.settings import (
+    Study,
+    has_study_settings,
+    is_case_name,
+    owner_of,
+    paths_of,
+    setting_path,
+    study_layers,
+)
 from pixsim.viewer.develop_options import as_tone_curve
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.metric_registry import names_of
@@ -35,24 +45,38 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
 }
 WITHOUT_TARGET = ("metric", "detectability", "without")
 FILES = (
-    *(("scene", "file"), ("lens", "file"), ("scene", "parameters", "chart"), ("pixel", "technology"), WITHOUT_TARGET),
+    *(
+        ("scene", "file"),
+        ("lens", "file"),
+        ("scene", "parameters", "chart"),
+        ("pixel", "technology"),
+        WITHOUT_TARGET,
+    ),
     *FILES_OF_VALUES,
 )
 
 
-def settings_text(record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object) -> str:
-    """TOML file of all settings of a result, from which a command makes the same numbers again, bit for bit.
+def settings_text(
+    record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object
+) -> str:
+    """TOML file of all settings of a result, from which a command makes the same numbers again, bit
+    for bit.
 
     command : that makes them, in the file's folder
     uncertainty : of `spreads_of_study`
     changes : tables and fields in place of the record's
 
-    Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
+    Values stand in it, not files; a technology or a scene with a file of its own is named by its
+    whole path.
     """
     table = record.model_dump(mode="json", exclude_none=True) | changes
     for name, spreads in (uncertainty or {}).items():
         pixel = table.get("sensors", {}).get(name) if name else table.get("pixel")
-        kept = {number: spread.model_dump(exclude_none=True) for number, spread in spreads.items() if spread.holds(pixel, number)}
+        kept = {
+            number: spread.model_dump(exclude_none=True)
+            for number, spread in spreads.items()
+            if spread.holds(pixel, number)
+        }
         if isinstance(pixel, dict) and kept:
             pixel["uncertainty"] = kept
     if "axis" in table:
@@ -77,32 +101,46 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
 
 
 def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with values in place of the files that hold them, and the whole paths of other files."""
+    """Settings with values in place of the files that hold them, and the whole paths of other
+    files.
+    """
     for path in FILES:
         *above, name = path
         node: Any = settings
         for key in above:
             node = node.get(key) if isinstance(node, dict) else None
         if isinstance(node, dict) and isinstance(node.get(name), str):
-            settings = merge(settings, nested(path, FILES_OF_VALUES.get(path, whole_path)(node[name])))
+            settings = merge(
+                settings, nested(path, FILES_OF_VALUES.get(path, whole_path)(node[name]))
+            )
     return settings
 
 
 def without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """An axis without files as `_without_files` has it; files that are its plain values remain its labels.
+    """An axis without files as `_without_files` has it; files that are its plain values remain its
+    labels.
 
     Names that cannot be labels stay as they are.
     """
     values, paths = axis.get("values", ()), [setting_path(dotted) for dotted in axis.get("set", ())]
-    if any(path in FILES for path in paths) and all(isinstance(value, str) and is_case_name(value) for value in values):
-        tables = [{"label": value, "set": merged(Layer(nested(path, value)) for path in paths)} for value in values]
+    if any(path in FILES for path in paths) and all(
+        isinstance(value, str) and is_case_name(value) for value in values
+    ):
+        tables = [
+            {"label": value, "set": merged(Layer(nested(path, value)) for path in paths)}
+            for value in values
+        ]
         axis = {name: value for name, value in axis.items() if name != "set"} | {"values": tables}
-    shown = [each | {"set": _without_files(each["set"])} if isinstance(each, dict) else each for each in axis.get("values", ())]
+    shown = [
+        each | {"set": _without_files(each["set"])} if isinstance(each, dict) else each
+        for each in axis.get("values", ())
+    ]
     return axis | ({"values": shown} if shown else {})
 
 
 def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a scene for a settings file: numbers as such, and files of the working directory by their whole paths.
+    """Parameters of a scene for a settings file: numbers as such, and files of the working
+    directory by their whole paths.
 
     folder : of the scene, in which its own files lie
     """
@@ -125,16 +163,20 @@ QUICK_REPEATS, QUICK_COUNT = 4, 8
 
 
 def study_files(name: str | os.PathLike[str], quick: bool = False) -> list[Path]:
-    """Return the file of a study and, with `quick`, the file of overrides NAME.quick.toml next to it, if there is one."""
+    """Return the file of a study and, with `quick`, the file of overrides NAME.quick.toml next to
+    it, if there is one.
+    """
     path = study_path(name)
     overrides = path.with_name(f"{path.stem}.quick.toml")
     return [path, overrides] if quick and overrides.is_file() else [path]
 
 
 def read_study(name: str | os.PathLike[str], quick: bool = False) -> list[Layer]:
-    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to the study's file.
+    """Return the table of a packaged study by name, or of a TOML file; the files that it names may
+    lie next to the study's file.
 
-    quick : add a layer of overrides: the file NAME.quick.toml next to the study's, or else `quick_table`
+    quick : add a layer of overrides: the file NAME.quick.toml next to the study's, or else
+        `quick_table`
     """
     layers = [Layer(_study_table(path), str(path)) for path in study_files(name, quick)]
     if quick and len(layers) == 1:
@@ -157,48 +199,82 @@ def _at_most(value: object, limit: int) -> int:
 
 
 def config_layers(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[Layer]:
-    """Read files that a study takes over its own: of settings of a study, or of a sensor as `pixsim run` takes it."""
+    """Read files that a study takes over its own: of settings of a study, or of a sensor as
+    `pixsim run` takes it.
+    """
     layers = []
     for file in listed(config):
         path = settings_path(file)
-        layers.append(Layer(_study_table(path), str(path)) if has_study_settings(read_toml(path)) else settings_layer(file))
+        layers.append(
+            Layer(_study_table(path), str(path))
+            if has_study_settings(read_toml(path))
+            else settings_layer(file)
+        )
     return layers
 
 
 def study_path(name: str | os.PathLike[str]) -> Path:
-    """Return the file of a study: of a packaged one by its name. Raises PixsimError for another name."""
+    """Return the file of a study: of a packaged one by its name. Raises PixsimError for another
+    name.
+    """
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         got = f"'{name}'" if path.parent == Path() else missing(path)
-        raise invalid("study", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
+        raise invalid(
+            "study",
+            got,
+            f"a TOML file, or one of {', '.join(known)}",
+            did_you_mean(str(name), known),
+        )
     return path
 
 
 def _study_table(path: Path) -> dict[str, Any]:
-    """Return the table of one file, with whole paths of the files next to it. Raises PixsimError if it is no study."""
+    """Return the table of one file, with whole paths of the files next to it. Raises PixsimError if
+    it is no study.
+    """
     table = read_toml(path)
-    if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
+    if (
+        "name" not in table
+        and isinstance(pixel := table.get("pixel"), dict)
+        and "pitch_um" in pixel
+    ):
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
-        raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", hint)
+        raise invalid(
+            "study",
+            f"'{path}', the file of a sensor",
+            "the file of a study, which has a name",
+            hint,
+        )
     _resolve_files(table, path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
     if isinstance(sensors := table.get("sensors"), dict):
-        table["sensors"] = sensors | {name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()}
+        table["sensors"] = sensors | {
+            name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()
+        }
     return table
 
 
-def _sheets_of(sensors: dict[str, Any], path: Path) -> dict[str, tuple[dict[str, Any], dict[str, Spread]]]:
-    """Return the data sheets of a study's file, each without its table `uncertainty`, and that table."""
+def _sheets_of(
+    sensors: dict[str, Any], path: Path
+) -> dict[str, tuple[dict[str, Any], dict[str, Spread]]]:
+    """Return the data sheets of a study's file, each without its table `uncertainty`, and that
+    table.
+    """
     tables = {name: pixel for name, pixel in sensors.items() if isinstance(pixel, dict)}
-    return {name: without_uncertainty(pixel, f"{path}: sensors.{name}") for name, pixel in tables.items()}
+    return {
+        name: without_uncertainty(pixel, f"{path}: sensors.{name}")
+        for name, pixel in tables.items()
+    }
 
 
 def uncertainty_of(
     name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = (), quick: bool = False
 ) -> dict[str, dict[str, Spread]]:
-    """Return [pixel.uncertainty] of a study's files and of sensor files, of which later ones take precedence, for `''`.
+    """Return [pixel.uncertainty] of a study's files and of sensor files, of which later ones take
+    precedence, for `''`.
 
     And that of each data sheet whose numbers stand in the study's files, by its name.
     """
@@ -206,21 +282,29 @@ def uncertainty_of(
     own = {number: spread for path in files for number, spread in sheet_uncertainty(path).items()}
     tables = [(file, read_toml(file).get("sensors")) for file in files]
     sheets = {
-        name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()
+        name: found
+        for file, sensors in tables
+        if isinstance(sensors, dict)
+        for name, found in _sheets_of(sensors, file).items()
     }
     return {"": own} | {name: spreads for name, (_, spreads) in sheets.items()}
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
-    """Replace file names in a study's table by their paths, for files that lie next to the study's file.
+    """Replace file names in a study's table by their paths, for files that lie next to the study's
+    file.
 
     Also in the settings of its axes and conditions.
     """
     if isinstance(names := table.get("technologies"), list):
         table["technologies"] = [resolve_file(path, name) for name in names]
     if isinstance(processes := table.get("process"), dict):
-        table["process"] = {resolve_file(path, name): numbers for name, numbers in processes.items()}
-    values = [value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)]
+        table["process"] = {
+            resolve_file(path, name): numbers for name, numbers in processes.items()
+        }
+    values = [
+        value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)
+    ]
     settings = [each.get("set") for each in (*_tables(values), *_tables(table.get("condition")))]
     for part in (table, *_tables(settings)):
         resolve_files(part, path, FILES)
@@ -232,7 +316,9 @@ def _tables(value: object) -> list[dict[str, Any]]:
 
 
 def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:
-    """Return the values of an axis, after replacing the file names among them, if its setting is a file."""
+    """Return the values of an axis, after replacing the file names among them, if its setting is a
+    file.
+    """
     values, dotted = axis.get("values"), axis.get("set")
     if not isinstance(values, list):
         return []
@@ -250,26 +336,42 @@ def load_study(
     quick: bool = False,
     **settings: object,
 ) -> Study:
-    """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
+    """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of
+    its errors.
 
-    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure and display, as for
-        `pixsim run`; later files take precedence. The well and dark current of a data sheet scale with the photodiode's area.
+    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure
+        and display, as for `pixsim run`; later files take precedence. The well and dark current of
+        a data sheet scale with the photodiode's area.
     parameters : of the scene; they override those of the study
-    pixel : fields of the pixels, each in its unit, which override those of the study and the files; a data sheet may stand here
-        instead of in a file, with its pitch_um
+    pixel : fields of the pixels, each in its unit, which override those of the study and the files;
+        a data sheet may stand here instead of in a file, with its pitch_um
     scene : XML file or name of a packaged scene
     quick : add the overrides of `read_study`: fewer pixel sizes and sensors
-    settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
+    settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um":
+        2.0}, window_mm=1.0
     """
     options = tables_of_python(settings)
-    of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
-    options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
+    of_scene = {
+        "file": None if scene is None else str(scene),
+        "parameters": dict(parameters) if parameters else None,
+    }
+    options |= (
+        {"scene": {name: value for name, value in of_scene.items() if value is not None}}
+        if scene or parameters
+        else {}
+    )
     options |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(study_layers(read_study(name, quick), config_layers(config), options), options)
+    return checked_study(
+        study_layers(read_study(name, quick), config_layers(config), options), options
+    )
 
 
-def tables_of_python(settings: Mapping[str, object], metrics: Sequence[str | Callable[[Score], float]] = ()) -> dict[str, Any]:
-    """Return tables and fields that stand in Python as those of a file: records as the fields that they state, metrics by name."""
+def tables_of_python(
+    settings: Mapping[str, object], metrics: Sequence[str | Callable[[Score], float]] = ()
+) -> dict[str, Any]:
+    """Return tables and fields that stand in Python as those of a file: records as the fields that
+    they state, metrics by name.
+    """
     tables = dict(settings) | ({"metrics": names_of(metrics)} if metrics else {})
     for name, value in tables.items():
         if isinstance(value, Camera):
@@ -296,7 +398,9 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     options : among the layers; a warning names those that an axis or the conditions override
     """
     study: Study = checked(Study, layers)
-    given = {name: value for name, value in (options or {}).items() if name not in ("axis", "condition")}
+    given = {
+        name: value for name, value in (options or {}).items() if name not in ("axis", "condition")
+    }
     for path in paths_of(given):
         if owner := owner_of(study, path):
             warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
@@ -306,11 +410,16 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
 def spreads_of_study(study: Study, uncertainty: Uncertainty) -> dict[str, dict[str, Spread]]:
     """Return how far the numbers of a study's [pixel] and of its data sheets may be wrong.
 
-    uncertainty : as the study's files state it; that of a data sheet which is not in it stands in the sheet's own file
+    uncertainty : as the study's files state it; that of a data sheet which is not in it stands in
+        the sheet's own file
     """
     spreads = {"": dict(uncertainty.get("", {}))}
     for name in study.technologies:
         if name in study.sensors:
-            of_file = sheet_uncertainty(Path(name)) if name not in uncertainty and Path(name).is_file() else {}
+            of_file = (
+                sheet_uncertainty(Path(name))
+                if name not in uncertainty and Path(name).is_file()
+                else {}
+            )
             spreads[name] = dict(uncertainty.get(name, of_file))
     return spreads

@@ -1,15 +1,22 @@
-"""The error of mean ΔE that a film causes, measured in its own picture on films of fewer and of more samples.
+"""The error of mean ΔE that a film causes, measured in its own picture on films of fewer and of
+more samples.
 
 * Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples.
-* Detail as wide as a sample escapes them: none of the samples cuts through it. So there are finer films, too, of one and a half
-  times and of twice the samples across, for detail and pixels may be in step with one of them. They show a chart as it is. Of
-  other pictures they show an edge within each old sample, the sharpest that it and its neighbours may hide.
-* A film with hardly a sample for each dot, or less, aliases what it has no samples for. No finer film that is made from its picture
-  can show that, other than of a chart. The change from a film of half the samples does: it counts the more, the fewer a dot has.
+* Detail as wide as a sample escapes them: none of the samples cuts through it. So there are finer
+  films, too, of one and a half
+  times and of twice the samples across, for detail and pixels may be in step with one of them. They
+  show a chart as it is. Of
+  other pictures they show an edge within each old sample, the sharpest that it and its neighbours
+  may hide.
+* A film with hardly a sample for each dot, or less, aliases what it has no samples for. No finer
+  film that is made from its picture
+  can show that, other than of a chart. The change from a film of half the samples does: it counts
+  the more, the fewer a dot has.
 
-All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large picture 16 parts are measured,
-spread evenly over it, and smaller ones on the finer films. The scatter of a change on finer films over the parts shows how much of
-it cancels in its mean, and so may be small by chance.
+All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large
+picture 16 parts are measured, spread evenly over it, and smaller ones on the finer films. The
+scatter of a change on finer films over the parts shows how much of it cancels in its mean, and so
+may be small by chance.
 """
 
 from __future__ import annotations
@@ -48,41 +55,66 @@ from pixsim.viewer.score import FrameScore, LightError, noise_error_and_limit
 from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
-MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
+MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = (
+    16,
+    16,
+    8,
+)  # across a part; the cells are those of the coarsest film
 FINER = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
 MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
 MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that the parts are, too
 SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
-MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
-NEAR, FAR, ROUGH = 0.2, 0.06, 2.5  # of the changes on the coarser films, at least, and of the larger change on the finer films
-ALIASED = 1.5  # of the nearer change, over the square of the samples across a dot: where these are less than 2.7
+MIN_ORDER, MAX_ORDER = (
+    1.0,
+    2.0,
+)  # of convergence of cell means: at edges, and where the picture is smooth
+NEAR, FAR, ROUGH = (
+    0.2,
+    0.06,
+    2.5,
+)  # of the changes on the coarser films, at least, and of the larger change on the finer films
+# of the nearer change, over the square of the samples across a dot: where these are less than 2.7
+ALIASED = 1.5
 UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
 
 
 def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
-    """Return the samples of a film across each dot of the display, or across each detail of a chart that has fewer of these."""
+    """Return the samples of a film across each dot of the display, or across each detail of a chart
+    that has fewer of these.
+    """
     of_chart = chart.details if chart else None
     camera, display, pitch_um = imaging.camera, imaging.display, imaging.pixel.pitch_um
-    details, _ = details_across(camera, imaging.physics.aperture_side_um, display, pitch_um, of_chart)
+    details, _ = details_across(
+        camera, imaging.physics.aperture_side_um, display, pitch_um, of_chart
+    )
     return width / min(dots_across(camera, display, pitch_um), details)
 
 
 def film_error(
-    near: float, far: float, mean_delta_e: float = 0.0, per_dot: float = math.inf, finer: float = 0.0, *, is_chart: bool = False
+    near: float,
+    far: float,
+    mean_delta_e: float = 0.0,
+    per_dot: float = math.inf,
+    finer: float = 0.0,
+    *,
+    is_chart: bool = False,
 ) -> float:
     """Return an upper limit of a film's error from its own picture.
 
-    It is the largest of the change on the finer films with a factor, and of parts of the changes on the coarser ones, as each may
-    be small by chance. With less than about two samples for each dot the film may alias, so that its finer films show too little:
-    the nearer change then counts `ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
-    size, such as a zone plate, the changes grow like that from film to film. With less than one sample for each dot detail may be
-    gone altogether, so a part of mean ΔE is added. The numbers are fitted to pictures with edges and textures, and others judge
-    them (`tests/studies/test_film_error.py`).
+    It is the largest of the change on the finer films with a factor, and of parts of the changes on
+    the coarser ones, as each may be small by chance. With less than about two samples for each dot
+    the film may alias, so that its finer films show too little: the nearer change then counts
+    `ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
+    size, such as a zone plate, the changes grow like that from film to film. With less than one
+    sample for each dot detail may be gone altogether, so a part of mean ΔE is added. The numbers
+    are fitted to pictures with edges and textures, and others judge them
+    (`tests/studies/test_film_error.py`).
 
-    near, far : changes of mean ΔE (or another result) with half of the samples across, and from there to a quarter
+    near, far : changes of mean ΔE (or another result) with half of the samples across, and from
+        there to a quarter
     per_dot : samples across a dot, of `samples_per_dot`
     finer : the largest change with more samples across, of the films `FINER`
     is_chart : whether these show what the film's samples hide, as of a chart that is known
@@ -93,49 +125,73 @@ def film_error(
 
 
 def step_size(fine: Array, coarse: Array) -> float:
-    """Return the change of a mean from one film to another with its statistical error, from its values in parts of a picture."""
+    """Return the change of a mean from one film to another with its statistical error, from its
+    values in parts of a picture.
+    """
     change = coarse - fine
     spread = float(change.std(ddof=1)) / math.sqrt(change.size) if change.size > 1 else 0.0
     return abs(float(change.mean())) + STANDARD_ERRORS * spread
 
 
 def merges(shape: tuple[int, int], factor: int) -> bool:
-    """Return whether blocks of factor × factor cells tile a film and leave enough of them for a picture."""
+    """Return whether blocks of factor × factor cells tile a film and leave enough of them for a
+    picture.
+    """
     return min(shape) >= MIN_CELLS * factor and not any(n % factor for n in shape)
 
 
 def coarser(image: SpectralImage, factor: int) -> SpectralImage:
-    """Return the image averaged over `factor` × `factor` samples, as a coarser film would hold it."""
+    """Return the image averaged over `factor` × `factor` samples, as a coarser film would hold
+    it.
+    """
     if not merges(image.shape, factor):
-        raise invalid("film", f"{image.shape} samples", f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}")
+        raise invalid(
+            "film",
+            f"{image.shape} samples",
+            f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}",
+        )
 
     whole = image.whole if image.margin % factor == 0 else image
     height, width = whole.shape
     blocks = height // factor, factor, width // factor, factor
     # One plane at a time, to save memory in float64.
-    planes = [plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32) for plane in whole.planes]
+    planes = [
+        plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32)
+        for plane in whole.planes
+    ]
     margin = (height - image.shape[0]) // 2 // factor
     return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
 
 
-def measured_places(image: SpectralImage, pitch_um: float, display: Display, most: int | None = None) -> list[Place]:
-    """Return the rows and columns of the parts of a picture that are measured, whole blocks; none if it is measured whole.
+def measured_places(
+    image: SpectralImage, pitch_um: float, display: Display, most: int | None = None
+) -> list[Place]:
+    """Return the rows and columns of the parts of a picture that are measured, whole blocks; none
+    if it is measured whole.
 
-    most : of its cells, its pixels, or a quarter of the display's dots that are measured; None means `MEASURED`
+    most : of its cells, its pixels, or a quarter of the display's dots that are measured; None
+        means `MEASURED`
     """
     height, width = image.shape
     pixels = height * width * (image.pitch_um / pitch_um) ** 2
     dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
     thinner = math.sqrt(max(height * width, pixels, 4 * dots) / (most or MEASURED))
     shortest = min(height, width) / PARTS
-    fewest = max(BLOCK * MIN_PART_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
+    fewest = max(
+        BLOCK * MIN_PART_CELLS,
+        MIN_PIXELS * pitch_um / image.pitch_um,
+        MIN_DOTS * width / display.dots,
+    )
     thinner = min(thinner, shortest / fewest)
     if thinner <= 1:
         return []
-    down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
+    down, across = (
+        spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape
+    )
     if LENS_HEADER in image.header:  # a blur has its place on coarser films, too
         down, across = (
-            [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side] for side in (down, across)
+            [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side]
+            for side in (down, across)
         )
     return list(product(down, across))
 
@@ -143,7 +199,9 @@ def measured_places(image: SpectralImage, pitch_um: float, display: Display, mos
 def parts_of(
     image: SpectralImage, pitch_um: float, display: Display, most: int | None = None
 ) -> Iterator[tuple[SpectralImage, Display]]:
-    """Yield the parts of a picture that are measured, whole blocks each, with displays that show them at the same scale."""
+    """Yield the parts of a picture that are measured, whole blocks each, with displays that show
+    them at the same scale.
+    """
     width = image.shape[1]
     if not (places := measured_places(image, pitch_um, display, most)):
         yield whole_blocks(image), display
@@ -157,9 +215,11 @@ Place = tuple[slice, slice]
 
 @dataclass(frozen=True)
 class PicturePart:
-    """Some rows and columns of a picture, without light from beyond them, and a display that shows them at the picture's scale.
+    """Some rows and columns of a picture, without light from beyond them, and a display that shows
+    them at the picture's scale.
 
-    chart : that the whole picture shows, whose means over other samples are known; None for other pictures
+    chart : that the whole picture shows, whose means over other samples are known; None for other
+        pictures
     """
 
     image: SpectralImage
@@ -168,7 +228,9 @@ class PicturePart:
     chart: Chart | None
 
     def finer(self, repeated: int, averaged: int = 1) -> SpectralImage:
-        """Return the part on repeated/averaged times as many samples across: of a chart its means, else `with_edges`."""
+        """Return the part on repeated/averaged times as many samples across: of a chart its means,
+        else `with_edges`.
+        """
         if repeated == 1:
             return self.image
         planes = self.image.planes
@@ -176,9 +238,15 @@ class PicturePart:
             planes = with_edges(with_edges(planes, repeated, axis=1), repeated, axis=2)
         else:
             planes = planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
-            (height, width), (down, across), (rows, columns) = self.chart.shape, self.chart.texels_per_sample, self.place
+            (height, width), (down, across), (rows, columns) = (
+                self.chart.shape,
+                self.chart.texels_per_sample,
+                self.place,
+            )
             more = replace(
-                self.chart, shape=(height * repeated, width * repeated), texels_per_sample=(down / repeated, across / repeated)
+                self.chart,
+                shape=(height * repeated, width * repeated),
+                texels_per_sample=(down / repeated, across / repeated),
             )
             new = more.picture((_times(rows, repeated), _times(columns, repeated)))
             old = self.chart.picture(self.place).repeat(repeated, axis=0).repeat(repeated, axis=1)
@@ -188,10 +256,12 @@ class PicturePart:
 
 
 def with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
-    """Return planes on `factor` times as many samples along an axis, with an edge within each old sample and its mean.
+    """Return planes on `factor` times as many samples along an axis, with an edge within each old
+    sample and its mean.
 
-    A sample between its neighbours holds a step from the light of one to that of the other, where the mean puts it (subcell
-    resolution: Harten, J. Comput. Phys. 83 (1989) 148). One that is brighter or darker than both is even.
+    A sample between its neighbours holds a step from the light of one to that of the other, where
+    the mean puts it (subcell resolution: Harten, J. Comput. Phys. 83 (1989) 148). One that is
+    brighter or darker than both is even.
     """
     samples = np.moveaxis(planes, axis, -1)
     padded = np.pad(samples, [(0, 0)] * (samples.ndim - 1) + [(1, 1)], mode="edge")
@@ -213,13 +283,20 @@ def _times(side: slice, factor: int) -> slice:
 
 def shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
     """Return a chart if its means over finer samples of a film are known; else None."""
-    return chart if chart is not None and chart.beyond is not None and chart.shape == image.shape else None
+    return (
+        chart
+        if chart is not None and chart.beyond is not None and chart.shape == image.shape
+        else None
+    )
 
 
-def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None) -> list[PicturePart]:
+def finer_parts(
+    image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None
+) -> list[PicturePart]:
     """Return the parts of a picture that are measured on the films `FINER`.
 
-    There are fewer where pixels or dots are large, and none where they have tens of samples across, which show nothing of them.
+    There are fewer where pixels or dots are large, and none where they have tens of samples across,
+    which show nothing of them.
 
     chart : that the picture shows, if nothing else
     """
@@ -227,7 +304,12 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
     (height, width), places = image.shape, measured_places(image, pitch_um, display, MEASURED_FINER)
     whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
     parts = [
-        PicturePart(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), shown)
+        PicturePart(
+            image.with_planes(image.planes[:, rows, columns]),
+            display_of(display, columns, width),
+            (rows, columns),
+            shown,
+        )
         for rows, columns in places or whole
     ]
     for step in SPREAD_STEPS:
@@ -237,33 +319,49 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
 
 
 def reflected(side: slice, halo: int, first: int, last: int) -> NDArray[np.intp]:
-    """Return the rows or columns of a slice and `halo` more at each side; beyond first … last - 1 they are those of a mirror."""
+    """Return the rows or columns of a slice and `halo` more at each side; beyond first … last - 1
+    they are those of a mirror.
+    """
     count = last - first
     place = (np.arange(side.start - halo, side.stop + halo) - first) % (2 * count)
     return np.asarray(first + np.where(place < count, place, 2 * count - 1 - place))
 
 
 def surrounded(image: SpectralImage, place: Place, halo: int) -> SpectralImage:
-    """Return the rows and columns of a place with `halo` more cells at each side: the margin's, and a mirror's beyond it."""
+    """Return the rows and columns of a place with `halo` more cells at each side: the margin's, and
+    a mirror's beyond it.
+    """
     whole, margin = image.whole, image.margin
     rows, columns = (
-        margin + reflected(side, halo, -margin, count + margin) for side, count in zip(place, image.shape, strict=True)
+        margin + reflected(side, halo, -margin, count + margin)
+        for side, count in zip(place, image.shape, strict=True)
     )
     return image.with_planes(np.stack([plane[np.ix_(rows, columns)] for plane in whole.planes]))
 
 
 def patches_of(image: SpectralImage) -> list[Place]:
-    """Return rows and columns that divide the whole blocks of a picture into at most `PARTS` × `PARTS` places."""
+    """Return rows and columns that divide the whole blocks of a picture into at most `PARTS` ×
+    `PARTS` places.
+    """
     down, across = (
-        [slice(*ends) for ends in pairwise(dict.fromkeys((np.linspace(0, n // BLOCK, PARTS + 1).astype(int) * BLOCK).tolist()))]
+        [
+            slice(*ends)
+            for ends in pairwise(
+                dict.fromkeys((np.linspace(0, n // BLOCK, PARTS + 1).astype(int) * BLOCK).tolist())
+            )
+        ]
         for n in image.shape
     )
     return list(product(down, across))
 
 
 def display_of(display: Display, columns: slice, width: int) -> Display:
-    """Return the display that shows some columns of a picture as wide as that of the whole picture does."""
-    return display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
+    """Return the display that shows some columns of a picture as wide as that of the whole picture
+    does.
+    """
+    return display.model_copy(
+        update={"dots": round(display.dots * (columns.stop - columns.start) / width)}
+    )
 
 
 def whole_blocks(image: SpectralImage) -> SpectralImage:
@@ -272,7 +370,9 @@ def whole_blocks(image: SpectralImage) -> SpectralImage:
     if (rows, columns) == image.shape:
         return image
     more = 2 * image.margin
-    return image.with_planes(image.whole.planes[:, : rows + more, : columns + more], margin=image.margin)
+    return image.with_planes(
+        image.whole.planes[:, : rows + more, : columns + more], margin=image.margin
+    )
 
 
 @dataclass(frozen=True)
@@ -297,31 +397,40 @@ class FilmError:
     @property
     def met(self) -> bool:
         """Whether the error is tolerated at every pitch."""
-        return all(error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True))
+        return all(
+            error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True)
+        )
 
     @property
     def largest_delta_e(self) -> float:
         return max(self.delta_e, key=lambda error: math.inf if math.isnan(error) else error)
 
     def error_at(self, pitch_um: Array) -> Array:
-        """Return the error at other pitches, interpolated between those measured; infinite where it is unknown."""
+        """Return the error at other pitches, interpolated between those measured; infinite where it
+        is unknown.
+        """
         known = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
         if not np.isfinite(known).all():
             return np.full(np.shape(pitch_um), np.inf)
         return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
 
     def at(self, pitch_um: float) -> FilmError:
-        """Return the error and what is tolerated at one pitch, interpolated between those measured."""
+        """Return the error and what is tolerated at one pitch, interpolated between those
+        measured.
+        """
         error = float(self.error_at(np.array(pitch_um)))
-        tolerated = float(np.interp(np.log(pitch_um), np.log(self.pitch_um), self.tolerated_delta_e))
+        tolerated = float(
+            np.interp(np.log(pitch_um), np.log(self.pitch_um), self.tolerated_delta_e)
+        )
         known = error if math.isfinite(error) else math.nan
         return replace(self, pitch_um=(pitch_um,), delta_e=(known,), tolerated_delta_e=(tolerated,))
 
     def left_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
-        """Return the errors at the pitches that are to be expected on a wider film; NaN where they are unknown.
+        """Return the errors at the pitches that are to be expected on a wider film; NaN where they
+        are unknown.
 
-        The order of convergence is that seen between two films, within its bounds. Where there is one film alone, it is the largest
-        that there can be.
+        The order of convergence is that seen between two films, within its bounds. Where there is
+        one film alone, it is the largest that there can be.
 
         across : samples of the wider film
         before : the error of a film of fewer samples
@@ -330,11 +439,15 @@ class FilmError:
         if before is not None:
             finer = math.log(self.shape[1] / before.shape[1])
             orders = [
-                min(max(math.log(error / own) / finer, MIN_ORDER), MAX_ORDER) if error > 0 and own > 0 else MAX_ORDER
+                min(max(math.log(error / own) / finer, MIN_ORDER), MAX_ORDER)
+                if error > 0 and own > 0
+                else MAX_ORDER
                 for error, own in zip(before.delta_e, self.delta_e, strict=True)
             ]
         wider = self.shape[1] / across
-        return tuple(error * wider**order for error, order in zip(self.delta_e, orders, strict=True))
+        return tuple(
+            error * wider**order for error, order in zip(self.delta_e, orders, strict=True)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
@@ -353,8 +466,11 @@ class FilmError:
         }
 
 
-def light_error_and_limit(header: Mapping[str, Any], film: FilmError | None) -> tuple[LightError, LightError]:
-    """Return the largest errors of a mean ΔE by its film and by the noise of its render, and what is tolerated of them.
+def light_error_and_limit(
+    header: Mapping[str, Any], film: FilmError | None
+) -> tuple[LightError, LightError]:
+    """Return the largest errors of a mean ΔE by its film and by the noise of its render, and what
+    is tolerated of them.
 
     header : of the irradiance
     film : None if its error was not measured
@@ -362,7 +478,9 @@ def light_error_and_limit(header: Mapping[str, Any], film: FilmError | None) -> 
     error, limit = noise_error_and_limit(header)
     if film is None:
         return error, limit
-    return replace(error, film_delta_e=film.largest_delta_e), replace(limit, film_delta_e=min(film.tolerated_delta_e))
+    return replace(error, film_delta_e=film.largest_delta_e), replace(
+        limit, film_delta_e=min(film.tolerated_delta_e)
+    )
 
 
 def measure_film(
@@ -381,11 +499,16 @@ def measure_film(
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
     keep : use the cache, for the picture of a render (`kept_steps`)
 
-    Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is left.
+    Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is
+    left.
     """
     with without_warnings():  # the run itself warns of the white
-        white = white_header([(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured])
-        shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
+        white = white_header(
+            [(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured]
+        )
+        shown = image.with_planes(
+            image.whole.planes, header=image.header | white, margin=image.margin
+        )
 
     pitches_um: list[float] = []
     errors: list[float] = []
@@ -407,22 +530,29 @@ def measure_film(
         tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
     else:
         tolerated = [tolerance_delta_e] * len(means)
-    return FilmError(image.shape, image.pitch_um, tuple(pitches_um), tuple(errors), tuple(tolerated))
+    return FilmError(
+        image.shape, image.pitch_um, tuple(pitches_um), tuple(errors), tuple(tolerated)
+    )
 
 
-# A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one of ΔE. Whole films of 1024 and of
-# 2048 samples behind the packaged triplet differ by up to .4 % of their mean ΔE, which is also the bound of its blur's error.
+# A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one
+# of ΔE. Whole films of 1024 and of 2048 samples behind the packaged triplet differ by up to .4 % of
+# their mean ΔE, which is also the bound of its blur's error.
 BLUR_ERROR = 1.5
 
 
 @dataclass(frozen=True)
 class FilmSteps:
-    """Mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
+    """Mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer
+    ones.
 
-    delta_e : (films, parts), the film itself first, each next one of half the samples across; no films if it is too small to tell
-    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no films if they would be too large
+    delta_e : (films, parts), the film itself first, each next one of half the samples across; no
+        films if it is too small to tell
+    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no
+        films if they would be too large
     per_dot : samples across a dot, of `samples_per_dot`
-    blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur than the picture; or 0
+    blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur
+        than the picture; or 0
     is_chart : whether the finer films are those of a chart (`shown_chart`)
     """
 
@@ -435,25 +565,36 @@ class FilmSteps:
     @classmethod
     def from_dict(cls, known: dict[str, Any]) -> FilmSteps:
         """Return the steps of `as_dict`."""
-        delta_e, finer_delta_e = np.array(known["delta_e"], float), np.array(known["finer_delta_e"], float)
+        delta_e, finer_delta_e = (
+            np.array(known["delta_e"], float),
+            np.array(known["finer_delta_e"], float),
+        )
         return cls(delta_e, finer_delta_e, known["per_dot"], known["blur_error"], known["is_chart"])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the steps for JSON."""
         arrays = {"delta_e": self.delta_e.tolist(), "finer_delta_e": self.finer_delta_e.tolist()}
-        return arrays | {"per_dot": self.per_dot, "blur_error": self.blur_error, "is_chart": self.is_chart}
+        return arrays | {
+            "per_dot": self.per_dot,
+            "blur_error": self.blur_error,
+            "is_chart": self.is_chart,
+        }
 
     def error(self) -> tuple[float, float]:
         """Return mean ΔE and its error by the film; NaN if the film is too small to tell."""
         if not self.delta_e.size:
             return math.nan, math.nan
         mean = float(self.delta_e[0].mean())
-        return mean, self._error_of(self.delta_e, self.finer_delta_e, mean, self.per_dot) + BLUR_ERROR * self.blur_error * mean
+        return mean, self._error_of(
+            self.delta_e, self.finer_delta_e, mean, self.per_dot
+        ) + BLUR_ERROR * self.blur_error * mean
 
     def error_of_difference(self, other: FilmSteps) -> float:
-        """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
+        """Return the error of the difference to another sensor's mean ΔE, with the same parts of
+        the same film; NaN if unknown.
 
-        It is measured on the difference itself, since most of a film's error is common to both. Equal sensors have no error.
+        It is measured on the difference itself, since most of a film's error is common to both.
+        Equal sensors have no error.
         """
         pairs = (self.delta_e, other.delta_e), (self.finer_delta_e, other.finer_delta_e)
         if any(own.shape != others.shape for own, others in pairs) or not self.delta_e.size:
@@ -463,9 +604,16 @@ class FilmSteps:
         (mean, _), (other_mean, _) = self.error(), other.error()
         steps, finer_steps = (others - own for own, others in pairs)
         blur_delta_e = BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
-        return self._error_of(steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)) + blur_delta_e
+        return (
+            self._error_of(
+                steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)
+            )
+            + blur_delta_e
+        )
 
-    def _error_of(self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float) -> float:
+    def _error_of(
+        self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float
+    ) -> float:
         """Return `film_error` of the changes from film to film, (films, parts)."""
         near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
         finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
@@ -473,16 +621,30 @@ class FilmSteps:
 
 
 def kept_steps(
-    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
+    image: SpectralImage,
+    imaging: Imaging,
+    chart: Chart | None,
+    largest_um: float | None = None,
+    progress: Progress | None = None,
 ) -> FilmSteps:
-    """Return `film_steps` of the picture of a render, from the cache if it has those of the same parts.
+    """Return `film_steps` of the picture of a render, from the cache if it has those of the same
+    parts.
 
     Its header states everything that the picture depends on.
     """
     imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.read_pitch_um
-    places = [measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)]
+    places = [
+        measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)
+    ]
     of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
-    records = imaging.pixel, imaging.camera, imaging.exposure, imaging.correction, imaging.develop, imaging.display
+    records = (
+        imaging.pixel,
+        imaging.camera,
+        imaging.exposure,
+        imaging.correction,
+        imaging.develop,
+        imaging.display,
+    )
     sensed = [*(record.model_dump() for record in records), imaging.physics.technology.content]
     versions = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
     return cache.load_or_compute(
@@ -495,9 +657,11 @@ def kept_steps(
 
 
 def _of_parts(imaging: Imaging) -> Imaging:
-    """Return the settings for parts of a picture: with the linear bound in place of a denoiser that adapts.
+    """Return the settings for parts of a picture: with the linear bound in place of a denoiser that
+    adapts.
 
-    It leaves as little noise to hide an error of the film, and takes parts that are smaller than a filter's window.
+    It leaves as little noise to hide an error of the film, and takes parts that are smaller than a
+    filter's window.
     """
     if not imaging.develop.adapts:
         return imaging
@@ -505,12 +669,17 @@ def _of_parts(imaging: Imaging) -> Imaging:
 
 
 def film_steps(
-    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
+    image: SpectralImage,
+    imaging: Imaging,
+    chart: Chart | None,
+    largest_um: float | None = None,
+    progress: Progress | None = None,
 ) -> FilmSteps:
-    """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
+    """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and
+    on finer ones.
 
-    Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each by the PSF of its middle, which
-    is the same on all films.
+    Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each
+    by the PSF of its middle, which is the same on all films.
 
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
@@ -532,7 +701,9 @@ def film_steps(
     if lens:
         lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
     delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blurred, scored))
-    finer = _finer_delta_e(finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0))
+    finer = _finer_delta_e(
+        finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0)
+    )
     return FilmSteps(delta_e, finer, per_dot, lens.tiling.error if lens else 0.0, is_chart)
 
 
@@ -558,7 +729,9 @@ class BehindLens:
         if (tiling := tiling_of(image, imaging.camera)) is None:
             return None
         halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
-        illuminations = [illumination_of(image, imaging.camera, channel) for channel in imaging.physics.channels]
+        illuminations = [
+            illumination_of(image, imaging.camera, channel) for channel in imaging.physics.channels
+        ]
         return cls(image, imaging, tiling, halo, image.mean_spectrum(), illuminations)
 
     def _lights(
@@ -571,15 +744,21 @@ class BehindLens:
         """
         height, width = (math.ceil(more * count) for count in self.image.shape)
         reach = (height, width), self.image.pitch_um / more
-        middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
+        middle = (
+            (side.start + side.stop - n) / 2 * self.image.pitch_um
+            for side, n in zip(place, self.image.shape, strict=True)
+        )
         y_um, x_um = middle
         part = PartBehindLens(films, (y_um, x_um), self.seen, reach)
-        return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations)
+        return part.lights(
+            self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations
+        )
 
     def of_films(
         self, places: Sequence[Place], films: int, progress: Progress | None = None
     ) -> list[list[tuple[ChannelLight, ...]]]:
-        """Return the light of parts on the film and on coarser ones; one light of the whole picture where there are no places.
+        """Return the light of parts on the film and on coarser ones; one light of the whole picture
+        where there are no places.
 
         That is made of patches with a blur each, where its detail is measured, not its blur.
         """
@@ -591,23 +770,39 @@ class BehindLens:
                 around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
             return self._lights(around, patches[number])
 
-        found = list(zip(*each_of(on_films, len(patches), films * cells_at_once(self.image), progress), strict=True))
+        found = list(
+            zip(
+                *each_of(on_films, len(patches), films * cells_at_once(self.image), progress),
+                strict=True,
+            )
+        )
         if places:
             return [list(of_film) for of_film in found]
         across = len({columns.start for _, columns in patches})
         return [[_joined(of_film, across)] for of_film in found]
 
-    def of_part(self, part: PicturePart, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
-        """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
+    def of_part(
+        self, part: PicturePart, fine: Sequence[SpectralImage]
+    ) -> list[tuple[ChannelLight, ...]]:
+        """Return the light of a part on finer films, beyond which its light goes on as in a
+        mirror.
+        """
         films = []
         for image in fine:
-            halo, (rows, columns) = round(self.halo * self.image.pitch_um / image.pitch_um), image.shape
+            halo, (rows, columns) = (
+                round(self.halo * self.image.pitch_um / image.pitch_um),
+                image.shape,
+            )
             films.append((surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
         return self._lights(films, part.place, MOST_SAMPLES)
 
 
-def each_of(function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None) -> list[Item]:
-    """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the others by `in_threads`."""
+def each_of(
+    function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None
+) -> list[Item]:
+    """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the
+    others by `in_threads`.
+    """
     found, step_done = {}, steps_of(progress, count)
 
     def compute(number: int) -> None:
@@ -630,24 +825,34 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
 
 
 def _finer_delta_e(
-    parts: Sequence[PicturePart], lens: BehindLens | None, imaging: Imaging, progress: Progress | None = None
+    parts: Sequence[PicturePart],
+    lens: BehindLens | None,
+    imaging: Imaging,
+    progress: Progress | None = None,
 ) -> Array:
     """Return `FilmSteps.finer_delta_e`."""
     if not parts:
         return np.empty(0)
 
-    def on_films(number: int) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
+    def on_films(
+        number: int,
+    ) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
         fine = [parts[number].finer(*film) for film in FINER]
         return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
 
     cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
     images, lights = zip(*each_of(on_films, len(parts), cells), strict=True)
-    films = [[(image, part.display) for image, part in zip(film, parts, strict=True)] for film in zip(*images, strict=True)]
+    films = [
+        [(image, part.display) for image, part in zip(film, parts, strict=True)]
+        for film in zip(*images, strict=True)
+    ]
     return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress)
 
 
 def cells_at_once(image: SpectralImage) -> int:
-    """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a larger one."""
+    """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a
+    larger one.
+    """
     cells = math.prod(image.shape)
     return cells if cells <= MEASURED else 0
 
@@ -661,7 +866,8 @@ def delta_e_on_films(
     imaging: Imaging,
     progress: Progress | None = None,
 ) -> Array:
-    """Return the mean ΔE of each part on each film, (films, parts), with the noise of frames on the first film.
+    """Return the mean ΔE of each part on each film, (films, parts), with the noise of frames on the
+    first film.
 
     A picture that is measured whole has its `PARTS` × `PARTS` equal rectangles as parts.
 
@@ -676,7 +882,9 @@ def delta_e_on_films(
     def measure(step: int) -> None:
         chains = chains_of_film(films[step], lights[step], imaging) if step else first
         maps = [score_with(chain, noise[number]).delta_e for number, chain in enumerate(chains)]
-        delta_e[step] = np.concatenate([means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps])
+        delta_e[step] = np.concatenate(
+            [means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
+        )
         step_done()
 
     cells = sum(math.prod(part.shape) for part, _ in films[0])
@@ -684,8 +892,12 @@ def delta_e_on_films(
     return delta_e
 
 
-def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None], imaging: Imaging) -> list[ImagingChain]:
-    """Return the imaging chain of each part of a film, all exposed as long as the brightest of them allows."""
+def chains_of_film(
+    film: Film, lights: Sequence[tuple[ChannelLight, ...] | None], imaging: Imaging
+) -> list[ImagingChain]:
+    """Return the imaging chain of each part of a film, all exposed as long as the brightest of them
+    allows.
+    """
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
     steady = imaging.exposure.steady
     imaging = imaging.changed(border_um=None, single=False, motion=STILL, exposure=steady)
@@ -702,24 +914,34 @@ def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None]
 
 
 def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Array:
-    """Return the noise of a frame of the part of a number over its standard deviation, (rows, columns)."""
+    """Return the noise of a frame of the part of a number over its standard deviation, (rows,
+    columns).
+    """
     key = "accuracy", 0, imaging.physics.pitch_um, number
     sensor_rng, correction_rng = stream(*key, "sensor"), stream(*key, "correction")
     frame = chain.capture_with(sensor_rng, sensor_rng, correction_rng)
     mean = noiseless_frame(chain, frame.integration_s)
-    return np.asarray((frame.estimate_e - mean.estimate_e) / _deviation_e(chain, frame.integration_s))
+    return np.asarray(
+        (frame.estimate_e - mean.estimate_e) / _deviation_e(chain, frame.integration_s)
+    )
 
 
 def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
-    """Return the standard deviation of the frames of a chain in electrons, (rows, columns), by its closed form."""
+    """Return the standard deviation of the frames of a chain in electrons, (rows, columns), by its
+    closed form.
+    """
     signal_e = chain.signal_e_per_s * integration_s
-    return np.asarray(np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.readout)) / chain.readout.dn_per_e)
+    return np.asarray(
+        np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.readout)) / chain.readout.dn_per_e
+    )
 
 
 def means_over_rectangles(picture: Array, divisions: int) -> Array:
     """Return the means over divisions × divisions rectangles of a picture (H, W), row by row."""
     rows = np.array_split(picture, divisions, axis=0)
-    return np.array([part.mean(dtype=float) for row in rows for part in np.array_split(row, divisions, axis=1)])
+    return np.array(
+        [part.mean(dtype=float) for row in rows for part in np.array_split(row, divisions, axis=1)]
+    )
 
 
 def score_with(chain: ImagingChain, standard_noise: Array) -> FrameScore:

@@ -1,4 +1,6 @@
-"""The light that pixels ask for, on a film that is fine enough; and the lights of a study: one for all cases that see the same."""
+"""The light that pixels ask for, on a film that is fine enough; and the lights of a study: one for
+all cases that see the same.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,16 @@ from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.design import OF_LIGHT, Case, imaging_of, largest_pixel_um, light_hash, physics_of, pixel_of, study_pitches_um
+from pixsim.studies.design import (
+    OF_LIGHT,
+    Case,
+    imaging_of,
+    largest_pixel_um,
+    light_hash,
+    physics_of,
+    pixel_of,
+    study_pitches_um,
+)
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
 from pixsim.studies.settings import Study
@@ -53,7 +64,8 @@ Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
 
 @dataclass(frozen=True)
 class Light:
-    """The irradiance on a sensor, on the film that was chosen for it; or light that was given, and not rendered.
+    """The irradiance on a sensor, on the film that was chosen for it; or light that was given, and
+    not rendered.
 
     camera : with which it was rendered
     film : the error of its film; None of light that was given
@@ -94,7 +106,11 @@ class LightRequest:
     @property
     def first(self) -> Scene:
         """The scene on the first film."""
-        return self.scene.with_resolution(self.plan.film.resolution) if self.plan.film.resolution else self.scene
+        return (
+            self.scene.with_resolution(self.plan.film.resolution)
+            if self.plan.film.resolution
+            else self.scene
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -136,7 +152,9 @@ class LightRequest:
                 continue
         return max(delta_e, default=math.nan)
 
-    def film_error(self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None) -> FilmError:
+    def film_error(
+        self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None
+    ) -> FilmError:
         """Return the error of a film, measured in its picture."""
         return measure_film(
             image,
@@ -149,7 +167,9 @@ class LightRequest:
 
 
 def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging) -> float:
-    """Return the mean ΔE between two lights as one sensor without noise shows them; of a large picture, between its parts."""
+    """Return the mean ΔE between two lights as one sensor without noise shows them; of a large
+    picture, between its parts.
+    """
     imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
     with without_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
@@ -162,23 +182,31 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
         for light in (image, other):
             planes = light.planes[:, place[0], place[1]]
             part = light.with_planes(planes, header=light.header | white)
-            display = display_of(imaging.display, place[1], image.shape[1]) if places else imaging.display
+            display = (
+                display_of(imaging.display, place[1], image.shape[1]) if places else imaging.display
+            )
             on_part = imaging.changed(display=display)
             chain = make_chain(on_part, prepare_scene(on_part, SceneLight(part)))
             brightest_e_per_s = float(chain.signal_e_per_s.max())
-            exposure = exposure or integration_time_s(imaging.exposure, imaging.readout, brightest_e_per_s)
+            exposure = exposure or integration_time_s(
+                imaging.exposure, imaging.readout, brightest_e_per_s
+            )
             pictures.append(chain.development.score(noiseless_frame(chain, exposure)).image)
         screen = chain.screen
-        seen = replace(screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single))
+        seen = replace(
+            screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single)
+        )
         delta_e.append(float(seen.delta_e_of(pictures[1]).mean()))
 
     return float(np.mean(delta_e))
 
 
 def rendered_light(request: LightRequest, progress: Progress | None = None) -> tuple[Light, Plan]:
-    """Return the light that pixels ask for, within the limits of a command, by `render_on_film`; and the plan of its film.
+    """Return the light that pixels ask for, within the limits of a command, by `render_on_film`;
+    and the plan of its film.
 
-    Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels can be told apart.
+    Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels
+    can be told apart.
     """
     scene, plan, settings = request.scene, request.plan, request.settings
     for note in plan.warnings:
@@ -186,7 +214,9 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
     rendering = RENDERING_CHART if plan.samples.exact else RENDERING
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
+        part = share_of(
+            progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across"
+        )
         return request.film_error(image, plan, progress=part)
 
     fixed = "set by resolution" if settings.resolution else ""
@@ -200,7 +230,12 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         measure=measure,
         fixed=fixed,
         max_seconds=settings.max_seconds,
-        coarser=COARSER if settings.tolerance_delta_e is not None and not (fixed or "resolution" in scene.parameters) else 1,
+        coarser=(
+            COARSER
+            if settings.tolerance_delta_e is not None
+            and not (fixed or "resolution" in scene.parameters)
+            else 1
+        ),
     )
     if has_target(settings.metrics):
         light = replace(light, without=without_target(request, light.image.shape[1]))
@@ -210,11 +245,15 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
 def without_target(request: LightRequest, across: int) -> SpectralImage:
     """Return the irradiance of the scene without its target, on a film of so many samples across.
 
-    Its samples are those of the scene with the target: where the pictures of a lit scene are the same, so is their noise.
+    Its samples are those of the scene with the target: where the pictures of a lit scene are the
+    same, so is their noise.
 
     Raises PixsimError if the scene does not have the parameters that leave the target out.
     """
-    stated, name = request.settings.metric.detectability.without, setting("metric.detectability.without")
+    stated, name = (
+        request.settings.metric.detectability.without,
+        setting("metric.detectability.without"),
+    )
     if isinstance(stated, str):
         from pixsim.scene.scene import load_scene
 
@@ -224,13 +263,16 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
         if unknown := [each for each in stated if each not in known]:
             got = f"{', '.join(unknown)}, which {request.scene.path.name} does not have"
             hint = "Take the scene target, or state another scene without what is to be found."
-            raise invalid(name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint)
+            raise invalid(
+                name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint
+            )
         scene = request.scene.with_parameters(**stated)
     scene = scene.with_resolution(across)
     image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
         words = (
-            f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal"
+            f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs"
+            " without the target counts as signal"
         )
         warn(Note("render_noise", words=words))
     return image
@@ -248,25 +290,29 @@ def render_on_film(
     max_seconds: float | None = None,
     coarser: int = 1,
 ) -> tuple[Light, Plan]:
-    """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
+    """Render a scene on the film of its plan, and again on a film of twice the samples across while
+    the error is too large.
 
-    It stops where the order of convergence seen so far says that the widest film would not be fine enough either, for any of the
-    pixels whose error is too large.
+    It stops where the order of convergence seen so far says that the widest film would not be fine
+    enough either, for any of the pixels whose error is too large.
 
-    The film depends on the settings only, not on the machine or the time, unless `max_seconds` is given.
+    The film depends on the settings only, not on the machine or the time, unless `max_seconds` is
+    given.
 
     plan : for `scene`, with `resolution` if its film is another one than the scene's
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
     coarser : times that the first film has fewer samples across than that of the plan
-    max_seconds : of each render; a film that would take longer than what the earlier ones left of it is not tried. None means a
-        limit of the samples, `Plan.most_samples`.
+    max_seconds : of each render; a film that would take longer than what the earlier ones left of
+        it is not tried. None means a limit of the samples, `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.film.resolution) if plan.film.resolution else scene
     if coarser > 1:
         height, width = chosen.film_shape(camera, chosen.for_camera(camera))
-        chosen = chosen.with_resolution(fitting_width(height / width, max(LEAST_ACROSS, width // coarser), width))
+        chosen = chosen.with_resolution(
+            fitting_width(height / width, max(LEAST_ACROSS, width // coarser), width)
+        )
         plan = plan_of(chosen)
     rendered_s, before = 0.0, None
     while True:
@@ -280,7 +326,10 @@ def render_on_film(
         wider = fitting_width(ratio, 2 * width, most)
         if film.met:
             return Light(image, camera, film, noise), plan
-        end = f"the limit of {most} samples across for {plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
+        end = (
+            f"the limit of {most} samples across for {plan.light.planes}"
+            f" picture{'s' * (plan.light.planes > 1)}"
+        )
         left = film.left_on(most, before)
         if fixed:
             limit = fixed
@@ -301,8 +350,13 @@ def render_on_film(
 
 
 def finest_pixel(study: Study) -> PixelPhysics:
-    """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack
+    passes less light than it detects.
+    """
+    smallest = [
+        physics_of(study, name, float(study_pitches_um(study, name).min()))
+        for name in study.technologies
+    ]
     for physics in smallest:
         check_efficiency(physics)
     return min(smallest, key=lambda physics: physics.aperture_side_um)
@@ -326,13 +380,21 @@ def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
     pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
     aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
-    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True)
+    return make_render_plan(
+        scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True
+    )
 
 
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
-    """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
-    plan = study_plan(scene, rendered_camera(camera), study)  # the film does not depend on a real lens's blur
-    resolution, _ = decide_oversampling(scene, plan, camera, finest_pixel(study), study.display, full=False)
+    """Return the scene on the film of its first render, which is fine enough for the study's
+    smallest photodiode, and its plan.
+    """
+    plan = study_plan(
+        scene, rendered_camera(camera), study
+    )  # the film does not depend on a real lens's blur
+    resolution, _ = decide_oversampling(
+        scene, plan, camera, finest_pixel(study), study.display, full=False
+    )
     if resolution is None and camera.lens is None:
         return scene, plan
     scene = scene if resolution is None else scene.with_resolution(resolution)
@@ -342,14 +404,17 @@ def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]
 def light_request(case: Case[Any]) -> LightRequest:
     """Return what the pixels of a case ask of its light.
 
-    The noise is adequate for the largest pixel that a study allows, the least noisy one, and the film for the smallest photodiode.
-    Neither depends on the pitches that are added, so a row does not depend on the others.
+    The noise is adequate for the largest pixel that a study allows, the least noisy one, and the
+    film for the smallest photodiode. Neither depends on the pitches that are added, so a row does
+    not depend on the others.
     """
     scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
         full = case.imaging is not None and case.imaging.full
         planned = partial(plan_of, camera=camera, settings=study, full=full)
-        return LightRequest(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
+        return LightRequest(
+            scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)]
+        )
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
     largest = physics_of(study, first, largest_pixel_um(study, first))
@@ -357,7 +422,9 @@ def light_request(case: Case[Any]) -> LightRequest:
     return LightRequest(scene, plan, plan_of_film, study, largest, measured_pixels(study, camera))
 
 
-def render_for(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light:
+def render_for(
+    case: Case[Study], progress: Progress | None = None, film: FilmError | None = None
+) -> Light:
     """Return the light of a case of a study.
 
     film : that was measured with more light, and takes the place of one of its own
@@ -384,34 +451,56 @@ def given_light(case: Case[Study], picture: SpectralImage) -> Light:
     return Light(image, case.camera, without=case.without)
 
 
-def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[tuple[Imaging, SpectralImage]]:
-    """Return a picture beside the smallest pixels of each technology of a study, for the white that all of them share."""
+def seen_by_all(
+    study: Study, image: SpectralImage, camera: Camera
+) -> list[tuple[Imaging, SpectralImage]]:
+    """Return a picture beside the smallest pixels of each technology of a study, for the white that
+    all of them share.
+    """
     smallest_um = {name: float(study_pitches_um(study, name).min()) for name in study.technologies}
-    return [(imaging_of(study, camera, name, pitch_um), image) for name, pitch_um in smallest_um.items()]
+    return [
+        (imaging_of(study, camera, name, pitch_um), image) for name, pitch_um in smallest_um.items()
+    ]
 
 
 def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
-    """Return the pixels for which the error of the film is measured: the smallest, a middle and the largest of the study."""
+    """Return the pixels for which the error of the film is measured: the smallest, a middle and the
+    largest of the study.
+    """
     first = study.technologies[0]
     pitches_um = study_pitches_um(study, first)
-    return [imaging_of(study, camera, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+    return [
+        imaging_of(study, camera, first, float(pitches_um[place]))
+        for place in (0, pitches_um.size // 2, -1)
+    ]
 
 
 def render_lights(
-    cases: Sequence[Case[Study]], stage: Stage, workers: Workers, *, store: Callable[[SpectralImage], SpectralImage]
+    cases: Sequence[Case[Study]],
+    stage: Stage,
+    workers: Workers,
+    *,
+    store: Callable[[SpectralImage], SpectralImage],
 ) -> list[Light | str]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
-    In its place stands the reason why none of a case's pixel sizes is possible.
-    Where Mitsuba traces no rays, which would take all processors by itself, processes of this machine make them.
+    In its place stands the reason why none of a case's pixel sizes is possible. Where Mitsuba
+    traces no rays, which would take all processors by itself, processes of this machine make them.
 
     store : returns an image that need not stay in memory, where there are several lights
     """
     combinations = {case.group: case for case in reversed(cases)}
     if cases[0].picture is not None:
-        given = {group: given_light(case, case.picture) for group, case in combinations.items() if case.picture is not None}
+        given = {
+            group: given_light(case, case.picture)
+            for group, case in combinations.items()
+            if case.picture is not None
+        }
         return [given[case.group] for case in cases]
-    keys = {group: light_hash(combinations[group].settings) for group in dict.fromkeys(case.group for case in cases)}
+    keys = {
+        group: light_hash(combinations[group].settings)
+        for group in dict.fromkeys(case.group for case in cases)
+    }
     different: dict[str, Case[Study]] = {}
     for group, key in keys.items():
         different.setdefault(key, combinations[group])
@@ -424,17 +513,24 @@ def render_lights(
         lights = _computed_lights(different, stage("render"), here, store)
     else:
         for key, case in different.items():
-            lights[key] = _stored(_light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")), store)
+            lights[key] = _stored(
+                _light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")),
+                store,
+            )
     return [lights[keys[case.group]] for case in cases]
 
 
 def _computed_lights(
-    cases: Mapping[str, Case[Study]], progress: Progress, workers: Workers, store: Callable[[SpectralImage], SpectralImage]
+    cases: Mapping[str, Case[Study]],
+    progress: Progress,
+    workers: Workers,
+    store: Callable[[SpectralImage], SpectralImage],
 ) -> dict[str, Light | str]:
     """Return the lights of charts whose film cells are computed.
 
-    Of cases that differ in the amount of light alone, the film of the brightest is measured. Where it is fine enough by far, the
-    others have it too: with less light, noise hides more of the detail that a film may miss.
+    Of cases that differ in the amount of light alone, the film of the brightest is measured. Where
+    it is fine enough by far, the others have it too: with less light, noise hides more of the
+    detail that a film may miss.
     """
     brightest: dict[str, str] = {}
     for key in sorted(cases, key=lambda key: -_luminance(cases[key].settings)):
@@ -444,10 +540,16 @@ def _computed_lights(
     measured = list(brightest.values())
     others = [key for key in cases if key not in measured]
     for keys in (measured, others):
-        tasks = [((key, cases[key], films.get(_all_but_luminance(cases[key]))), _nothing) for key in keys]
+        tasks = [
+            ((key, cases[key], films.get(_all_but_luminance(cases[key]))), _nothing) for key in keys
+        ]
         for key, light in results_of(_render_task, tasks, workers):
             lights[key] = _stored(light, store)
-            if isinstance(light, Light) and light.film and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e):
+            if (
+                isinstance(light, Light)
+                and light.film
+                and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e)
+            ):
                 films.setdefault(_all_but_luminance(cases[key]), light.film)
             progress(len(lights) / len(cases))
     return lights
@@ -464,9 +566,11 @@ def _luminance(study: Study) -> float:
 
 
 def _all_but_luminance(case: Case[Study]) -> str:
-    """Return a key that cases have in common which differ in the amount of light alone; empty where a film holds for one case.
+    """Return a key that cases have in common which differ in the amount of light alone; empty where
+    a film holds for one case.
 
-    The display is as much brighter as the scene. In a time that is set, bright light saturates pixels, which hides detail.
+    The display is as much brighter as the scene. In a time that is set, bright light saturates
+    pixels, which hides detail.
     """
     study, luminance = case.settings, _luminance(case.settings)
     if not luminance or study.exposure.integration_s is not None or has_target(study.metrics):
@@ -483,7 +587,9 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-LightTask = tuple[str, Case[Study], FilmError | None]  # its key, and the film of a brighter light, if that is measured
+LightTask = tuple[
+    str, Case[Study], FilmError | None
+]  # its key, and the film of a brighter light, if that is measured
 
 
 def _render_task(task: LightTask, _: None) -> tuple[str, Light | str]:
@@ -492,7 +598,9 @@ def _render_task(task: LightTask, _: None) -> tuple[str, Light | str]:
     return key, _light_or_reason(case, film=film)
 
 
-def _light_or_reason(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light | str:
+def _light_or_reason(
+    case: Case[Study], progress: Progress | None = None, film: FilmError | None = None
+) -> Light | str:
     """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
     try:
         return render_for(case, progress, film)

@@ -1,4 +1,6 @@
-"""What follows from light and pixels beside the frames: MTF, NEQ, noise budgets, light level, and what a picture shows."""
+"""What follows from light and pixels beside the frames: MTF, NEQ, noise budgets, light level, and
+what a picture shows.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.scene.charts import MAX_LP_PER_MM, csf_contrast, csf_frequency_on_sensor
-from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of, pixels_along
+from pixsim.sensor.integration import (
+    M2_PER_UM2,
+    collecting_area_um2,
+    electrons_per_joule,
+    illumination_of,
+    pixels_along,
+)
 from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
@@ -32,45 +40,79 @@ if TYPE_CHECKING:
     from pixsim.studies.result import StudyResult
     from pixsim.studies.run import RunResult
 
-Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture
+Border = tuple[
+    float, float
+]  # µm omitted above and below, and left and right, of the rendered picture
 NO_BORDER: Border = (0.0, 0.0)
 
 
-def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
-    """Return left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
+def extent(
+    irradiance: SpectralImage, border_um: Border = NO_BORDER
+) -> tuple[float, float, float, float]:
+    """Return left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on
+    top.
+    """
     height_um, width_um = picture_size_um(irradiance)
     down_um, across_um = border_um
-    return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
+    return (
+        1e-3 * across_um,
+        1e-3 * (width_um - across_um),
+        1e-3 * (height_um - down_um),
+        1e-3 * down_um,
+    )
 
 
-def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float] | None:
-    """Return the lowest and highest frequency of the CSF chart within a border; None for another scene."""
+def csf_range_lp_per_mm(
+    irradiance: SpectralImage, border_um: Border = NO_BORDER
+) -> tuple[float, float] | None:
+    """Return the lowest and highest frequency of the CSF chart within a border; None for another
+    scene.
+    """
     left, right, _, _ = extent(irradiance, border_um)
     width_mm = extent(irradiance)[1]
     frequency = csf_frequency_on_sensor(irradiance.header, width_mm)
-    return None if frequency is None else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
+    return (
+        None
+        if frequency is None
+        else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
+    )
 
 
 def csf_contrasts(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
-    """Return the contrast of the CSF chart at the top and at the bottom of a picture of it, within a border."""
+    """Return the contrast of the CSF chart at the top and at the bottom of a picture of it, within
+    a border.
+    """
     _, _, bottom, top = extent(irradiance, border_um)
     height_mm = extent(irradiance)[2]
     return float(csf_contrast(top / height_mm)), float(csf_contrast(bottom / height_mm))
 
 
 def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
-    """Return the highest frequency that a scene's parameters give the CSF chart; None if they state none.
+    """Return the highest frequency that a scene's parameters give the CSF chart; None if they state
+    none.
 
     header : of an irradiance
     """
     parameters = header.get("parameters")
-    return float(parameters[MAX_LP_PER_MM]) if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters else None
+    return (
+        float(parameters[MAX_LP_PER_MM])
+        if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters
+        else None
+    )
 
 
 def moved_view(study: Study) -> list[str]:
-    """Return which of the display's dots and the chart's end an axis or a condition of a study sets, as dotted names."""
-    moved = {path for axis in study.axis for path in axis.paths} | {path for each in study.condition for path in paths_of(each.set)}
-    return [".".join(path) for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM)) if path in moved]
+    """Return which of the display's dots and the chart's end an axis or a condition of a study
+    sets, as dotted names.
+    """
+    moved = {path for axis in study.axis for path in axis.paths} | {
+        path for each in study.condition for path in paths_of(each.set)
+    }
+    return [
+        ".".join(path)
+        for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM))
+        if path in moved
+    ]
 
 
 def columns_on(camera: Camera, pitch_um: float) -> int:
@@ -82,7 +124,8 @@ MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and 
 
 
 def longest_path_um(result: StudyResult, curve: Curve, pitch_um: float) -> float:
-    """Return the path of light that moves in an exposure, along its longer axis; 0 where nothing moves.
+    """Return the path of light that moves in an exposure, along its longer axis; 0 where nothing
+    moves.
 
     Between the pitches of a curve the time is interpolated.
     """
@@ -98,19 +141,29 @@ def study_mtf_terms(
 ) -> dict[str, Array]:
     """Return `mtf_terms` with a study's light, camera and display."""
     study = result.study
-    imaging = Imaging(result.camera, physics.pixel, physics.technology, study.exposure, study.display)
+    imaging = Imaging(
+        result.camera, physics.pixel, physics.technology, study.exposure, study.display
+    )
     return mtf_terms(imaging, result.irradiance, frequency_cy_per_mm, path_um=path_um)
 
 
-def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0) -> Array:
-    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b, or what takes its place."""
+def system_mtf(
+    result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
+) -> Array:
+    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b, or
+    what takes its place.
+    """
     terms = study_mtf_terms(result, physics, frequency_cy_per_mm, path_um)
     return np.asarray(math.prod(of_sensor(terms).values()))
 
 
-def shown_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0) -> Array:
+def shown_mtf(
+    result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
+) -> Array:
     """Return the MTF from scene to display: the product of all terms."""
-    return np.prod(list(study_mtf_terms(result, physics, frequency_cy_per_mm, path_um).values()), axis=0)
+    return np.prod(
+        list(study_mtf_terms(result, physics, frequency_cy_per_mm, path_um).values()), axis=0
+    )
 
 
 def mtf50_cy_per_mm(
@@ -137,7 +190,9 @@ def mtf50_cy_per_mm(
 
 
 def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tuple[float, str]:
-    """Return the frequency at which pages give the terms, and its name: a CSF chart's highest, else half the Nyquist frequency."""
+    """Return the frequency at which pages give the terms, and its name: a CSF chart's highest, else
+    half the Nyquist frequency.
+    """
     if frequencies := csf_range_lp_per_mm(irradiance):
         return frequencies[1], "the highest frequency of the chart"
     return 1e3 / (4 * pitch_um), f"half the Nyquist frequency of {pitch_um:.3g} µm pixels"
@@ -146,7 +201,9 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
 def detail_terms(
     imaging: Imaging, irradiance: SpectralImage, path_um: float = 0.0
 ) -> tuple[float, str, dict[str, float], dict[str, float]]:
-    """Return the frequency and its name, and the MTF there of each term, to the sensor and of the display."""
+    """Return the frequency and its name, and the MTF there of each term, to the sensor and of the
+    display.
+    """
     frequency, name = detail_frequency_lp_per_mm(irradiance, imaging.pixel.pitch_um)
     at = mtf_terms(imaging, irradiance, np.array(frequency), path_um=path_um)
     terms = {term: float(mtf) for term, mtf in at.items()}
@@ -154,11 +211,19 @@ def detail_terms(
     return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}
 
 
-def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:
-    """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it exceeds saturation."""
+def mpe30_lx_s(
+    result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S
+) -> float:
+    """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it
+    exceeds saturation.
+    """
     snr = 10 ** (30 / 20)
-    readout = Readout.of(physics, result.study.exposure, bin_side=1)  # the area is that of single pixels
-    noise_e2 = float(variance_e2(readout, is_temporal=True)) + readout.dark_current_e_per_s * integration_s
+    readout = Readout.of(
+        physics, result.study.exposure, bin_side=1
+    )  # the area is that of single pixels
+    noise_e2 = (
+        float(variance_e2(readout, is_temporal=True)) + readout.dark_current_e_per_s * integration_s
+    )
     signal_e = signal_at_snr_e(snr, noise_e2, 0.0)
     if signal_e > readout.saturation_e:
         return np.inf
@@ -196,11 +261,17 @@ def quanta_of_run(result: RunResult) -> dict[str, Quanta]:
     """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
     if INFORMATION.name not in result.settings.metrics:
         return {}
-    return {result.settings.pixel.technology: Quanta.of(result.chain.expected(result.score.frame.integration_s))}
+    return {
+        result.settings.pixel.technology: Quanta.of(
+            result.chain.expected(result.score.frame.integration_s)
+        )
+    }
 
 
 def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
-    """Return the NEQ of each sensor of a study, at its best size by information, by its label; nothing without that metric."""
+    """Return the NEQ of each sensor of a study, at its best size by information, by its label;
+    nothing without that metric.
+    """
     found: dict[str, Quanta] = {}
     for curve in result.curves if INFORMATION.name in result.study.metrics else ():
         lit = result.sensors[curve.technology]
@@ -211,7 +282,8 @@ def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
 
 
 def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
-    """Return the noise budget of each curve of each case by its words, at the best of the sizes tried; empty where nobody asks.
+    """Return the noise budget of each curve of each case by its words, at the best of the sizes
+    tried; empty where nobody asks.
 
     It is that of the first sensor and its first frame, which are the same for all cases.
     """

@@ -1,30 +1,35 @@
 """The optimal pitch with its uncertainty: a Gaussian-process regression of mean ΔE against pitch.
 
-The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (t z_i + e_i/√R_i): a smooth curve, a residual
-that the sensors of a pitch share, and the noise of each sensor (its registration with dots and detail, fixed pattern, temporal
-noise); z and e are standard normal. The noise follows from the scatter of the sensors. All pitches have the same registrations,
-and one relative noise, but for those whose scatter is significantly larger (`loud_pitches`). f is a quintic smoothing spline in
-the logarithm u of the photodiode's width: as a Gaussian process, a quadratic of unknown coefficients plus a twice integrated
-Wiener process of stiffness k (G. Wahba, J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian
-Processes for Machine Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode vanishes;
-against its width it does not.
+The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (t z_i + e_i/√R_i): a
+smooth curve, a residual that the sensors of a pitch share, and the noise of each sensor (its
+registration with dots and detail, fixed pattern, temporal noise); z and e are standard normal. The
+noise follows from the scatter of the sensors. All pitches have the same registrations, and one
+relative noise, but for those whose scatter is significantly larger (`loud_pitches`). f is a quintic
+smoothing spline in the logarithm u of the photodiode's width: as a Gaussian process, a quadratic of
+unknown coefficients plus a twice integrated Wiener process of stiffness k (G. Wahba, J. R. Stat.
+Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine
+Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode
+vanishes; against its width it does not.
 
-Where the mean ΔE of the sizes spans more than a factor `STEEP`, all this is said of its logarithm, whose noise is the relative
-noise s: of a curve that is steep at one end and flat at the minimum, one stiffness k fits the logarithm, but not the curve, whose
-fit would swing below all sizes tried.
+Where the mean ΔE of the sizes spans more than a factor `STEEP`, all this is said of its logarithm,
+whose noise is the relative noise s: of a curve that is steep at one end and flat at the minimum,
+one stiffness k fits the logarithm, but not the curve, whose fit would swing below all sizes tried.
 
-A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that where the curve rises by more than
-a factor `FLANK` to a size next to the best one, where the fit dips by more than `DIP` below it, or where the fit is least where no
-convex curve through the sizes is. The interval then contains all places where such a curve, of ΔE against u, could be least
+A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that
+where the curve rises by more than a factor `FLANK` to a size next to the best one, where the fit
+dips by more than `DIP` below it, or where the fit is least where no convex curve through the sizes
+is. The interval then contains all places where such a curve, of ΔE against u, could be least
 (`convex_range`).
 
-A curve also has ripples, which are shorter than the steps of most studies: the diffraction of microlenses and the pixels' response
-to detail make some of .03 to .3 %. They are part of f: a stationary process of relative amplitude r and of length `RIPPLE_LENGTH`.
-Those below the noise of one sensor are left to the residual.
+A curve also has ripples, which are shorter than the steps of most studies: the diffraction of
+microlenses and the pixels' response to detail make some of .03 to .3 %. They are part of f: a
+stationary process of relative amplitude r and of length `RIPPLE_LENGTH`. Those below the noise of
+one sensor are left to the residual.
 
-k, t, r and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution of the
-minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of the curve between
-the pitches, which is all there is for a metric without noise; `Optimum.between_sizes_share` is its part of the variance.
+k, t, r and the uncertainty of s are integrated over, weighted by the likelihood of the data. The
+result is the distribution of the minimum's position over curves drawn from the posterior. It covers
+the noise, the residual, and the uncertainty of the curve between the pitches, which is all there is
+for a metric without noise; `Optimum.between_sizes_share` is its part of the variance.
 """
 
 from __future__ import annotations
@@ -47,24 +52,30 @@ from pixsim.viewer.metrics import Metric
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
-# Of an interval beside an end of the sizes. A study adds sensors until the end is closed, and so stops where noise closes it: an
-# interval of 95 % at a single look then holds less often. Intervals of ± 2.485 standard errors hold at all of 7 looks with 95 %,
-# and at one look with this (S. J. Pocock, Biometrika 64 (1977) 191; repeated confidence intervals: C. Jennison and B. W. Turnbull,
+# Of an interval beside an end of the sizes. A study adds sensors until the end is closed, and so
+# stops where noise closes it: an interval of 95 % at a single look then holds less often. Intervals
+# of ± 2.485 standard errors hold at all of 7 looks with 95 %, and at one look with this (S. J.
+# Pocock, Biometrika 64 (1977) 191; repeated confidence intervals: C. Jennison and B. W. Turnbull,
 # J. R. Stat. Soc. B 51 (1989) 305).
 LOOK_CONFIDENCE = 0.987
-# Stiffness k in units of the mean ΔE: dense sweeps of ΔE gave 0.2 to 3.2 (tests/data/dense_sweeps), and a parabola has none.
-# Its prior and that of the ripples were chosen for the coverage in docs/uncertainty.md.
+# Stiffness k in units of the mean ΔE: dense sweeps of ΔE gave 0.2 to 3.2 (tests/data/dense_sweeps),
+# and a parabola has none. Its prior and that of the ripples were chosen for the coverage in
+# docs/uncertainty.md.
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
-# Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the tails admit a parabola.
+# Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the
+# tails admit a parabola.
 USUAL_STIFFNESS, STIFFNESS_SPREAD = 3.0, 0.7
-# Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels (in release 1.0.0) 0.2 to 0.5.
+# Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels
+# (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
-# Ripples r in units of the mean ΔE, and their correlation length in the logarithm of the width. By maximum likelihood, dense sweeps
-# of metrics without noise have 3e-4 (f/2.8) and 1e-3 to 3e-3 (f/8), and lengths of 0.03 to 0.04.
+# Ripples r in units of the mean ΔE, and their correlation length in the logarithm of the width. By
+# maximum likelihood, dense sweeps of metrics without noise have 3e-4 (f/2.8) and 1e-3 to 3e-3
+# (f/8), and lengths of 0.03 to 0.04.
 RIPPLES = (0.0, 5e-4, 1.5e-3, 3e-3)
 RIPPLE_LENGTH = 0.035
 NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each of the others
-# Half the shortest interval, in units of the best size: the sweeps behind `RIPPLES` have steps of 3 %, and show no shorter ripples.
+# Half the shortest interval, in units of the best size: the sweeps behind `RIPPLES` have steps of 3
+# %, and show no shorter ripples.
 SHORTEST_HALF = 0.0075
 LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
 NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
@@ -73,10 +84,13 @@ DRAWS = 2000
 PLACES = 61  # at which curves are drawn; their minima are interpolated between them
 FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
 STEEP = 2.5  # largest mean ΔE over the least, above which the logarithm is fitted
-# Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of smooth curves with few sizes.
+# Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of
+# smooth curves with few sizes.
 FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
 DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
-ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
+# of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be
+# factored
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -84,21 +98,25 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE. docs/uncertainty.md has the share of simulated
-        studies in which it held the minimum. Where the curve may not be smooth it holds also all places where a convex curve could
-        be least; at a sharp corner, fewer than 11 sizes contain the minimum less often. It is never shorter than ± 0.75 % of the
-        pitch. None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried. Beside such an end,
-        where it would be open at `LOOK_CONFIDENCE`, the interval is of that confidence, so that it holds at all looks of a study
-        that adds sensors until it is closed
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE.
+        docs/uncertainty.md has the share of simulated studies in which it held the minimum. Where
+        the curve may not be smooth it holds also all places where a convex curve could be least; at
+        a sharp corner, fewer than 11 sizes contain the minimum less often. It is never shorter than
+        ± 0.75 % of the pitch. None for an open end: the minimum may lie at or beyond the smallest
+        or largest pitch tried. Beside such an end, where it would be open at `LOOK_CONFIDENCE`, the
+        interval is of that confidence, so that it holds at all looks of a study that adds sensors
+        until it is closed
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
-    inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
-    between_sizes_share : share, 0 to 1, of the interval's variance that is due to the unknown curve between the sizes tried, which
-        more sizes narrow; the rest is noise, which more sensors narrow. 1 for a metric without noise
-    within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close to the minimum; None for
-        an end at the smallest or the largest pitch tried
-    is_of_reciprocal : whether what was fitted is the reciprocal of a metric of which more is better; then `value` is the
-        metric, and the fields in ΔE are that reciprocal
+    inside : whether the minimum lies between the smallest and the largest pitch tried, not at one
+        of them
+    between_sizes_share : share, 0 to 1, of the interval's variance that is due to the unknown curve
+        between the sizes tried, which more sizes narrow; the rest is noise, which more sensors
+        narrow. 1 for a metric without noise
+    within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close
+        to the minimum; None for an end at the smallest or the largest pitch tried
+    is_of_reciprocal : whether what was fitted is the reciprocal of a metric of which more is
+        better; then `value` is the metric, and the fields in ΔE are that reciprocal
     """
 
     pitch_um: Pitch
@@ -161,8 +179,8 @@ class FittedCurve:
     scale : unit of ΔE in the design
     logarithmic : whether the design is that of the logarithm of ΔE
     width_um : photodiode width as a function of the pitch; by default proportional to it
-    look_interval_um : (low, high) of `CONFIDENCE` at this look alone, by which further sizes and sensors are chosen; else as the
-        interval of the optimum
+    look_interval_um : (low, high) of `CONFIDENCE` at this look alone, by which further sizes and
+        sensors are chosen; else as the interval of the optimum
     """
 
     pitch_um: Array = field(repr=False)
@@ -179,7 +197,9 @@ class FittedCurve:
     width_um: Widths = field(repr=False, default=np.asarray)
 
     def places_of(self, pitch_um: Array) -> Array:
-        """Return the coordinates u (n,) of pitches: logarithms of photodiode widths over the smallest one."""
+        """Return the coordinates u (n,) of pitches: logarithms of photodiode widths over the
+        smallest one.
+        """
         return places_of(pitch_um, float(self.pitch_um[0]), self.width_um)
 
     @cached_property
@@ -194,10 +214,12 @@ class FittedCurve:
 
 @dataclass(frozen=True)
 class Design:
-    """Pitches, noise and sensors of a study without its measured values: enough to predict a curve's uncertainty.
+    """Pitches, noise and sensors of a study without its measured values: enough to predict a
+    curve's uncertainty.
 
     u : (P,) increasing, logarithms of photodiode widths over the first
-    noise : (P,) variance of one sensor at each pitch, over the square of the mean ΔE's scale; relative for a logarithm
+    noise : (P,) variance of one sensor at each pitch, over the square of the mean ΔE's scale;
+        relative for a logarithm
     sensors : (P,) number of sensors
     """
 
@@ -208,15 +230,25 @@ class Design:
     def covariance(self, stiffness: float, residual: float, ripple: float) -> Array:
         """Return the covariance of the pitches' mean ΔE without the quadratic, (P, P)."""
         covariance = curve_covariance(self.u, self.u, stiffness, ripple)
-        covariance.flat[:: self.u.size + 1] += self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
+        covariance.flat[:: self.u.size + 1] += (
+            self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
+        )
         return covariance
 
 
 class Posterior:
     """Posterior Gaussian process of a design and its data at one stiffness, residual and ripple."""
 
-    def __init__(self, design: Design, stiffness: float, residual: float, y: Array, ripple: float = 0.0) -> None:
-        self.design, self.u, self.stiffness, self.residual, self.ripple = design, design.u, stiffness, residual, ripple
+    def __init__(
+        self, design: Design, stiffness: float, residual: float, y: Array, ripple: float = 0.0
+    ) -> None:
+        self.design, self.u, self.stiffness, self.residual, self.ripple = (
+            design,
+            design.u,
+            stiffness,
+            residual,
+            ripple,
+        )
         self._whitener = inverse_factor(design.covariance(stiffness, residual, ripple))
         both = self._whitener @ np.column_stack([y, quadratic(design.u)])
         self._y, self._basis = both[:, 0], both[:, 1:]
@@ -229,12 +261,17 @@ class Posterior:
     def log_likelihood(self) -> float:
         """Log-likelihood of the data, marginalised over the quadratic, up to a constant."""
         misfit = self._y @ self._y - self._beta @ self._beta
-        return float(sum(np.log(np.diag(factor)).sum() for factor in (self._whitener, self._basis_whitener)) - misfit / 2)
+        return float(
+            sum(np.log(np.diag(factor)).sum() for factor in (self._whitener, self._basis_whitener))
+            - misfit / 2
+        )
 
     def mean(self, places: Array) -> Array:
         """Return the posterior mean at places, (n,)."""
         process = curve_covariance(places, self.u, self.stiffness, self.ripple)
-        return multiplied(process, self._weights) + multiplied(quadratic(places), self._coefficients)
+        return multiplied(process, self._weights) + multiplied(
+            quadratic(places), self._coefficients
+        )
 
     def covariance(self, places: Array) -> Array:
         """Return the posterior covariance between places, (n, n)."""
@@ -245,7 +282,9 @@ class Posterior:
 
 
 def curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) -> Array:
-    """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a ripple."""
+    """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a
+    ripple.
+    """
     smooth = stiffness**2 * wiener_covariance(one, other)
     return smooth + ripple**2 * ripple_covariance(one, other) if ripple else smooth
 
@@ -254,7 +293,9 @@ Covariance = Callable[[Array, Array], Array]
 
 
 def cached_for_places(covariance: Covariance) -> Covariance:
-    """Return a covariance that is computed once for the same places: the posteriors of a fit, about a hundred, share them."""
+    """Return a covariance that is computed once for the same places: the posteriors of a fit, about
+    a hundred, share them.
+    """
 
     @lru_cache(maxsize=8)
     def computed(row_places: bytes, column_places: bytes) -> Array:
@@ -264,21 +305,26 @@ def cached_for_places(covariance: Covariance) -> Covariance:
 
     @wraps(covariance)
     def of_places(row_places: Array, column_places: Array) -> Array:
-        return computed(np.asarray(row_places, float).tobytes(), np.asarray(column_places, float).tobytes())
+        return computed(
+            np.asarray(row_places, float).tobytes(), np.asarray(column_places, float).tobytes()
+        )
 
     return of_places
 
 
 @cached_for_places
 def ripple_covariance(a: Array, b: Array) -> Array:
-    """Return the covariance of ripples of amplitude 1, (n, m), at places (n,) and (m,): exp(-(a - b)²/2ℓ²), ℓ = `RIPPLE_LENGTH`."""
+    """Return the covariance of ripples of amplitude 1, (n, m), at places (n,) and (m,): exp(-(a -
+    b)²/2ℓ²), ℓ = `RIPPLE_LENGTH`.
+    """
     distance = (a - b) / RIPPLE_LENGTH
     return np.asarray(np.exp(-(distance**2) / 2))
 
 
 @cached_for_places
 def wiener_covariance(a: Array, b: Array) -> Array:
-    """Return the covariance of a Wiener process integrated twice from 0, (n, m), at places (n,) and (m,).
+    """Return the covariance of a Wiener process integrated twice from 0, (n, m), at places (n,) and
+    (m,).
 
     It is ∫ (a - w)² (b - w)²/4 dw, from 0 to min(a, b).
     """
@@ -294,7 +340,8 @@ def quadratic(places: Array) -> Array:
 def inverse_factor(covariance: Array) -> Array:
     """Return the inverse of the lower Cholesky factor, which whitens noise of that covariance.
 
-    Not a triangular solve: LAPACK starts threads for one of any size, which takes far longer than these small matrices do.
+    Not a triangular solve: LAPACK starts threads for one of any size, which takes far longer than
+    these small matrices do.
     """
     inverse, _ = dtrtri(lower_factor(covariance), lower=1)
     return np.asarray(inverse)
@@ -303,34 +350,46 @@ def inverse_factor(covariance: Array) -> Array:
 def lower_factor(covariance: Array) -> Array:
     """Return the lower Cholesky factor.
 
-    Of exact data, curves have a covariance of rounding errors, which may be indefinite: noise of their size is added then.
+    Of exact data, curves have a covariance of rounding errors, which may be indefinite: noise of
+    their size is added then.
     """
     added = 0.0
     while True:
-        factor, failed = dpotrf(covariance + added * np.eye(len(covariance)) if added else covariance, lower=1)
+        factor, failed = dpotrf(
+            covariance + added * np.eye(len(covariance)) if added else covariance, lower=1
+        )
         if not failed:
             return np.asarray(factor)
         size = float(np.abs(covariance).max())
-        if not added <= len(covariance) * size:  # which is more than any eigenvalue, unless one is not a number
+        if (
+            not added <= len(covariance) * size
+        ):  # which is more than any eigenvalue, unless one is not a number
             raise LinAlgError(f"the leading minor of order {failed} is not positive definite")
         added = 10 * added or float(np.finfo(float).eps) * size
 
 
 def multiplied(matrix: Array, vectors: Array) -> Array:
-    """Return a matrix (n, m) times vectors (…, m), (…, n). Not @: the order of BLAS sums depends on the number of threads."""
+    """Return a matrix (n, m) times vectors (…, m), (…, n). Not @: the order of BLAS sums depends on
+    the number of threads.
+    """
     return np.asarray(np.einsum("ij,...j->...i", matrix, vectors))
 
 
 def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
-    """Return the logarithms of the photodiode widths of pitches over that of the first one, (n,)."""
-    return np.asarray(np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0]))
+    """Return the logarithms of the photodiode widths of pitches over that of the first one,
+    (n,).
+    """
+    return np.asarray(
+        np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0])
+    )
 
 
 def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
     pitch_um : (P,) increasing, at least 5
-    delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. At least one pitch has two sensors
+    delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. At least one pitch
+        has two sensors
     width_um : photodiode width as a function of the pitch; None means proportional to it
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
@@ -355,23 +414,42 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     slopes = bool(np.ptp(mean) > ROUNDING * scale)  # else there is no minimum
     best = int(np.argmin(curve)) if slopes else 0
     inside = slopes and 0 < best < fine_um.size - 1
-    offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(axis=0)
+    offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(
+        axis=0
+    )
     low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
-    best_um = float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
+    best_um = (
+        float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
+    )
     least_low, least_high = float(low[best]), float(high[best])
     if data.logarithmic:
-        # The least value of a fit is too low: about as much as the least value of a curve drawn from it is below its own.
+        # The least value of a fit is too low: about as much as the least value of a curve drawn
+        # from it is below its own.
         least_high += max(0.0, float(curve[best]) - float(np.median(curves.min(axis=1))))
     tried = int(np.argmin(mean))
     # Of ΔE itself: the logarithm of a convex curve need not be convex.
     places_low, places_high = convex_range(u, mean, data.ci95)
     may_be_beyond = places_low is None, places_high is None
-    sharpest = np.exp(np.interp([places_low or 0.0, u[-1] if places_high is None else places_high], fine, np.log(fine_um)))
+    sharpest = np.exp(
+        np.interp(
+            [places_low or 0.0, u[-1] if places_high is None else places_high],
+            fine,
+            np.log(fine_um),
+        )
+    )
     has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
-    is_sharp = slopes and (has_flank or curve[best] < (1 - DIP) * mean[tried] or not sharpest[0] <= fine_um[best] <= sharpest[1])
+    is_sharp = slopes and (
+        has_flank
+        or curve[best] < (1 - DIP) * mean[tried]
+        or not sharpest[0] <= fine_um[best] <= sharpest[1]
+    )
     if is_sharp:
-        least_high = max(least_high, float(mean[tried] + data.ci95[tried]))  # no least value is above that of a size tried
-    at_an_end = [float(np.mean(lowest <= curves.min(axis=1))) for lowest in (curves[:, 0], curves[:, -1])]
+        least_high = max(
+            least_high, float(mean[tried] + data.ci95[tried])
+        )  # no least value is above that of a size tried
+    at_an_end = [
+        float(np.mean(lowest <= curves.min(axis=1))) for lowest in (curves[:, 0], curves[:, -1])
+    ]
     is_open = [
         not slopes or share > (1 - CONFIDENCE) / 2 or (is_sharp and beyond)
         for share, beyond in zip(at_an_end, may_be_beyond, strict=True)
@@ -384,29 +462,54 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         high_um = max(quantiles_um[1], best_um * (1 + SHORTEST_HALF))
         if is_sharp:
             low_um, high_um = min(low_um, sharpest[0]), max(high_um, sharpest[1])
-        low_um, high_um = np.clip((low_um, high_um), pitch_um[0], pitch_um[-1]).tolist()  # without rounding errors
+        low_um, high_um = np.clip(
+            (low_um, high_um), pitch_um[0], pitch_um[-1]
+        ).tolist()  # without rounding errors
         return None if is_open[0] else low_um, None if is_open[1] else high_um
 
     ends = interval_of(CONFIDENCE)
     is_beside_an_end = max(at_an_end) > (1 - LOOK_CONFIDENCE) / 2
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
-    low_um, high_um = (limit if end is None else end for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True))
+    low_um, high_um = (
+        limit if end is None else end
+        for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True)
+    )
     optimum = Optimum(
         pitch_um=best_um,
         interval_um=interval_of(LOOK_CONFIDENCE) if is_beside_an_end else ends,
         mean_delta_e=float(curve[best]),
         mean_delta_e_interval=(least_low, least_high),
         inside=inside,
-        between_sizes_share=between_sizes_share(fits, weights, np.interp([low_um, best_um, high_um], fine_um, fine)),
+        between_sizes_share=between_sizes_share(
+            fits, weights, np.interp([low_um, best_um, high_um], fine_um, fine)
+        ),
         within_1_percent_um=within[0],
         within_2_percent_um=within[1],
     )
     likeliest = fits[0]
     scales = data.noise_scale
-    relative = np.divide(likeliest.design.noise, scales, out=np.zeros(mean.shape), where=scales != 0)
+    relative = np.divide(
+        likeliest.design.noise, scales, out=np.zeros(mean.shape), where=scales != 0
+    )
     noise = float(np.median(relative[~data.loud]))  # equal, but for rounding
-    loud = {float(pitch): float(own) for pitch, own in zip(pitch_um[data.loud], relative[data.loud], strict=True)}
-    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, loud, scale, data.logarithmic, ends, width_um)
+    loud = {
+        float(pitch): float(own)
+        for pitch, own in zip(pitch_um[data.loud], relative[data.loud], strict=True)
+    }
+    return FittedCurve(
+        fine_um,
+        curve,
+        low,
+        high,
+        optimum,
+        likeliest,
+        noise,
+        loud,
+        scale,
+        data.logarithmic,
+        ends,
+        width_um,
+    )
 
 
 @dataclass(frozen=True)
@@ -415,9 +518,11 @@ class Measured:
 
     mean : (P,) of each pitch
     scale : its unit in the design
-    relative : (P,) variance of one sensor over the square of the mean ΔE, pooled over all pitches but those that are `loud`
+    relative : (P,) variance of one sensor over the square of the mean ΔE, pooled over all pitches
+        but those that are `loud`
     degrees : (P,) of freedom of that variance
-    loud : (P,) whether the scatter of a pitch is significantly larger than that of the others, so that it has its own
+    loud : (P,) whether the scatter of a pitch is significantly larger than that of the others, so
+        that it has its own
     design : in units of `scale`, or of the logarithm
     logarithmic : whether the logarithm is fitted
     """
@@ -433,7 +538,11 @@ class Measured:
     @property
     def values(self) -> Array:
         """What is fitted, (P,)."""
-        return np.asarray(np.log(self.mean / self.scale)) if self.logarithmic else self.mean / self.scale
+        return (
+            np.asarray(np.log(self.mean / self.scale))
+            if self.logarithmic
+            else self.mean / self.scale
+        )
 
     @property
     def ci95(self) -> Array:
@@ -452,15 +561,18 @@ class Measured:
 
 
 def noise_scale(mean: Array, logarithmic: bool) -> Array:
-    """Return the variance of what is fitted over the relative variance of ΔE, of the mean ΔE in units of the scale, (n,)."""
+    """Return the variance of what is fitted over the relative variance of ΔE, of the mean ΔE in
+    units of the scale, (n,).
+    """
     return np.ones(mean.shape) if logarithmic else mean**2
 
 
 def measured(u: Array, delta_e: Array) -> Measured:
     """Return what is fitted of the mean ΔE (P, R) of each sensor at the coordinates u (P,).
 
-    The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over pitches; but where the scatter is
-    significantly larger, as where all pixels have one registration with the dots, a pitch keeps its own.
+    The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over
+    pitches; but where the scatter is significantly larger, as where all pixels have one
+    registration with the dots, a pitch keeps its own.
     """
     valid = np.isfinite(delta_e)
     sensors = valid.sum(axis=1)
@@ -473,7 +585,10 @@ def measured(u: Array, delta_e: Array) -> Measured:
         expected = float(((sensors - 1) * mean**2)[which].sum())
         return float(squares[which].sum()) / expected if expected else 0.0
 
-    relative, degrees = np.full(mean.shape, pooled(~loud)), np.full(mean.shape, (sensors - 1)[~loud].sum())
+    relative, degrees = (
+        np.full(mean.shape, pooled(~loud)),
+        np.full(mean.shape, (sensors - 1)[~loud].sum()),
+    )
     for place in np.flatnonzero(loud):
         relative[place], degrees[place] = pooled(np.arange(mean.size) == place), sensors[place] - 1
     logarithmic = bool(mean.max() > STEEP * mean.min() > 0)
@@ -482,15 +597,18 @@ def measured(u: Array, delta_e: Array) -> Measured:
 
 
 def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which pitches scatter significantly more than the others, (P,): those that fail an F test at `LOUD`, the worst first.
+    """Return which pitches scatter significantly more than the others, (P,): those that fail an F
+    test at `LOUD`, the worst first.
 
-    The level is shared by all pitches, so that one of a hundred studies of equal scatter has such a pitch. At most half of them
-    are taken out.
+    The level is shared by all pitches, so that one of a hundred studies of equal scatter has such a
+    pitch. At most half of them are taken out.
 
     squares : (P,) sums of squares about the mean of a pitch
     mean, degrees : (P,) mean ΔE; degrees of freedom of the squares
     """
-    scatter = np.divide(squares, mean**2, out=np.zeros(mean.shape), where=mean != 0)  # of relative deviations
+    scatter = np.divide(
+        squares, mean**2, out=np.zeros(mean.shape), where=mean != 0
+    )  # of relative deviations
     loud = np.zeros(mean.shape, bool)
     while loud.sum() < mean.size // 2:
         left = (~loud & (degrees > 0)).nonzero()[0]
@@ -508,20 +626,31 @@ def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDA
 
 
 def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
-    """Return posteriors of all parameters that are likely, the likeliest first, and their weights, of sum 1."""
+    """Return posteriors of all parameters that are likely, the likeliest first, and their weights,
+    of sum 1.
+    """
     design, degrees = data.design, data.degrees.astype(float)
     noise = float(np.sqrt(np.median(design.noise)))
     has_noise = bool(design.noise.any())
     ripples = [ripple for ripple in RIPPLES if ripple == 0 or ripple > noise]
     fits = []
     for quantile in NOISE_QUANTILES if has_noise else NOISE_QUANTILES[:1]:
-        variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile)) if has_noise else np.ones(design.u.size)  # degrees/χ²
+        variance = (
+            degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))
+            if has_noise
+            else np.ones(design.u.size)
+        )  # degrees/χ²
         scaled = Design(design.u, design.noise * variance, design.sensors)
-        for stiffness, residual, ripple in product(STIFFNESS.tolist(), RESIDUALS if has_noise else (0.0,), ripples):
+        for stiffness, residual, ripple in product(
+            STIFFNESS.tolist(), RESIDUALS if has_noise else (0.0,), ripples
+        ):
             fits.append(Posterior(scaled, stiffness, residual, data.values, ripple))
 
     stiffnesses = np.array([fit.stiffness for fit in fits])
-    logs = np.array([fit.log_likelihood for fit in fits]) - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
+    logs = (
+        np.array([fit.log_likelihood for fit in fits])
+        - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
+    )
     logs[[fit.ripple == 0 for fit in fits]] += np.log(NO_RIPPLE_WEIGHT)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
@@ -531,12 +660,14 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
 
 
 def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array) -> float:
-    """Return the share of the variance of a curve's rises that would stay if the values at the sizes tried were exact, 0 to 1.
+    """Return the share of the variance of a curve's rises that would stay if the values at the
+    sizes tried were exact, 0 to 1.
 
     0 where the interval has no length, as where it goes on beyond the sizes tried alone.
 
     fits, weights : posteriors and their weights, of sum 1
-    ends : (3,) places of the low end, the minimum and the high end of the interval; the curve rises from the second to the others
+    ends : (3,) places of the low end, the minimum and the high end of the interval; the curve rises
+        from the second to the others
     """
     if not np.ptp(ends):
         return 0.0
@@ -549,7 +680,8 @@ def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array
 
 
 def rise_variance(fit: Posterior, ends: Array) -> float:
-    """Return the variance of a curve's rises from its minimum to both ends of its interval, summed over the ends.
+    """Return the variance of a curve's rises from its minimum to both ends of its interval, summed
+    over the ends.
 
     ends : (3,) places of the low end, the minimum and the high end
     """
@@ -558,16 +690,24 @@ def rise_variance(fit: Posterior, ends: Array) -> float:
     return float(sum(contrast @ covariance @ contrast for contrast in rises))
 
 
-def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, seed: int = 0) -> Array:
-    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the design; the same for the same data and seed."""
+def drawn_curves(
+    fits: list[Posterior], weights: list[float], places: Array, seed: int = 0
+) -> Array:
+    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the design; the same
+    for the same data and seed.
+    """
     ends = np.rint(np.cumsum(weights) * DRAWS).astype(int)
     normal = _normal((DRAWS, places.size), seed)
     curves = np.empty_like(normal)
     for fit, first, last in zip(fits, [0, *ends[:-1]], ends, strict=True):
         if last > first:
             covariance = fit.covariance(places)
-            covariance.flat[:: places.size + 1] += ROUNDING**2 * max(1.0, float(covariance.trace()) / places.size)
-            curves[first:last] = fit.mean(places) + multiplied(lower_factor(covariance), normal[first:last])
+            covariance.flat[:: places.size + 1] += ROUNDING**2 * max(
+                1.0, float(covariance.trace()) / places.size
+            )
+            curves[first:last] = fit.mean(places) + multiplied(
+                lower_factor(covariance), normal[first:last]
+            )
     return curves
 
 
@@ -579,31 +719,42 @@ def _normal(shape: tuple[int, int], seed: int) -> Array:
 
 
 def minima(places: Array, curves: Array) -> Array:
-    """Return the position of the minimum of each curve (n, places), (n,), by a parabola through the lowest three points."""
+    """Return the position of the minimum of each curve (n, places), (n,), by a parabola through the
+    lowest three points.
+    """
     least = curves.argmin(axis=1)
     inner = np.clip(least, 1, places.size - 2)
-    left, middle, right = (np.take_along_axis(curves, (inner + step)[:, None], axis=1)[:, 0] for step in (-1, 0, 1))
+    left, middle, right = (
+        np.take_along_axis(curves, (inner + step)[:, None], axis=1)[:, 0] for step in (-1, 0, 1)
+    )
     bend = np.maximum(left - 2 * middle + right, np.finfo(float).tiny)
     with np.errstate(over="ignore"):  # a straight line's vertex is infinitely far away
-        between = places[inner] + (places[1] - places[0]) * np.clip((left - right) / (2 * bend), -1, 1)
+        between = places[inner] + (places[1] - places[0]) * np.clip(
+            (left - right) / (2 * bend), -1, 1
+        )
     return np.where(inner == least, between, places[least])
 
 
 def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float | None]:
-    """Return the range of places that contains every place where a convex curve through points may be least.
+    """Return the range of places that contains every place where a convex curve through points may
+    be least.
 
-    Outside two points, a convex curve lies above the line through them. So it cannot fall below the lowest point until the lines
-    through the two points on either side of it have come down to that: the range ends there. A curve of straight lines is
-    least at an end of the range. With one point on a side, the range ends at that point; with none, it has no end: None.
+    Outside two points, a convex curve lies above the line through them. So it cannot fall below the
+    lowest point until the lines through the two points on either side of it have come down to that:
+    the range ends there. A curve of straight lines is least at an end of the range. With one point
+    on a side, the range ends at that point; with none, it has no end: None.
 
     x : (P,) increasing
     y : (P,) values there
-    error : (P,) of the values; all points that are as low as the lowest one within both errors count as lowest
+    error : (P,) of the values; all points that are as low as the lowest one within both errors
+        count as lowest
     """
     lowest = np.flatnonzero(y - error <= (y + error)[np.argmin(y)])
 
     def end(first: int, step: int) -> float | None:
-        """Where the line through the next two points has come down to the first one; `step` leads away from the lowest."""
+        """Where the line through the next two points has come down to the first one; `step` leads
+        away from the lowest.
+        """
         near, far = first + step, first + 2 * step
         if not 0 <= near < x.size:
             return None
@@ -615,30 +766,41 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
     return end(int(lowest[0]), -1), end(int(lowest[-1]), 1)
 
 
-def close_to_least(pitch_um: Array, curve: Array, share: float) -> tuple[float | None, float | None]:
-    """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an end of the curve."""
+def close_to_least(
+    pitch_um: Array, curve: Array, share: float
+) -> tuple[float | None, float | None]:
+    """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an
+    end of the curve.
+    """
     least = float(curve.min())
     near = np.flatnonzero(curve <= least + share * abs(least))
     low, high = int(near[0]), int(near[-1])
-    return None if low == 0 else float(pitch_um[low]), None if high == pitch_um.size - 1 else float(pitch_um[high])
+    return None if low == 0 else float(pitch_um[low]), (
+        None if high == pitch_um.size - 1 else float(pitch_um[high])
+    )
 
 
 def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
-    """Return the mean over sensors, (P,), and half the width of its 95 % interval, of (P, R) ΔE with NaN for missing sensors.
+    """Return the mean over sensors, (P,), and half the width of its 95 % interval, of (P, R) ΔE
+    with NaN for missing sensors.
 
-    The scatter of sensors, relative to the mean ΔE, is pooled over pitches: two sensors of one pitch alone say little.
+    The scatter of sensors, relative to the mean ΔE, is pooled over pitches: two sensors of one
+    pitch alone say little.
     """
     data = measured(np.arange(float(len(delta_e))), delta_e)
     return data.mean, data.ci95
 
 
-# --- optima of metrics ----------------------------------------------------------------------------------------------------
+# --- optima of metrics
+# ----------------------------------------------------------------------------------------------------
 
 FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
 
 
 def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
-    """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN
+    where all of them are.
+    """
     found = np.full(len(values), np.nan)
     known = np.isfinite(values).any(axis=1)
     if known.any():
@@ -647,15 +809,18 @@ def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
 
 
 def mean_of_sensors(values: Array) -> Array:
-    """Return the mean over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    """Return the mean over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where
+    all of them are.
+    """
     return over_sensors(np.nanmean, values)
 
 
 def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
-    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or less of what more is better.
+    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or
+    less of what more is better.
 
-    Of what is worth nothing at a pitch between others, these are the ones on the side of the best. A pitch without any number
-    is not taken either.
+    Of what is worth nothing at a pitch between others, these are the ones on the side of the best.
+    A pitch without any number is not taken either.
 
     values : (P, sensors), NaN without a number
     """
@@ -670,14 +835,22 @@ def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
     return np.asarray(told)
 
 
-def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
-    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best size, or not of these values.
+def fit_of_metric(
+    metric: Metric, pitch_um: Array, values: Array, width_um: Widths
+) -> FittedCurve | None:
+    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best
+    size, or not of these values.
 
     values : (pitches, sensors)
     """
     told = told_pitches(metric, values)
     loss = metric.loss(values)[told]
-    if not metric.has_optimum or told.sum() < FEWEST_SIZES or np.isfinite(loss).sum() == told.sum() or not np.nanmin(loss) >= 0:
+    if (
+        not metric.has_optimum
+        or told.sum() < FEWEST_SIZES
+        or np.isfinite(loss).sum() == told.sum()
+        or not np.nanmin(loss) >= 0
+    ):
         return None
     fit = fit_curve(pitch_um[told], loss, width_um)
     if metric.better == "less":

@@ -1,4 +1,6 @@
-"""Pairs of frames: the mean of values or of paired differences, its interval, and how probably it is above 0."""
+"""Pairs of frames: the mean of values or of paired differences, its interval, and how probably it
+is above 0.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Pairs:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the expected difference, from the pairs of frames; errors of the light are not in it."""
+        """95 % interval of the expected difference, from the pairs of frames; errors of the light
+        are not in it.
+        """
         return mean_interval(self.differences)[::2]
 
     @property
@@ -64,7 +68,8 @@ class Pairs:
         return probability_above_zero(sign * self.differences)
 
     def sign(self, error: float = 0.0) -> int:
-        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its interval and a further error.
+        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its
+        interval and a further error.
 
         Also 0 where the number is not defined in a frame.
         """
@@ -72,19 +77,35 @@ class Pairs:
         return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0
 
 
-def paired(table: Table, a: str, b: str, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None) -> Pairs:
-    """Return the numbers of two sensors by pairs of frames, which have all labels but the sensor, and the repeat in common.
+def paired(
+    table: Table,
+    a: str,
+    b: str,
+    metric: Metric = DELTA_E,
+    weights: Mapping[str, float] | None = None,
+) -> Pairs:
+    """Return the numbers of two sensors by pairs of frames, which have all labels but the sensor,
+    and the repeat in common.
 
     table : rows of both sensors on one display
     a, b : names of the sensors
-    weights : share of each condition, whose frames of one number are averaged; None without conditions
+    weights : share of each condition, whose frames of one number are averaged; None without
+        conditions
 
     Raises PixsimError if a frame of one sensor lacks that of the other.
     """
-    first, second = (weighted_frames(table.where(**{SENSOR: name}), metric, weights) for name in (a, b))
+    first, second = (
+        weighted_frames(table.where(**{SENSOR: name}), metric, weights) for name in (a, b)
+    )
     if not first or first.keys() != second.keys():
-        raise invalid("sensors", f"{a} and {b}, whose frames are not the same ones", "sensors with the same labels and repeats")
-    return Pairs((a, b), np.array(list(first.values())), np.array([second[place] for place in first]), metric)
+        raise invalid(
+            "sensors",
+            f"{a} and {b}, whose frames are not the same ones",
+            "sensors with the same labels and repeats",
+        )
+    return Pairs(
+        (a, b), np.array(list(first.values())), np.array([second[place] for place in first]), metric
+    )
 
 
 def weighted_frames(
@@ -92,23 +113,34 @@ def weighted_frames(
 ) -> dict[tuple[object, ...], float]:
     """Return the number of each frame of a sensor, by its labels and its repeat.
 
-    Equal sensors of the conditions have equal random streams, so that the scatter of the weighted mean is that of its sensors.
+    Equal sensors of the conditions have equal random streams, so that the scatter of the weighted
+    mean is that of its sensors.
 
     weights : share of each condition; those of 0 do not count. None without conditions
     """
     frames: dict[tuple[object, ...], float] = {}
     values = table.columns[metric.columns[0]].tolist()
-    for case, repeat, value in zip(table.case.tolist(), table.columns["repeat"].tolist(), values, strict=True):
+    for case, repeat, value in zip(
+        table.case.tolist(), table.columns["repeat"].tolist(), values, strict=True
+    ):
         labels = table.labels[case]
         weight = 1.0 if weights is None else weights[str(labels[CONDITION])]
         if weight:
-            place = *(label for name, label in labels.items() if name != SENSOR and (weights is None or name != CONDITION)), repeat
+            place = (
+                *(
+                    label
+                    for name, label in labels.items()
+                    if name != SENSOR and (weights is None or name != CONDITION)
+                ),
+                repeat,
+            )
             frames[place] = frames.get(place, 0.0) + weight * value
     return frames
 
 
 def mean_interval(values: Array) -> tuple[float, float, float]:
-    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value, from values (n,), n > 1.
+    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value,
+    from values (n,), n > 1.
 
     Student's t; for paired frames the values are their differences.
 
@@ -121,18 +153,22 @@ def mean_interval(values: Array) -> tuple[float, float, float]:
 
 
 def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float]:
-    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value over all registrations.
+    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value
+    over all registrations.
 
-    values : (n,), n > 1, of sensors whose registrations are spread evenly (`spread_registration`), in their order
+    values : (n,), n > 1, of sensors whose registrations are spread evenly (`spread_registration`),
+        in their order
     at_first : (m,), m > 1, of further sensors at one registration
 
-    The registrations' part of the scatter is no measure of the error of the mean, since evenly spread points integrate it: it
-    would make intervals up to twelve times too long (tests/benchmarks/repeats_interval.py). So half of the interval is the root of
-    the sum of two squares. One is the noise of the sensors, by Student's t from their scatter at one registration. The other is
-    the error of the registrations: that of the blocks of 1, 2, 4, … points of which n consists. For a block of 2ᵇ points it is 1.96
-    times the scatter of such blocks, and at least that of half as many points over 2^1.5, as it falls for smooth functions (A. B.
-    Owen, Ann. Stat. 25 (1997) 1541). The largest block has no scatter. Where registrations move the number by twenty times its
-    noise, that of two or three sensors holds 80 or 92 % only.
+    The registrations' part of the scatter is no measure of the error of the mean, since evenly
+    spread points integrate it: it would make intervals up to twelve times too long
+    (tests/benchmarks/repeats_interval.py). So half of the interval is the root of the sum of two
+    squares. One is the noise of the sensors, by Student's t from their scatter at one registration.
+    The other is the error of the registrations: that of the blocks of 1, 2, 4, … points of which n
+    consists. For a block of 2ᵇ points it is 1.96 times the scatter of such blocks, and at least
+    that of half as many points over 2^1.5, as it falls for smooth functions (A. B. Owen, Ann. Stat.
+    25 (1997) 1541). The largest block has no scatter. Where registrations move the number by twenty
+    times its noise, that of two or three sensors holds 80 or 92 % only.
 
     >>> [round(end, 2) for end in spread_interval(np.array([1.0, 2.0]), np.array([1.0, 1.0]))]  # 1.5 ± 1.96 × 0.707/2.83
     [1.01, 1.5, 1.99]
@@ -156,11 +192,13 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
 
 
 def probability_above_zero(differences: Array) -> float:
-    """Return the probability that the expected difference is above 0, from differences (n,), n > 1, of paired frames.
+    """Return the probability that the expected difference is above 0, from differences (n,), n > 1,
+    of paired frames.
 
-    It is that of Student's t: F(t; n - 1), with t the mean over its standard error. It is the posterior probability for normal
-    differences of unknown mean and variance (uniform in mean and in log σ), and above 0.975 exactly where the 95 % interval is
-    above 0. It tells how sure the simulation is of the means. It is not the share of frames that one sensor wins. Without any
+    It is that of Student's t: F(t; n - 1), with t the mean over its standard error. It is the
+    posterior probability for normal differences of unknown mean and variance (uniform in mean and
+    in log σ), and above 0.975 exactly where the 95 % interval is above 0. It tells how sure the
+    simulation is of the means. It is not the share of frames that one sensor wins. Without any
     scatter it is 0, 0.5 or 1.
 
     >>> round(probability_above_zero(np.array([1.0, 2.0, 3.0])), 3)  # t = 3.46 with 2 degrees of freedom

@@ -1,11 +1,14 @@
-"""What a command decides before its first render: display and chart for a data sheet's sensor, pixel sizes, cases.
+"""What a command decides before its first render: display and chart for a data sheet's sensor,
+pixel sizes, cases.
 
-A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen et al. (2000) has. Where
-nobody sets them, its display has a dot for each column of pixels, up to 2048, and the CSF chart ends at the highest frequency
-that the sensor, the lens and the display can show. Both are chosen once a command, so that all its scores are comparable.
+A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen
+et al. (2000) has. Where nobody sets them, its display has a dot for each column of pixels, up to
+2048, and the CSF chart ends at the highest frequency that the sensor, the lens and the display can
+show. Both are chosen once a command, so that all its scores are comparable.
 
-Settings that do nothing are found here, and sensor types are drawn: values for the numbers of a study's sensors, or of those of a
-comparison, that are not known. What is made of the draws is in `pixsim.studies.uncertainty`.
+Settings that do nothing are found here, and sensor types are drawn: values for the numbers of a
+study's sensors, or of those of a comparison, that are not known. What is made of the draws is in
+`pixsim.studies.uncertainty`.
 """
 
 from __future__ import annotations
@@ -79,17 +82,33 @@ from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import has_target
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, MetricRequest, columns_of_metrics
+from pixsim.viewer.metrics import (
+    DELTA_E,
+    OF_PIXEL,
+    Metric,
+    MetricContext,
+    MetricRequest,
+    columns_of_metrics,
+)
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.without_effect import SOLVE_FOR, TABLES, Default, GivenSettings, record_with, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import (
+    SOLVE_FOR,
+    TABLES,
+    Default,
+    GivenSettings,
+    record_with,
+    warn_of_settings_without_effect,
+)
 
-# --- settings that do nothing -----------------------------------------------------------------------------------------------------
+# --- settings that do nothing
+# -----------------------------------------------------------------------------------------------------
 
 
 def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
-    """Return the numbers of cases in which settings are tried: those that differ from the first in one axis, and the last.
+    """Return the numbers of cases in which settings are tried: those that differ from the first in
+    one axis, and the last.
 
     A product of axes may have thousands; each of its values is in one of these.
     """
@@ -97,14 +116,17 @@ def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
     chosen = [
         number
         for number, case in enumerate(cases)
-        if sum(case.at[name] != value for name, value in first.at.items()) + (case.condition != first.condition) <= 1
+        if sum(case.at[name] != value for name, value in first.at.items())
+        + (case.condition != first.condition)
+        <= 1
     ]
     return list(dict.fromkeys([*chosen, len(cases) - 1]))
 
 
 @dataclass(frozen=True)
 class GivenSizes(GivenSettings):
-    """Settings of one technology of a study, at one of its pixel sizes; what changes the list of sizes has an effect, too.
+    """Settings of one technology of a study, at one of its pixel sizes; what changes the list of
+    sizes has an effect, too.
 
     study : as the user set it
     """
@@ -125,12 +147,16 @@ class GivenSizes(GivenSettings):
             return True
 
 
-# A study of a data sheet takes it from the sheet's pitch; the range and the display that follow from it are stated in `complete`.
+# A study of a data sheet takes it from the sheet's pitch; the range and the display that follow
+# from it are stated in `complete`.
 OF_THE_SHEET = "pitch.own_um"
 
 
-def settings_of_technology(given: Case[Study], complete: Case[Study], technology: str) -> list[GivenSizes]:
-    """Return the settings of one technology in one case, at its largest and its smallest pixel size.
+def settings_of_technology(
+    given: Case[Study], complete: Case[Study], technology: str
+) -> list[GivenSizes]:
+    """Return the settings of one technology in one case, at its largest and its smallest pixel
+    size.
 
     given : as the user set it
     complete : the same, with what the user left open
@@ -144,17 +170,26 @@ def settings_of_technology(given: Case[Study], complete: Case[Study], technology
         not_taken += ["max_repeats", "max_evaluations"]
     if study.target_ci_um or states_sizes:
         not_taken.append("refine")
-    facts: dict[str, Any] = {"settings": study, "picture": complete.picture, "not_taken": tuple(not_taken)}
+    facts: dict[str, Any] = {
+        "settings": study,
+        "picture": complete.picture,
+        "not_taken": tuple(not_taken),
+    }
     settings = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
         at_size = GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
-        names = tuple(name for name in at_size.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
-        settings.append(GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology))
+        names = tuple(
+            name for name in at_size.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET
+        )
+        settings.append(
+            GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology)
+        )
     return settings
 
 
-# --- sensor types -----------------------------------------------------------------------------------------------------------------
+# --- sensor types
+# -----------------------------------------------------------------------------------------------------------------
 
 MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 
@@ -177,7 +212,9 @@ class Asked:
     def __post_init__(self) -> None:
         if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:
             raise invalid(
-                setting("sobol" if self.total else "uncertainty"), self.draws, f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types"
+                setting("sobol" if self.total else "uncertainty"),
+                self.draws,
+                f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types",
             )
 
     def sample(self, study: Study) -> Sample:
@@ -186,14 +223,20 @@ class Asked:
         return make(unknowns_of_study(study, self.uncertainty), self.draws, study.seed)
 
 
-def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequence[float], spreads: Uncertainty) -> Asked | None:
+def asked_of(
+    uncertainty: int | None,
+    sobol: int | None,
+    smaller_than_um: Sequence[float],
+    spreads: Uncertainty,
+) -> Asked | None:
     """Return what is asked about the unknown numbers; None if nothing is.
 
     uncertainty, sobol : sensor types to draw, or those of total indices
     smaller_than_um : as in `Asked`
     spreads : `Asked.uncertainty`
 
-    Raises PixsimError for both numbers of types, for sizes without any, and for those that are not above 0.
+    Raises PixsimError for both numbers of types, for sizes without any, and for those that are not
+    above 0.
     """
     if uncertainty is not None and sobol is not None:
         raise invalid(setting("uncertainty"), f"with {setting('sobol')}", "one of the two")
@@ -209,12 +252,17 @@ def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequen
     return None
 
 
-def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None) -> list[Unknown]:
-    """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and its technologies.
+def unknowns_of_study(
+    study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None
+) -> list[Unknown]:
+    """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and
+    its technologies.
 
-    uncertainty : of the study's own [pixel] by the name '', and of data sheets; that of others stands in their files
+    uncertainty : of the study's own [pixel] by the name '', and of data sheets; that of others
+        stands in their files
 
-    Numbers that the study or a data sheet gives in place of a technology's are known, unless their own uncertainty is given.
+    Numbers that the study or a data sheet gives in place of a technology's are known, unless their
+    own uncertainty is given.
 
     Raises PixsimError for a file that is damaged, and as `unknowns_of_sheet`.
     """
@@ -223,28 +271,46 @@ def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Sprea
     for name in study.technologies:
         if name in study.sensors:
             unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
-        unknowns += unknowns_of_process(study.options_of(name), technology_of(study, name), name, study.process.get(name, {}))
+        unknowns += unknowns_of_process(
+            study.options_of(name), technology_of(study, name), name, study.process.get(name, {})
+        )
     return unknowns
 
 
 def check_axes(study: Study) -> None:
     """Raise PixsimError for axes with which sensor types cannot be drawn."""
-    if any(axis.alone for axis in study.axis) or len(study.axis) > 1 or any(len(axis.points) > MOST_VALUES for axis in study.axis):
+    if (
+        any(axis.alone for axis in study.axis)
+        or len(study.axis) > 1
+        or any(len(axis.points) > MOST_VALUES for axis in study.axis)
+    ):
         got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
-        raise invalid(setting("uncertainty"), f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
+        raise invalid(
+            setting("uncertainty"),
+            f"a study with the axes {got}",
+            f"at most one axis of at most {MOST_VALUES} values",
+        )
 
 
-def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool) -> tuple[int, int]:
-    """Return the number of sensor types of a study and of their evaluations at most, for all metrics.
+def check_types(
+    study: Study, cases: Sequence[Study], asked: Asked, agreed: bool
+) -> tuple[int, int]:
+    """Return the number of sensor types of a study and of their evaluations at most, for all
+    metrics.
 
     cases : of the study
     agreed : whether they may be very many
 
-    Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too many evaluations.
+    Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too
+    many evaluations.
     """
     check_axes(study)
     types = len(asked.sample(cases[0]).quantiles)
-    evaluations = types * MOST_EVALUATIONS * sum(len(case.technologies) * len(drawn_metrics(case)) for case in cases)
+    evaluations = (
+        types
+        * MOST_EVALUATIONS
+        * sum(len(case.technologies) * len(drawn_metrics(case)) for case in cases)
+    )
     check_number(types, evaluations, agreed)
     return types, evaluations
 
@@ -267,7 +333,10 @@ class Types:
     @classmethod
     def of(cls, asked: Asked, sensors: Sequence[Case[Run]]) -> Types:
         """Draw sensor types. Raises PixsimError if nothing is unknown."""
-        spreads = tuple(sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {} for each in sensors)
+        spreads = tuple(
+            sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {}
+            for each in sensors
+        )
         files = list(dict.fromkeys(whole_path(each.settings.pixel.technology) for each in sensors))
         processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
         unknowns: list[Unknown] = []
@@ -279,7 +348,9 @@ class Types:
                 of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
                 unknowns += [replace(unknown, process=process) for unknown in of_process]
         make = sobol_points if asked.total else sample_types
-        return cls(asked.draws, spreads, make(unknowns, asked.draws, sensors[0].settings.seed), asked.total)
+        return cls(
+            asked.draws, spreads, make(unknowns, asked.draws, sensors[0].settings.seed), asked.total
+        )
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
         """Yield what lies between light and score of each type of a sensor.
@@ -287,32 +358,54 @@ class Types:
         name, imaging : of the sensor as it is; numbers that a condition sets are known in it
         """
         pixel = imaging.pixel
-        unknowns = [each for members in self.sample.inputs.values() for each in members if each.technology == name]
-        of_sheet = [each for each in unknowns if each.of_sheet and getattr(pixel, each.quantity) == each.value]
-        of_process = [each for each in unknowns if not each.of_sheet and getattr(pixel, each.quantity, None) is None]
+        unknowns = [
+            each
+            for members in self.sample.inputs.values()
+            for each in members
+            if each.technology == name
+        ]
+        of_sheet = [
+            each
+            for each in unknowns
+            if each.of_sheet and getattr(pixel, each.quantity) == each.value
+        ]
+        of_process = [
+            each
+            for each in unknowns
+            if not each.of_sheet and getattr(pixel, each.quantity, None) is None
+        ]
         technology = load_technology(pixel.technology)
         for draw in self.sample.draws:
             numbers = {each.quantity: draw[each.name] for each in of_sheet}
             process = {each.quantity: draw[each.name] for each in of_process}
             drawn = Pixel(**pixel.model_dump() | numbers) if numbers else pixel
             yield replace(
-                imaging, pixel=drawn, technology=technology.with_numbers(process, name) if process else imaging.technology
+                imaging,
+                pixel=drawn,
+                technology=(
+                    technology.with_numbers(process, name) if process else imaging.technology
+                ),
             )
 
 
-# --- the job ----------------------------------------------------------------------------------------------------------------------
+# --- the job
+# ----------------------------------------------------------------------------------------------------------------------
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
 Chosen = TypeVar("Chosen", bound=Setting)
 
 
-def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene | None) -> dict[str, Any]:
-    """Return the display's dots and the chart's end for a data sheet's sensor of a pitch, where nobody set them.
+def choose_view(
+    pitch_um: float, camera: Camera, display: Display, scene: Scene | None
+) -> dict[str, Any]:
+    """Return the display's dots and the chart's end for a data sheet's sensor of a pitch, where
+    nobody set them.
 
-    `dots` are the columns of pixels on the die, 8 to 2048. The CSF chart ends at `max_lp_per_mm` on the sensor, the least of the
-    Nyquist frequencies of sensor and display and the cut-off of the lens in green light; `limited_by` names it. What was set, or
-    does not apply, is left out. `with_view` completes settings with them.
+    `dots` are the columns of pixels on the die, 8 to 2048. The CSF chart ends at `max_lp_per_mm` on
+    the sensor, the least of the Nyquist frequencies of sensor and display and the cut-off of the
+    lens in green light; `limited_by` names it. What was set, or does not apply, is left out.
+    `with_view` completes settings with them.
 
     camera : of the window that is simulated
     scene : None for a picture of another program
@@ -331,14 +424,21 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
         "the lens's cut-off": float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)),
     }
     if fixed:
-        limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (2 * camera.die_mm)
+        limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (
+            2 * camera.die_mm
+        )
     limited_by = min(limits, key=lambda name: limits[name])
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
-    return chosen | {MAX_LP_PER_MM: max(limits[limited_by], 2**MIN_OCTAVES * lowest), "limited_by": limited_by}
+    return chosen | {
+        MAX_LP_PER_MM: max(limits[limited_by], 2**MIN_OCTAVES * lowest),
+        "limited_by": limited_by,
+    }
 
 
 def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
-    """Return settings with the display and the chart of `choose_view`, except for what they state of them."""
+    """Return settings with the display and the chart of `choose_view`, except for what they state
+    of them.
+    """
     display, scene = settings.display, settings.scene
     if "dots" in view and "dots" not in display.model_fields_set:
         display = display.model_copy(update={"dots": view["dots"]})
@@ -353,10 +453,16 @@ def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
 
 def scene_with_view(scene: Scene, view: Mapping[str, Any]) -> Scene:
     """Return a scene with the chart of `choose_view`."""
-    return scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])}) if MAX_LP_PER_MM in view else scene
+    return (
+        scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])})
+        if MAX_LP_PER_MM in view
+        else scene
+    )
 
 
-def source_with_view(source: Scene | SpectralImage, view: Mapping[str, Any]) -> Scene | SpectralImage:
+def source_with_view(
+    source: Scene | SpectralImage, view: Mapping[str, Any]
+) -> Scene | SpectralImage:
     """Return `scene_with_view` of a scene; light that is given as it is."""
     return source if isinstance(source, SpectralImage) else scene_with_view(source, view)
 
@@ -379,8 +485,8 @@ PITCH_DIGITS = 4
 def most_pixels(camera: Camera, own_um: float | None) -> float:
     """Return the number of pixels that a study chooses by itself at most.
 
-    That of a data sheet takes 1 GiB while a frame is simulated, or as many pixels as its sensor has; of a technology, any number
-    that pixsim simulates.
+    That of a data sheet takes 1 GiB while a frame is simulated, or as many pixels as its sensor
+    has; of a technology, any number that pixsim simulates.
     """
     if own_um is None:
         return MAX_PIXELS
@@ -389,11 +495,12 @@ def most_pixels(camera: Camera, own_um: float | None) -> float:
 
 
 def fitted_range(study: Study, camera: Camera) -> Study:
-    """Return the study with the range of its pixel sizes: that of the data sheet, and within what a frame may hold.
+    """Return the study with the range of its pixel sizes: that of the data sheet, and within what a
+    frame may hold.
 
-    A range that is left open begins at a quarter of the data sheet's pitch, or where the fill factor is `min_fill_factor`, and
-    ends at four times the pitch. It is shortened, with a warning, where there would be too many pixels or too few, and where a
-    stack allows no microlens.
+    A range that is left open begins at a quarter of the data sheet's pitch, or where the fill
+    factor is `min_fill_factor`, and ends at four times the pitch. It is shortened, with a warning,
+    where there would be too many pixels or too few, and where a stack allows no microlens.
 
     Raises PixsimError if a pixel size that was set makes too many pixels.
     """
@@ -410,34 +517,56 @@ def fitted_range(study: Study, camera: Camera) -> Study:
             warn(_range_note("largest pixel size", high, wished, reason))
     for name in study.technologies:
         if (lens_um := largest_lens_um(study, name)) < high:
-            reason = "its stack is too low for a wider ideal microlens (h < p/√π); larger ones: pixel.stack.height_um, or "
+            reason = (
+                "its stack is too low for a wider ideal microlens (h < p/√π); larger ones:"
+                " pixel.stack.height_um, or "
+            )
             reason += "pixel.stack.microlens = 'none'"
             warn(_range_note(f"largest pixel size of {label_of(name)}", lens_um, high, reason))
     if pitch.min_um is not None:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
-        lows = [low] if low is not None else [float(study_pitches_um(study, name).min()) for name in study.technologies]
+        lows = (
+            [low]
+            if low is not None
+            else [float(study_pitches_um(study, name).min()) for name in study.technologies]
+        )
         low = low if low is None else up_to_pitch_digits(low)
         most = most_pixels(camera, own_um)
         least_um = up_to_pitch_digits(math.sqrt(height_um * width_um / most))
         if min(lows) < least_um - 10**-PITCH_DIGITS:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
-                got = f"{min(lows):.4g} µm of {which}: {amount(height_um * width_um / min(lows) ** 2)} pixels"
+                got = (
+                    f"{min(lows):.4g} µm of {which}:"
+                    f" {amount(height_um * width_um / min(lows) ** 2)} pixels"
+                )
                 raise invalid(
-                    "pitch.min_fill_factor", got, f"at most {amount(most)} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
+                    "pitch.min_fill_factor",
+                    got,
+                    f"at most {amount(most)} pixels",
+                    f"Set --pitch.min-um {least_um:g}, or --window.",
                 )
             low = least_um
-            reason = f"it has {amount(most)} pixels on the die; smaller ones: --pitch.min-um, or a part of the die by --window"
+            reason = (
+                f"it has {amount(most)} pixels on the die; smaller ones: --pitch.min-um, or a part"
+                " of the die by --window"
+            )
             warn(_range_note("smallest pixel size", low, min(lows), reason))
     if own_um is None and low == pitch.min_um:
         return study
-    chosen = {name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None}
-    return study.model_copy(update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)})
+    chosen = {
+        name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None
+    }
+    return study.model_copy(
+        update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)}
+    )
 
 
 def _range_note(size: str, pitch_um: float, asked_um: float, reason: str) -> Note:
-    return Note("left_out", words=f"the {size} is {pitch_um:.4g} µm in place of {asked_um:.4g} µm: {reason}")
+    return Note(
+        "left_out", words=f"the {size} is {pitch_um:.4g} µm in place of {asked_um:.4g} µm: {reason}"
+    )
 
 
 def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
@@ -447,7 +576,12 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     if count > MAX_PIXELS:
         least = up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
         hint = "Or take a part of the die: --window."
-        raise invalid(name, f"{pitch_um:g}, which makes {amount(count)} pixels", f"at least {least:g} on this die", hint)
+        raise invalid(
+            name,
+            f"{pitch_um:g}, which makes {amount(count)} pixels",
+            f"at least {least:g} on this die",
+            hint,
+        )
 
 
 def up_to_pitch_digits(pitch_um: float) -> float:
@@ -456,18 +590,28 @@ def up_to_pitch_digits(pitch_um: float) -> float:
 
 
 def check_technologies(study: Study) -> None:
-    """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one that it does not have."""
+    """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one
+    that it does not have.
+    """
     processes: dict[str, str] = {}
     for name in study.process:
         if name not in study.technologies:
-            raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
+            raise invalid(
+                "process",
+                f"'{name}'",
+                f"technologies of the study: {', '.join(study.technologies)}",
+            )
     for name in study.technologies:
         check_name(name)
         sheet = study.sensors[name].model_dump() if name in study.sensors else None
         content = content_hash([technology_of(study, name).content, sheet])
         if content in processes:
             kind = "process" if sheet is None else "data sheet"
-            raise invalid("technologies", f"{name} and {processes[content]}, which are the same {kind}", f"each {kind} once")
+            raise invalid(
+                "technologies",
+                f"{name} and {processes[content]}, which are the same {kind}",
+                f"each {kind} once",
+            )
         processes[content] = name
 
 
@@ -477,9 +621,16 @@ def check_pitches(study: Study) -> None:
     Of a study without axes.
     """
     for technology in study.technologies:
-        pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
-        try:  # what a pixel is derived from grows or falls with its pitch: sizes between two possible ones are possible
-            smallest, _ = (physics_of(study, technology, pitches_um[end], process) for end in (0, -1))
+        pitches_um, process = (
+            study_pitches_um(study, technology).tolist(),
+            technology_of(study, technology),
+        )
+        # what a pixel is derived from grows or falls with its pitch: sizes between two possible
+        # ones are possible
+        try:
+            smallest, _ = (
+                physics_of(study, technology, pitches_um[end], process) for end in (0, -1)
+            )
         except PixsimError:
             for pitch_um in pitches_um:  # the message is that of the first impossible one
                 physics_of(study, technology, pitch_um, process)
@@ -488,7 +639,12 @@ def check_pitches(study: Study) -> None:
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
-        raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
+        raise invalid(
+            "max_evaluations",
+            study.max_evaluations,
+            expected,
+            "Raise it, or lower repeats or pitch.count.",
+        )
 
 
 def is_picture(file: str) -> bool:
@@ -511,13 +667,26 @@ def loaded_scene(
 
     Raises PixsimError as `pixsim.load_scene`.
     """
-    scene = replace(load_scene(file, variant=variant, sensor=sensor, **parameters), diffuser=display.white == "diffuser")
+    scene = replace(
+        load_scene(file, variant=variant, sensor=sensor, **parameters),
+        diffuser=display.white == "diffuser",
+    )
     return scene.with_resolution(resolution) if resolution else scene
 
 
 GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 # What light of a scene is rendered by, and given light is not.
-OF_SCENE = ("scene", "camera", "lens", "window_mm", "resolution", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
+OF_SCENE = (
+    "scene",
+    "camera",
+    "lens",
+    "window_mm",
+    "resolution",
+    "max_seconds",
+    "tolerance_e",
+    "tolerance_delta_e",
+    "render_noise",
+)
 
 
 def check_given_light(**of_scene: object) -> None:
@@ -539,33 +708,55 @@ def check_axis_names(study: Study, metrics: Sequence[Metric], *labels: str) -> N
 def of_given_light(study: Study, variant: str | None) -> Study:
     """Return a study whose light is given, without the scene of its file.
 
-    Raises PixsimError for what only light of a scene has: axes over scene and camera, a window, a tolerance of ΔE.
+    Raises PixsimError for what only light of a scene has: axes over scene and camera, a window, a
+    tolerance of ΔE.
     """
     where = "a study whose light is given"
     varied = [path for axis in study.axis for path in axis.paths]
     varied += [path for condition in study.condition for path in paths_of(condition.set)]
     if moved := [".".join(path) for path in varied if path[0] in OF_SCENE]:
-        raise invalid("axis", f"{moved[0]} in {where}", "settings of pixel, exposure, display, correction and development")
-    stated = {"window_mm": study.window_mm, "tolerance_delta_e": study.tolerance_delta_e, "variant": variant}
-    if names := [name for name, value in stated.items() if value is not None] + ["paper"] * study.paper:
+        raise invalid(
+            "axis",
+            f"{moved[0]} in {where}",
+            "settings of pixel, exposure, display, correction and development",
+        )
+    stated = {
+        "window_mm": study.window_mm,
+        "tolerance_delta_e": study.tolerance_delta_e,
+        "variant": variant,
+    }
+    if (
+        names := [name for name, value in stated.items() if value is not None]
+        + ["paper"] * study.paper
+    ):
         raise invalid(names[0], f"a value in {where}", "a study of a scene, or no value")
     return study.model_copy(update={"scene": StudyScene(file=GIVEN_LIGHT), "resolution": None})
 
 
-def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] | None = None) -> tuple[Scene, Camera]:
+def scene_for(
+    study: Study, variant: str | None = None, known: dict[str, Scene] | None = None
+) -> tuple[Scene, Camera]:
     """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
 
     known : scenes by their settings, to which this one is added
     """
     if study.scene.file == GIVEN_LIGHT:
-        raise invalid("scene.file", "light that was given in Python", "a scene, or pixsim.study(…, light=…)")
+        raise invalid(
+            "scene.file", "light that was given in Python", "a scene, or pixsim.study(…, light=…)"
+        )
     if is_picture(study.scene.file):
         hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{study.scene.file}'))."
         raise invalid("scene.file", f"'{study.scene.file}', a picture", "a Mitsuba scene", hint)
     known = {} if known is None else known
     key = content_hash([study.scene.model_dump(mode="json"), study.resolution, study.display.white])
     if key not in known:
-        known[key] = loaded_scene(study.scene.file, study.scene.parameters, study.resolution, study.display, variant=variant)
+        known[key] = loaded_scene(
+            study.scene.file,
+            study.scene.parameters,
+            study.resolution,
+            study.display,
+            variant=variant,
+        )
     scene = known[key]
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
@@ -579,7 +770,8 @@ class Job(Generic[Settings]):
     file : the scene or the picture, as it was given
     source : the scene of `complete`, or the picture
     view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
-    sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of a picture, as they were given
+    sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of a picture,
+        as they were given
     """
 
     cases: tuple[Case[Settings], ...]
@@ -628,11 +820,18 @@ class Job(Generic[Settings]):
     @property
     def evaluations(self) -> int:
         """Number of evaluations that the cases start with."""
-        return sum(point_count(count, 1 + len(case.others)) for case in self.cases for count in case.sizes.values())
+        return sum(
+            point_count(count, 1 + len(case.others))
+            for case in self.cases
+            for count in case.sizes.values()
+        )
 
 
 def prepare(
-    study: Study, variant: str | None = None, light: SpectralImage | None = None, without: SpectralImage | None = None
+    study: Study,
+    variant: str | None = None,
+    light: SpectralImage | None = None,
+    without: SpectralImage | None = None,
 ) -> Job[Study]:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
@@ -648,7 +847,11 @@ def prepare(
     study = study if light is None else of_given_light(study, variant)
 
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
-        return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
+        return (
+            scene_for(study, variant, scenes)
+            if light is None
+            else (light, camera_of_light(light, study.camera, study.lens))
+        )
 
     check_axis_names(study, (DELTA_E, *metrics_of(study).chosen))
     # Display and chart are those of the study itself, so that all of its cases are comparable.
@@ -667,7 +870,8 @@ def prepare(
             found.append(_checked(of_sizes, scene_of_case, its_camera, without))
     _warn_of_settings_without_effect(cases, found)
     _warn_of_other_parts(found)
-    # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
+    # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of
+    # them.
     kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
     asked_displays = [case.settings.display for case in cases]
     sensors = tuple(
@@ -688,14 +892,17 @@ def prepare(
 
 
 def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]:
-    """Return further displays on which frames of a data sheet's sensor are shown: nobody knows its display.
+    """Return further displays on which frames of a data sheet's sensor are shown: nobody knows its
+    display.
 
     stated : the display, as the user stated it
     """
     study, imaging = case.settings, case.imaging
     if study.own_um is None or imaging is None or imaging.border_um is None:
         return ()
-    return further_displays(stated, imaging.display, case.camera.die_um, imaging.pixel.pitch_um, imaging.border_um)
+    return further_displays(
+        stated, imaging.display, case.camera.die_um, imaging.pixel.pitch_um, imaging.border_um
+    )
 
 
 def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
@@ -708,7 +915,10 @@ def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
         yield replace(
             combination,
             sensor=name,
-            imaging=imaging.changed(single=allows_single(study.tolerance_delta_e), metrics=metrics_of(study, study.repeats)),
+            imaging=imaging.changed(
+                single=allows_single(study.tolerance_delta_e),
+                metrics=metrics_of(study, study.repeats),
+            ),
             # The name of the technology, not its path, which is no part of a result.
             stream=(study.stream_name, study.seed, imaging.physics.technology.name),
             sizes=dict.fromkeys(pitches_um, study.repeats),
@@ -718,22 +928,32 @@ def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
 
 def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
     """Warn if what moves leaves other parts of the frame to score in one case than in another."""
-    rooms_um = {border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases}
+    rooms_um = {
+        border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases
+    }
     if len(rooms_um) > 1:
         warn(Note("unequal_margins", margin_um=math.ceil(max(rooms_um))))
 
 
-def _warn_of_settings_without_effect(given: Sequence[Case[Study]], complete: Sequence[Case[Study]]) -> None:
-    """Warn of the settings that have no effect in any case of a study, and of those that have none in one of its technologies.
+def _warn_of_settings_without_effect(
+    given: Sequence[Case[Study]], complete: Sequence[Case[Study]]
+) -> None:
+    """Warn of the settings that have no effect in any case of a study, and of those that have none
+    in one of its technologies.
 
     given : the cases as the user set them
     complete : the same, with what the user left open
     """
     tried = [(given[number], complete[number]) for number in cases_to_try(given)]
-    technologies = list(dict.fromkeys(name for case in given for name in case.settings.technologies))
+    technologies = list(
+        dict.fromkeys(name for case in given for name in case.settings.technologies)
+    )
     sensors = {
         label: (
-            settings for pair in tried if name in pair[0].settings.technologies for settings in settings_of_technology(*pair, name)
+            settings
+            for pair in tried
+            if name in pair[0].settings.technologies
+            for settings in settings_of_technology(*pair, name)
         )
         for name, label in zip(technologies, labels_of(technologies), strict=True)
     }
@@ -747,7 +967,9 @@ def _same_chart(first: Study, second: Study) -> bool:
 
 
 def _without_axes(study: Study) -> Study:
-    """Return the study with its own settings alone; an axis over technologies leaves the first of them."""
+    """Return the study with its own settings alone; an axis over technologies leaves the first of
+    them.
+    """
     table = study.stated
     for axis in study.axis:
         if "technologies" in axis.points[0].table:
@@ -768,25 +990,46 @@ def check_metrics(
     units: str | None = None,
     names: Sequence[str] = (),
 ) -> SpectralImage | None:
-    """Return the light without the target beside light that is given: `without`, or that of a file that the settings name.
+    """Return the light without the target beside light that is given: `without`, or that of a file
+    that the settings name.
 
     source : scene, or light that is given
     units : of light in files that do not state them
     names : of the pixels, for messages
 
-    Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the source.
+    Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or
+    for the source.
     """
-    request, stated, name = metrics_of(settings), settings.metric.detectability.without, setting("metric.detectability.without")
+    request, stated, name = (
+        metrics_of(settings),
+        settings.metric.detectability.without,
+        setting("metric.detectability.without"),
+    )
     if isinstance(source, SpectralImage):
-        if without is None and has_target(settings.metrics) and isinstance(stated, str) and is_picture(stated):
+        if (
+            without is None
+            and has_target(settings.metrics)
+            and isinstance(stated, str)
+            and is_picture(stated)
+        ):
             with named(name):
                 without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
         elif without is not None and "without" in settings.metric.detectability.model_fields_set:
-            warn(Note("not_used", setting=name, reason="the light without the target is given beside the light"))
+            warn(
+                Note(
+                    "not_used",
+                    setting=name,
+                    reason="the light without the target is given beside the light",
+                )
+            )
         if without is not None:
             check_background(without, source)
         has_without = without is not None
-        known = settings.camera.object_distance_m, settings.metric.niirs.ground_distance_m, source.header.get("camera")
+        known = (
+            settings.camera.object_distance_m,
+            settings.metric.niirs.ground_distance_m,
+            source.header.get("camera"),
+        )
         has_distance = any(each is not None for each in known)
     else:
         if isinstance(stated, str) and has_target(settings.metrics):
@@ -797,7 +1040,9 @@ def check_metrics(
         has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
     for number, pixel in enumerate(pixels):
         with named(names[number] if names else ""):
-            request.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
+            request.check(
+                MetricContext(pixel.colour is not None, has_without, has_distance=has_distance)
+            )
     return None if without is None else without.identified
 
 
@@ -810,16 +1055,19 @@ def sensor_case(
     request: MetricRequest | None = None,
     **of_imaging: bool,
 ) -> Case[Run]:
-    """Return the case of one sensor with its imaging and sizes, after the checks that hold for every command.
+    """Return the case of one sensor with its imaging and sizes, after the checks that hold for
+    every command.
 
     case : with its complete settings, its source and its camera
     repeats : number of sensors of the kind
-    border_um : width that is not scored; None takes that of its own pixels, with room for what moves
+    border_um : width that is not scored; None takes that of its own pixels, with room for what
+        moves
     units : of light in files that do not state them
     request : metrics; None takes ΔE and those of the settings
     of_imaging : further fields of `Imaging`, such as `is_run`
 
-    Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many pixels, or too few dots.
+    Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many
+    pixels, or too few dots.
     """
     run, die_um, pitch_um = case.settings, case.camera.die_um, case.settings.pixel.pitch_um
     without = check_metrics(run, [run.pixel], case.source, case.without, units)
@@ -830,7 +1078,9 @@ def sensor_case(
 
     request = request or metrics_of(with_delta_e(run))
     imaging = imaging.changed(border_um=border_um, metrics=request, **of_imaging)
-    return replace(case, without=without, imaging=imaging, stream_has_pitch=False, sizes={pitch_um: repeats})
+    return replace(
+        case, without=without, imaging=imaging, stream_has_pitch=False, sizes={pitch_um: repeats}
+    )
 
 
 def with_delta_e(run: Run) -> Run:
@@ -838,13 +1088,21 @@ def with_delta_e(run: Run) -> Run:
     return run.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *run.metrics)))})
 
 
-def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera, without: SpectralImage | None = None) -> Case[Study]:
-    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not possible.
+def _checked(
+    case: Case[Study],
+    source: Scene | SpectralImage,
+    camera: Camera,
+    without: SpectralImage | None = None,
+) -> Case[Study]:
+    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not
+    possible.
 
     without : light without the target, beside light that is given
     """
     study = case.settings
-    without = check_metrics(study, [study.options_of(name) for name in study.technologies], source, without)
+    without = check_metrics(
+        study, [study.options_of(name) for name in study.technologies], source, without
+    )
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())

@@ -1,4 +1,6 @@
-"""Regrets of metrics and of conditions: how much worse a picture is at the pixel size that is best by another one."""
+"""Regrets of metrics and of conditions: how much worse a picture is at the pixel size that is best
+by another one.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ class Criterion:
     weight: float | None = None
 
     def regret(self, pitch_um: Array | float) -> Array:
-        """Return how much worse sizes are than the best one: value / best - 1, or best / value - 1 where more is better.
+        """Return how much worse sizes are than the best one: value / best - 1, or best / value - 1
+        where more is better.
 
         Infinite where nothing is left of what more is better, or where the best value is 0.
 
@@ -51,7 +54,8 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Regrets:
-    """Best pixel sizes by several criteria, and how much worse each is at the best sizes of the others.
+    """Best pixel sizes by several criteria, and how much worse each is at the best sizes of the
+    others.
 
     label : of the pixel: its technology, and the values of axes
     kind : of the criteria
@@ -66,15 +70,20 @@ class Regrets:
 
     @property
     def matrix(self) -> Array:
-        """Regret of each criterion at the best size of each, (criteria, criteria): rows are criteria, columns best sizes."""
+        """Regret of each criterion at the best size of each, (criteria, criteria): rows are
+        criteria, columns best sizes.
+        """
         sizes_um = np.array([criterion.optimum.pitch_um for criterion in self.criteria])
         regrets = np.array([criterion.regret(sizes_um) for criterion in self.criteria])
-        np.fill_diagonal(regrets, 0.0)  # the best value is that of the fit, not of its nearest place
+        np.fill_diagonal(
+            regrets, 0.0
+        )  # the best value is that of the fit, not of its nearest place
         return regrets
 
 
 def share_of_best(fit: FittedCurve) -> Array:
-    """Return the least loss of a fitted curve over its loss at each of its pitches, (n,), at most 1.
+    """Return the least loss of a fitted curve over its loss at each of its pitches, (n,), at most
+    1.
 
     Of a least loss of 0, nothing is left where the loss is another one.
     """
@@ -84,7 +93,9 @@ def share_of_best(fit: FittedCurve) -> Array:
 
 
 def criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criterion:
-    """Return a curve's first metric as a criterion: no share is left at sizes where some sensors have nothing of it."""
+    """Return a curve's first metric as a criterion: no share is left at sizes where some sensors
+    have nothing of it.
+    """
     pitch_um, _ = curve.along
     share = np.zeros(pitch_um.shape)
     share[np.isin(pitch_um, curve.fit.pitch_um)] = share_of_best(curve.fit)
@@ -92,11 +103,15 @@ def criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criter
 
 
 def metric_regrets(curve: Curve) -> Regrets | None:
-    """Return the regrets of the metrics of a curve; None if fewer than two of them tell a best size."""
+    """Return the regrets of the metrics of a curve; None if fewer than two of them tell a best
+    size.
+    """
     if len(curve.optima) < 2:
         return None
     by_metric = [curve.judged_by(name) for name in curve.optima]
-    return Regrets(curve.label, "metric", tuple(criterion_of(each, each.metric.words) for each in by_metric))
+    return Regrets(
+        curve.label, "metric", tuple(criterion_of(each, each.metric.words) for each in by_metric)
+    )
 
 
 LEAST_PITCHES = 5  # that a curve is fitted to
@@ -104,10 +119,11 @@ WEIGHTED = "weighted mean"
 
 
 def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
-    """Return the regrets of the conditions for each technology, combination of axes and metric; none without conditions.
+    """Return the regrets of the conditions for each technology, combination of axes and metric;
+    none without conditions.
 
-    A metric that tells a best size in all conditions counts. The last criterion is the weighted mean over the conditions, if
-    `weighted_fit` has one.
+    A metric that tells a best size in all conditions counts. The last criterion is the weighted
+    mean over the conditions, if `weighted_fit` has one.
     """
     groups: dict[tuple[object, ...], list[Curve]] = {}
     for curve in curves:
@@ -119,7 +135,10 @@ def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
     regrets = []
     for group in groups.values():
         metrics = [name for name in group[0].optima if all(name in curve.optima for curve in group)]
-        regrets += [_regrets(study, [curve.judged_by(metric) for curve in group], weights) for metric in metrics]
+        regrets += [
+            _regrets(study, [curve.judged_by(metric) for curve in group], weights)
+            for metric in metrics
+        ]
     return regrets
 
 
@@ -129,34 +148,54 @@ def _regrets(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -
     criteria = [criterion_of(curve, curve.condition, weights[curve.condition]) for curve in curves]
     weighted = weighted_fit(study, curves, weights)
     if weighted is not None:
-        criteria.append(Criterion(WEIGHTED, first.metric, weighted.optimum, weighted.pitch_um, share_of_best(weighted)))
+        criteria.append(
+            Criterion(
+                WEIGHTED, first.metric, weighted.optimum, weighted.pitch_um, share_of_best(weighted)
+            )
+        )
     label = first.label.removesuffix(f", {first.condition}")
     if not first.metric.is_delta_e:
         label += f", {first.metric.words}"
     return Regrets(label, "condition", tuple(criteria), first.technology, first.at)
 
 
-def weighted_fit(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -> FittedCurve | None:
-    """Return the fitted weighted mean of the curves' first metric; None if a condition of weight above 0 has no curve among them.
+def weighted_fit(
+    study: Study, curves: Sequence[Curve], weights: dict[str, float]
+) -> FittedCurve | None:
+    """Return the fitted weighted mean of the curves' first metric; None if a condition of weight
+    above 0 has no curve among them.
 
     Also None with fewer than 5 sizes that all conditions share.
     """
-    if not {curve.condition for curve in curves} >= {condition.name for condition in study.condition if condition.weight}:
+    if not {curve.condition for curve in curves} >= {
+        condition.name for condition in study.condition if condition.weight
+    }:
         return None
     first = curves[0]
-    pitches_um, values = weighted_mean([(curve, weight) for curve in curves if (weight := weights[curve.condition])])
+    pitches_um, values = weighted_mean(
+        [(curve, weight) for curve in curves if (weight := weights[curve.condition])]
+    )
     if pitches_um.size < LEAST_PITCHES:
         return None
-    return fit_of_metric(first.metric, pitches_um, values, partial(photodiode_widths_um, study, first.technology))
+    return fit_of_metric(
+        first.metric, pitches_um, values, partial(photodiode_widths_um, study, first.technology)
+    )
 
 
 def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array]:
-    """Return the pitches that all curves have, (P,), and the weighted mean of the first metric of each sensor there, (P, sensors).
+    """Return the pitches that all curves have, (P,), and the weighted mean of the first metric of
+    each sensor there, (P, sensors).
 
-    Equal sensors of the conditions have equal random streams, so that the scatter of the mean is that of its sensors.
+    Equal sensors of the conditions have equal random streams, so that the scatter of the mean is
+    that of its sensors.
     """
-    pitches_um = np.array(sorted(set.intersection(*(set(curve.pitch_um.tolist()) for curve, _ in weighted))))
-    values = [(curve.statistics[curve.metric.columns[0]], curve.pitch_um, weight) for curve, weight in weighted]
+    pitches_um = np.array(
+        sorted(set.intersection(*(set(curve.pitch_um.tolist()) for curve, _ in weighted)))
+    )
+    values = [
+        (curve.statistics[curve.metric.columns[0]], curve.pitch_um, weight)
+        for curve, weight in weighted
+    ]
     sensors = min(own.shape[1] for own, _, _ in values)
     total = np.zeros((pitches_um.size, sensors))
     for own, tried_um, weight in values:

@@ -1,4 +1,6 @@
-"""Results of a study: curves of mean ΔE against pitch with their optima, and the light, camera and sensors behind them."""
+"""Results of a study: curves of mean ΔE against pitch with their optima, and the light, camera and
+sensors behind them.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,14 @@ from pixsim.sensor.pixel import PixelPhysics, has_microlens
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology
 from pixsim.studies.curve import Curve
-from pixsim.studies.design import BASE, REPEATS_PER_TASK, Case, imaging_of, physics_of, technology_of
+from pixsim.studies.design import (
+    BASE,
+    REPEATS_PER_TASK,
+    Case,
+    imaging_of,
+    physics_of,
+    technology_of,
+)
 from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.lights import Light
@@ -53,10 +62,12 @@ class StudyResult(Result):
     study : as it was run
     curves : one for each technology
     light : on the sensor plane, from which all frames are simulated
-    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.prepare.choose_view`)
+    view : display and chart that pixsim chose for the sensor of a data sheet
+        (`pixsim.studies.prepare.choose_view`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
-    uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
+    uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types
+        were asked for
     table : of all evaluations
     lit : the sensors in their light, where it is prepared already
     """
@@ -74,16 +85,25 @@ class StudyResult(Result):
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
         labels = dict(zip(technologies, labels_of(technologies), strict=True))
-        object.__setattr__(self, "curves", tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves))
+        object.__setattr__(
+            self,
+            "curves",
+            tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves),
+        )
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, and the errors of its light."""
         part, words = self.part_of(curve), curve.words
         light, limit = light_error_and_limit(part.irradiance.header, part.film_at_best(curve))
         fresnel = None
-        if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
+        if has_microlens(
+            part.study.options_of(curve.technology), technology_of(part.study, curve.technology)
+        ):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
-            fresnel = np.array([least_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um], float)
+            fresnel = np.array(
+                [least_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um],
+                float,
+            )
         name = ", ".join(filter(None, (label, words)))
         errors = replace(curve.errors, light=light, light_limit=limit)
         return replace(curve, label=name, errors=errors, fresnel_number=fresnel)
@@ -104,12 +124,16 @@ class StudyResult(Result):
         return self.light.film
 
     def film_at_best(self, curve: Curve) -> FilmError | None:
-        """Return the error of the film at the pitch of a curve with the least mean ΔE; None if it was not measured."""
+        """Return the error of the film at the pitch of a curve with the least mean ΔE; None if it
+        was not measured.
+        """
         best_um = float(curve.pitch_um[np.nanargmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um)
 
     def part_of(self, curve: Curve) -> StudyResult:
-        """Return the result of the case of a curve: of a study without axes and conditions, this result."""
+        """Return the result of the case of a curve: of a study without axes and conditions, this
+        result.
+        """
         return self
 
     @property
@@ -118,7 +142,9 @@ class StudyResult(Result):
         return (self,)
 
     def physics(self, technology: str, pitch_um: Pitch) -> PixelPhysics:
-        """Return a pixel of the study. Raises PixsimError for a pitch that is impossible in the technology."""
+        """Return a pixel of the study. Raises PixsimError for a pitch that is impossible in the
+        technology.
+        """
         return physics_of(self.study, technology, pitch_um)
 
     @property
@@ -129,15 +155,21 @@ class StudyResult(Result):
 
     @property
     def processes(self) -> dict[str, Technology]:
-        """Each technology of the study by its name, with the study's numbers in place of its file's."""
+        """Each technology of the study by its name, with the study's numbers in place of its
+        file's.
+        """
         return {name: technology_of(self.study, name) for name in self.study.technologies}
 
     @cached_property
     def sensors(self) -> dict[str, LitCase]:
         """Each sensor in its light by its name, of a study without axes and conditions."""
         lit = self.lit
-        if not lit or lit[0].imaging.display != self.study.display:  # of a copy with another display
-            combination = Case(self.study, resolved=(self.irradiance, self.camera), without=self.light.without)
+        if (
+            not lit or lit[0].imaging.display != self.study.display
+        ):  # of a copy with another display
+            combination = Case(
+                self.study, resolved=(self.irradiance, self.camera), without=self.light.without
+            )
             cases = list(cases_of_sensors(combination))
             lit = tuple(lit_cases(cases, [self.light] * len(cases)))
         return {sensor.case.sensor: sensor for sensor in lit}
@@ -148,17 +180,27 @@ class StudyResult(Result):
         return next(iter(self.sensors.values())).scenes
 
     def dark(self, curve: Curve) -> dict[str, list[float]]:
-        """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of its numbers."""
+        """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of
+        its numbers.
+        """
         clips = []
-        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
+        for pitch_um, time_s in zip(
+            curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True
+        ):
             imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
             rate = white_rate(imaging, self.irradiance)
-            area_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics) * imaging.readout.bin_side**2
+            area_um2 = (
+                collecting_area_um2(self.irradiance, self.camera, imaging.physics)
+                * imaging.readout.bin_side**2
+            )
             clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
         return {name: [clip[name] for clip in clips] for name in clips[0]}
 
-    def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[FrameScore]:
-        """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
+    def scores(
+        self, technology: str, pitch_um: Pitch, repeats: Count | None = None
+    ) -> list[FrameScore]:
+        """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a
+        pitch.
 
         repeats : None means as many as the study has at this pitch, or started with
 
@@ -167,7 +209,8 @@ class StudyResult(Result):
         return self._scores(technology, pitch_um, repeats)
 
     def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[FrameScore]:
-        """Return `scores` of a `technology` in less time, for pictures: where the cache has the frames, their `mean_e` is 0.
+        """Return `scores` of a `technology` in less time, for pictures: where the cache has the
+        frames, their `mean_e` is 0.
 
         pitch_um : of the pixels
         repeats : number of sensors
@@ -176,19 +219,30 @@ class StudyResult(Result):
         """
         return self._scores(technology, pitch_um, repeats, shown=True)
 
-    def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[FrameScore]:
+    def _scores(
+        self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False
+    ) -> list[FrameScore]:
         lit = self.sensors[technology]
-        light, count = lit.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
+        light, count = (
+            lit.light(),
+            self.sensors_at(technology, pitch_um) if repeats is None else repeats,
+        )
         scores: list[FrameScore] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             repeats_of_block = range(first, min(count, first + REPEATS_PER_TASK))
-            frames = frames_of(task_of(lit, lit.imaging.at(pitch_um), block, {}), light, repeats_of_block, shown=shown)
+            frames = frames_of(
+                task_of(lit, lit.imaging.at(pitch_um), block, {}),
+                light,
+                repeats_of_block,
+                shown=shown,
+            )
             scores += [chain.development.score(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
     def shown_part(self, technology: str, pitch_um: Pitch, part: Callable[[Array], Array]) -> Array:
-        """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as `scores` has it, without ΔE.
+        """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as
+        `scores` has it, without ΔE.
 
         A frame of the cache is shown directly, which takes a fifth of the time of simulating it.
 
@@ -201,7 +255,8 @@ class StudyResult(Result):
         return display_image(chain.development.light(frame, part), self.study.display)
 
     def sensors_at(self, technology: str, pitch_um: Pitch) -> int:
-        """Return the number of sensors of a pitch; for a pitch not in the study, the number that each pitch started with.
+        """Return the number of sensors of a pitch; for a pitch not in the study, the number that
+        each pitch started with.
 
         technology : name or path as in `Study.technologies`
         """
@@ -231,7 +286,8 @@ class CasesResult(StudyResult):
     parts : the result of each case; the light is that of the first
     counts : what was made and what was reused
     left_out : reasons why cases have no curves; each begins with technology and case
-    findings : of a study that compares with the paper, for each case its statements (`pixsim.studies.claims.Finding`)
+    findings : of a study that compares with the paper, for each case its statements
+        (`pixsim.studies.claims.Finding`)
     """
 
     parts: tuple[StudyResult, ...] = field(default=(), repr=False)
@@ -242,7 +298,11 @@ class CasesResult(StudyResult):
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve."""
         case = curve.at, curve.condition, curve.alone
-        same = (part for part in self.parts if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case)
+        same = (
+            part
+            for part in self.parts
+            if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case
+        )
         return next(same, self)
 
     @property
@@ -254,19 +314,27 @@ class CasesResult(StudyResult):
         """Return the result of one case, with its curves, pictures and files.
 
         condition : its name; None if the study has at most one
-        at : axis -> its value in the unit of its settings, or its label; axes that tell no cases apart need not be given
+        at : axis -> its value in the unit of its settings, or its label; axes that tell no cases
+            apart need not be given
 
         Raises PixsimError if no case, or more than one, is named.
         """
-        of_study = ([part.curves[0].at for part in self.parts], [part.curves[0].condition for part in self.parts])
+        of_study = (
+            [part.curves[0].at for part in self.parts],
+            [part.curves[0].condition for part in self.parts],
+        )
         found = [
             part
             for part, values, name in zip(self.parts, *of_study, strict=True)
-            if condition in (None, name) and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
+            if condition in (None, name)
+            and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
         ]
         if len(found) == 1:
             return found[0]
-        got = ", ".join([f"{name} = {value}" for name, value in at.items()] + ([f"condition {condition}"] if condition else []))
+        got = ", ".join(
+            [f"{name} = {value}" for name, value in at.items()]
+            + ([f"condition {condition}"] if condition else [])
+        )
         allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
         allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
         raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
@@ -277,8 +345,11 @@ def _is_value(value: float | int | str, asked: float | int | str) -> bool:
     return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
 
 
-def causes_of_curve(lit: LitCase, curve: Curve, lightness: tuple[float, float], table: Table) -> tuple[Cause, ...]:
-    """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
+def causes_of_curve(
+    lit: LitCase, curve: Curve, lightness: tuple[float, float], table: Table
+) -> tuple[Cause, ...]:
+    """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the
+    largest first.
 
     lit : the case of the curve
     lightness : the ideal image's, lowest and highest
@@ -286,18 +357,27 @@ def causes_of_curve(lit: LitCase, curve: Curve, lightness: tuple[float, float], 
     """
     best_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
     at_best = np.flatnonzero(table.columns["pitch_um"] == best_um)[:FEW_ROWS]
-    return causes_of_frames(lit.scenes.irradiance, lit.imaging.at(best_um), lightness, table.take(at_best))
+    return causes_of_frames(
+        lit.scenes.irradiance, lit.imaging.at(best_um), lightness, table.take(at_best)
+    )
 
 
-def causes_of_frames(image: SpectralImage, imaging: Imaging, lightness: tuple[float, float], table: Table) -> tuple[Cause, ...]:
-    """Return the causes of the mean ΔE of some frames of one pixel, beside noise and blur, the largest first.
+def causes_of_frames(
+    image: SpectralImage, imaging: Imaging, lightness: tuple[float, float], table: Table
+) -> tuple[Cause, ...]:
+    """Return the causes of the mean ΔE of some frames of one pixel, beside noise and blur, the
+    largest first.
 
     image, imaging : the light and the settings of the pixel
     lightness : the ideal image's, lowest and highest
     table : of the frames
     """
-    time_s, saturated = (float(np.mean(table.columns[name])) for name in ("integration_s", "saturated_fraction"))
-    area_um2 = collecting_area_um2(image, imaging.camera, imaging.physics) * imaging.readout.bin_side**2
+    time_s, saturated = (
+        float(np.mean(table.columns[name])) for name in ("integration_s", "saturated_fraction")
+    )
+    area_um2 = (
+        collecting_area_um2(image, imaging.camera, imaging.physics) * imaging.readout.bin_side**2
+    )
     return causes_of(
         imaging,
         image.header,

@@ -1,4 +1,5 @@
-"""Run a scene, or a picture of another program, through one sensor: from settings to mean ΔE, and what is known of its error.
+"""Run a scene, or a picture of another program, through one sensor: from settings to mean ΔE, and
+what is known of its error.
 
 Where a target is just seen is found by running the case in the light of other values of the scene.
 """
@@ -39,7 +40,15 @@ from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light, without_target
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
-from pixsim.studies.prepare import Job, choose_view, is_picture, loaded_scene, scene_with_view, sensor_case, with_view
+from pixsim.studies.prepare import (
+    Job,
+    choose_view,
+    is_picture,
+    loaded_scene,
+    scene_with_view,
+    sensor_case,
+    with_view,
+)
 from pixsim.studies.table import Table
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.chain import ImagingChain
@@ -52,21 +61,34 @@ from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import DETECTABILITY
-from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, prepare_scene, registered_in
+from pixsim.viewer.scene_light import (
+    PreparedScene,
+    SceneCache,
+    SceneLight,
+    prepare_scene,
+    registered_in,
+)
 from pixsim.viewer.score import Cause, FrameScore, LightError, Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
 
-# --- where a target is just seen --------------------------------------------------------------------------------------------------
+# --- where a target is just seen
+# --------------------------------------------------------------------------------------------------
 
 SOUGHT = "metric.detectability.solve_for"
 WITHIN = 1e-3  # relative, of the value that is found
 WIDEST_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
-SLOWEST = 2.2  # of the logarithm of a value, that of d′ is half or more: it grows at least as the root of the light
-MAX_STEPS, MOST_RENDERS = 9, 24  # on the way to a value on the other side of the threshold; of the whole search
-UPWARD_STEPS = 3  # from the last value that is seen, up to 512 times as much: beyond it a target may be too bright
+# of the logarithm of a value, that of d′ is half or more: it grows at least as the root of the
+# light
+SLOWEST = 2.2
+MAX_STEPS, MOST_RENDERS = (
+    9,
+    24,
+)  # on the way to a value on the other side of the threshold; of the whole search
+# from the last value that is seen, up to 512 times as much: beyond it a target may be too bright
+UPWARD_STEPS = 3
 LEAST = 1e-6  # in place of a d′ of 0
 
 
@@ -77,7 +99,8 @@ class Threshold:
     parameter : of the scene
     threshold : d′ at which it is seen
     value : of the parameter, from which on d′ is the threshold or more; None if none was found
-    upper_value : beyond which d′ is below the threshold again, as of light that fills the pixels; None if none was found
+    upper_value : beyond which d′ is below the threshold again, as of light that fills the pixels;
+        None if none was found
     tried : values from the first one on, before they lay on both sides of the threshold
     reason : why none was found; empty if one was, or if the last value tried is not enough
     """
@@ -91,7 +114,8 @@ class Threshold:
 
 
 def start_of(settings: Run, source: Scene | object) -> float | None:
-    """Return the value of the parameter that a run looks for, with which it starts; None if it looks for none.
+    """Return the value of the parameter that a run looks for, with which it starts; None if it
+    looks for none.
 
     Raises PixsimError for light that is given, and for a parameter without a number.
     """
@@ -99,27 +123,48 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
     if name is None or DETECTABILITY.name not in settings.metrics:
         return None
     if not isinstance(source, Scene):
-        raise invalid(setting(SOUGHT), f"'{name}' for light that is given", "a parameter of a scene, which is rendered again")
+        raise invalid(
+            setting(SOUGHT),
+            f"'{name}' for light that is given",
+            "a parameter of a scene, which is rendered again",
+        )
     stated = settings.scene.get(name, source.text().defaults.get(name))
     try:
         start = float(stated) if stated is not None else math.nan
     except ValueError:
         start = math.nan
     if not math.isfinite(start) or not start:
-        got = f"'{name}', of which the value {stated} is stated" if stated is not None else f"'{name}', of which no value is stated"
-        allowed = f"a parameter of {source.path.name} with a number other than 0, from which the search starts"
-        raise invalid(setting(SOUGHT), got, allowed, f"As contrast, size_mm or lux: {parameter('lux', '100')}.")
+        got = (
+            f"'{name}', of which the value {stated} is stated"
+            if stated is not None
+            else f"'{name}', of which no value is stated"
+        )
+        allowed = (
+            f"a parameter of {source.path.name} with a number other than 0, from which the search"
+            " starts"
+        )
+        raise invalid(
+            setting(SOUGHT),
+            got,
+            allowed,
+            f"As contrast, size_mm or lux: {parameter('lux', '100')}.",
+        )
     return start
 
 
 def threshold_of(
-    job: Job[Run], light: Light, d_prime: float, d_prime_in: Callable[[SceneLight], float], progress: Progress | None = None
+    job: Job[Run],
+    light: Light,
+    d_prime: float,
+    d_prime_in: Callable[[SceneLight], float],
+    progress: Progress | None = None,
 ) -> Threshold:
-    """Return where d′ of the target is the threshold, from scenes that are rendered again on the film of the run.
+    """Return where d′ of the target is the threshold, from scenes that are rendered again on the
+    film of the run.
 
-    d′ rises with a size, a contrast and the light, between their root and their square, until pixels are full; then it falls. The
-    search climbs from the first value until d′ is the threshold or more, goes on from there to both sides until it is less, and
-    closes in on the values between.
+    d′ rises with a size, a contrast and the light, between their root and their square, until
+    pixels are full; then it falls. The search climbs from the first value until d′ is the threshold
+    or more, goes on from there to both sides until it is less, and closes in on the values between.
 
     job : a run that asks for it
     light : of the run
@@ -143,8 +188,12 @@ def threshold_of(
     number = count(1)
 
     def excess(away: float) -> float:
-        """Return the logarithm of d′ over the threshold, at a logarithm of the value over the first one."""
-        scene = scene_with_view(load(parameters=settings.scene | {name: start * math.exp(away)}), job.view)
+        """Return the logarithm of d′ over the threshold, at a logarithm of the value over the first
+        one.
+        """
+        scene = scene_with_view(
+            load(parameters=settings.scene | {name: start * math.exp(away)}), job.view
+        )
         scene = scene.with_resolution(across)
         image, _ = request.render(scene, request.plan_of(scene))
         background = without_target(replace(request, scene=scene), across)
@@ -170,7 +219,8 @@ def threshold_of(
 
 
 class Search:
-    """Where a function that rises, and may fall beyond a maximum, is 0 or more, from few of its values.
+    """Where a function that rises, and may fall beyond a maximum, is 0 or more, from few of its
+    values.
 
     function : of a logarithm; it raises PixsimError for what cannot be
     at : its values that are known, of one argument at least
@@ -189,17 +239,23 @@ class Search:
         return max(self.at, key=lambda away: (self.at[away], -away))
 
     def seen(self) -> tuple[float | None, float | None]:
-        """Return the ends of the range in which it is 0 or more; None for an end that was not found."""
+        """Return the ends of the range in which it is 0 or more; None for an end that was not
+        found.
+        """
         self.climb()
         if self.at[self.best] < 0:
             return None, None
         return self.end(-1, MAX_STEPS), self.end(1, UPWARD_STEPS)
 
     def climb(self) -> None:
-        """Evaluate until it is 0 or more somewhere: up first, down from where it falls, then around its maximum."""
+        """Evaluate until it is 0 or more somewhere: up first, down from where it falls, then around
+        its maximum.
+        """
         for _ in range(MAX_STEPS):
             best = self.best
-            lower, upper = ([away for away in self.at if (away - best) * sign > 0] for sign in (-1, 1))
+            lower, upper = (
+                [away for away in self.at if (away - best) * sign > 0] for sign in (-1, 1)
+            )
             if self.at[best] >= 0:
                 return
             if not upper:
@@ -211,7 +267,9 @@ class Search:
                 self.step(best, 1 if gaps[1] >= gaps[0] else -1, max(gaps) / 2)
 
     def end(self, direction: int, steps: int) -> float | None:
-        """Return where it crosses 0 beyond all arguments at which it is more, in a direction; None if it does in no step."""
+        """Return where it crosses 0 beyond all arguments at which it is more, in a direction; None
+        if it does in no step.
+        """
         for number in range(steps + 1):
             inner = direction * max(direction * away for away in self.at if self.at[away] >= 0)
             outside = [away for away in self.at if (away - inner) * direction > 0]
@@ -223,7 +281,11 @@ class Search:
                 return inner
             if number == steps or (is_bright and self.limits[1] < math.inf):
                 break
-            self.step(inner, direction, WIDEST_STEP if is_bright else min(SLOWEST * self.at[inner], WIDEST_STEP))
+            self.step(
+                inner,
+                direction,
+                WIDEST_STEP if is_bright else min(SLOWEST * self.at[inner], WIDEST_STEP),
+            )
         return None
 
     def step(self, away: float, direction: int, length: float) -> None:
@@ -242,7 +304,8 @@ class Search:
         return self.at[away]
 
 
-# --- a run ------------------------------------------------------------------------------------------------------------------------
+# --- a run
+# ------------------------------------------------------------------------------------------------------------------------
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
@@ -250,7 +313,8 @@ BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
 
-# --- what is run, before anything is rendered ----------------------------------------------------------------------------------
+# --- what is run, before anything is rendered
+# ----------------------------------------------------------------------------------
 
 
 def prepare(
@@ -284,7 +348,11 @@ def prepare(
     scene: Scene | None = None
     picture: SpectralImage | None = None
     if isinstance(source, SpectralImage):
-        picture, whole, source = source, camera_of_light(source, settings.camera, settings.lens), LIGHT_FILE
+        picture, whole, source = (
+            source,
+            camera_of_light(source, settings.camera, settings.lens),
+            LIGHT_FILE,
+        )
     elif is_picture(source):
         of_scenes = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant} | {
             f"--{name.removesuffix('_mm').replace('_', '-')} ({name})": getattr(settings, name)
@@ -292,26 +360,42 @@ def prepare(
         }
         if stated := [words for words, value in of_scenes.items() if value]:
             hint = "Take them out of a settings file of the scene, too."
-            raise invalid(", ".join(stated), f"'{source}', a picture", "a Mitsuba scene, or none of these", hint)
+            raise invalid(
+                ", ".join(stated),
+                f"'{source}', a picture",
+                "a Mitsuba scene, or none of these",
+                hint,
+            )
         picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
     else:
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
-        scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+        scene = loaded_scene(
+            source,
+            settings.scene,
+            settings.resolution,
+            settings.display,
+            variant=variant,
+            sensor=sensor,
+        )
         whole = scene.camera(settings.camera, settings.lens)
     known = scene or picture
     assert known is not None
     start_of(settings, scene)
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
-        warn_of_settings_without_effect({"": [GivenSettings.of_setting(imaging, settings, picture=picture)]})
+        warn_of_settings_without_effect(
+            {"": [GivenSettings.of_setting(imaging, settings, picture=picture)]}
+        )
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = known if scene is None else scene_with_view(scene, view)
-    case = Case(complete, resolved=(seen, camera), stream=("evaluate", settings.seed), frames=frames)
+    case = Case(
+        complete, resolved=(seen, camera), stream=("evaluate", settings.seed), frames=frames
+    )
     case = sensor_case(case, repeats=repeats, units=units, full=full, is_run=True)
     assert case.imaging is not None
     case = replace(case, sensor=case.imaging.technology.name)
@@ -331,7 +415,8 @@ def prepare(
     return job
 
 
-# --- the result ------------------------------------------------------------------------------------------------------------------
+# --- the result
+# ------------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -351,12 +436,14 @@ class RunResult(LitRun, Result):
 
     prepared : what was run: source, settings and camera
     irradiance : light on the sensor, before diffraction
-    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
+    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for
+        light of another program
     warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     table : of the first frame of each sensor
-    table_at_first : the same of further sensors at the first one's registration; None if all sensors have it
+    table_at_first : the same of further sensors at the first one's registration; None if all
+        sensors have it
     keys : of the rows of the table, hashes of all that they depend on
     threshold : where the target is just seen, if the settings ask for it
     """
@@ -405,11 +492,14 @@ class RunResult(LitRun, Result):
 
     @property
     def is_spread(self) -> bool:
-        """Whether the sensors' registrations are spread, so that intervals hold for all registrations and not for one."""
+        """Whether the sensors' registrations are spread, so that intervals hold for all
+        registrations and not for one.
+        """
         return self.table_at_first is not None
 
     def interval(self, values: Array, column: str) -> tuple[float, float] | None:
-        """Return the 95 % interval of the expectation of a number of the sensors; None of one sensor.
+        """Return the 95 % interval of the expectation of a number of the sensors; None of one
+        sensor.
 
         It is that of `spread_interval`, and by Student's t where all sensors have one registration.
 
@@ -426,15 +516,21 @@ class RunResult(LitRun, Result):
     @property
     def judged(self) -> dict[str, Array]:
         """Metrics beside ΔE by their names, of each sensor, (sensors,)."""
-        others = [metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E]
+        others = [
+            metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E
+        ]
         return {metric.name: np.asarray(self.table.columns[metric.columns[0]]) for metric in others}
 
     @cached_property
     def white_e(self) -> float:
-        """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
+        """Mean electrons of the scene's white on axis in the first frame, of a pixel without a
+        stack.
+        """
         readout = self.score.readout
         area_um2 = collecting_area_um2(self.irradiance, self.camera, readout.physics)
-        rate = white_rate(self.chain.imaging.changed(display=self.settings.display), self.irradiance)
+        rate = white_rate(
+            self.chain.imaging.changed(display=self.settings.display), self.irradiance
+        )
         return rate * area_um2 * readout.bin_side**2 * self.score.frame.integration_s
 
     @cached_property
@@ -472,7 +568,9 @@ class RunResult(LitRun, Result):
 
     @property
     def _light_and_limit(self) -> tuple[LightError, LightError]:
-        return light_error_and_limit(self.irradiance.header, self.rendered.film if self.rendered else None)
+        return light_error_and_limit(
+            self.irradiance.header, self.rendered.film if self.rendered else None
+        )
 
     @cached_property
     def noise_budget(self) -> NoiseBudget | None:
@@ -483,12 +581,20 @@ class RunResult(LitRun, Result):
 
     @property
     def colour(self) -> dict[str, Any] | None:
-        """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a monochrome one."""
-        return None if self.chain.rendition is None else self.chain.development.colour_facts(self.score.frame.integration_s)
+        """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a
+        monochrome one.
+        """
+        return (
+            None
+            if self.chain.rendition is None
+            else self.chain.development.colour_facts(self.score.frame.integration_s)
+        )
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
+        """What a reader should know besides the score: its causes, warnings, a black level that
+        clips dark noise.
+        """
         return [Note.restored(**note) for note in self.as_dict()["notes"]]
 
     def further_frames(self) -> Iterator[Frame]:
@@ -498,10 +604,14 @@ class RunResult(LitRun, Result):
     def __repr__(self) -> str:
         metric = metrics_named(self.settings.metrics)[0]
         value = f"{metric.name} {estimate(self.table.columns[metric.columns[0]].mean())}"
-        return f"<RunResult {self.prepared.file}: {value}, {self.score.physics.pitch_um:g} µm pixels, {self.delta_e.size} sensors>"
+        return (
+            f"<RunResult {self.prepared.file}: {value}, {self.score.physics.pitch_um:g} µm pixels,"
+            f" {self.delta_e.size} sensors>"
+        )
 
 
-# --- the way from the settings to the result -------------------------------------------------------------------------------------
+# --- the way from the settings to the result
+# -------------------------------------------------------------------------------------
 
 
 def run(
@@ -520,22 +630,29 @@ def run(
     metrics: Sequence[str | Callable[[Score], float]] = (),
     **settings: object,
 ) -> RunResult:
-    """Render a scene, capture it with one sensor and score the image, with the errors of its light, as `pixsim run` does.
+    """Render a scene, capture it with one sensor and score the image, with the errors of its light,
+    as `pixsim run` does.
 
-    scene : XML file or name of a packaged scene; or a spectral image of another program (.exr, .npz, .hdr)
-    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    scene : XML file or name of a packaged scene; or a spectral image of another program (.exr,
+        .npz, .hdr)
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
+        precedence
     parameters : of the scene, each in its unit
-    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the files
-    repeats : number of sensors of the kind, each at another registration with the picture; of several, the result has
-        `interval_delta_e`. Pictures are those of the first, which is centred
-    frames : number of frames of the first sensor, for the result's `further_frames`; the first is scored
+    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the
+        files
+    repeats : number of sensors of the kind, each at another registration with the picture; of
+        several, the result has `interval_delta_e`. Pictures are those of the first, which is
+        centred
+    frames : number of frames of the first sensor, for the result's `further_frames`; the first is
+        scored
     full : leave out no effect, whatever the plan says of its size
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
     units : of an image whose file does not state them, such as W.m^-2.nm^-1
     progress : returns a callback for each named stage
     metrics : names of further metrics, or functions of a `Score`, each a number in its own unit
-    settings : other tables and fields of `Run`: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3, window_mm=1.0
+    settings : other tables and fields of `Run`: camera={"f_number": 2.8}, exposure={…},
+        display={…}, seed=3, window_mm=1.0
 
     Raises PixsimError for invalid input, before anything is rendered.
 
@@ -549,7 +666,14 @@ def run(
         own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
         asked = run_settings(config, settings | own)
         prepared = prepare(
-            str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
+            str(scene),
+            asked,
+            full=full,
+            repeats=repeats,
+            frames=frames,
+            sensor=sensor,
+            variant=variant,
+            units=units,
         )
         return run_prepared(prepared, progress=progress)
 
@@ -575,13 +699,20 @@ def light_run(prepared: Job[Run], stage: Stage) -> LitRun:
 
 
 def score_run(
-    rendered_run: LitRun, stage: Stage, prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene
+    rendered_run: LitRun,
+    stage: Stage,
+    prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene,
 ) -> RunResult:
-    """Return the result of a run whose light is known: its case, a design of one, evaluated with its pictures.
+    """Return the result of a run whose light is known: its case, a design of one, evaluated with
+    its pictures.
 
     prepare : as `prepare_scene`, which may know what that did before
     """
-    job, image, settings = rendered_run.prepared, rendered_run.irradiance, rendered_run.prepared.settings
+    job, image, settings = (
+        rendered_run.prepared,
+        rendered_run.irradiance,
+        rendered_run.prepared.settings,
+    )
     case, light = job.cases[0], rendered_run.rendered
     with collected_notes() as notes:
         scored = stage("sense and score")
@@ -605,7 +736,9 @@ def score_run(
     threshold = None
     if light is not None and start_of(settings, case.scene) is not None:
         d_prime = float(table.columns["detectability"][0])
-        threshold = threshold_of(job, light, d_prime, partial(d_prime_in, case), stage("look for the threshold"))
+        threshold = threshold_of(
+            job, light, d_prime, partial(d_prime_in, case), stage("look for the threshold")
+        )
     result = RunResult(
         *(job, image, light, rendered_run.plan, warned),
         chain=chain_of_first,
@@ -618,7 +751,9 @@ def score_run(
     return replace(result, score=replace(score, light=result.light))
 
 
-def lit_run(case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]) -> LitCase:
+def lit_run(
+    case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]
+) -> LitCase:
     """Return the case of a run in its light, with the white that the light says.
 
     prepare : as `prepare_scene`
@@ -633,7 +768,9 @@ def lit_run(case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, Scen
 
 
 def d_prime_in(case: Case[Run], light: SceneLight) -> float:
-    """Return d′ of the first sensor of a case in some light. Raises NoNumberError if it has none."""
+    """Return d′ of the first sensor of a case in some light. Raises NoNumberError if it has
+    none.
+    """
     assert case.imaging is not None
     imaging = case.imaging.changed(metrics=MetricRequest((DETECTABILITY,), case.settings.metric))
     case = replace(case, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
@@ -646,13 +783,16 @@ def d_prime_in(case: Case[Run], light: SceneLight) -> float:
 def sensors_at_first(lit: LitCase) -> list[LitCase]:
     """Return further sensors at the registration of the first one, each a case of its own."""
     case = lit.case
-    streams = [(*case.stream, "at the first registration", number) for number in range(1, NOISE_SENSORS)]
+    streams = [
+        (*case.stream, "at the first registration", number) for number in range(1, NOISE_SENSORS)
+    ]
     cases = [replace(case, stream=stream, group=number) for number, stream in enumerate(streams)]
     return [replace(lit, case=replace(each, sizes=dict.fromkeys(case.sizes, 1))) for each in cases]
 
 
 def with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:
-    """Return the score of a run's first frame with the numbers of its metrics, of the first row of the table.
+    """Return the score of a run's first frame with the numbers of its metrics, of the first row of
+    the table.
 
     names : of the metrics that were asked for
 
@@ -664,7 +804,10 @@ def with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> Frame
     numbers = {name: float(values[0]) for name, values in table.columns.items()}
     others = [metric for metric in metrics_named(names) if metric is not DELTA_E]
     further = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
-    first = {metric.name: further.get(metric.columns[0], score.mean_delta_e) for metric in metrics_named(names)}
+    first = {
+        metric.name: further.get(metric.columns[0], score.mean_delta_e)
+        for metric in metrics_named(names)
+    }
     return replace(score, metrics=first, further=further)
 
 

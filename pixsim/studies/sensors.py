@@ -1,4 +1,6 @@
-"""Sensors that are compared: from their files to cases that see the same field, on one display, in the same light."""
+"""Sensors that are compared: from their files to cases that see the same field, on one display, in
+the same light.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,26 @@ from pixsim.studies.design import (
 from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, study_of
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.prepare import Job, Types, asked_of, choose_view, is_picture, loaded_scene, sensor_case, with_delta_e, with_view
-from pixsim.studies.settings import STUDY_ALONE, Study, check_asked, owner_of, parts_of_study, paths_of, unused_settings
+from pixsim.studies.prepare import (
+    Job,
+    Types,
+    asked_of,
+    choose_view,
+    is_picture,
+    loaded_scene,
+    sensor_case,
+    with_delta_e,
+    with_view,
+)
+from pixsim.studies.settings import (
+    STUDY_ALONE,
+    Study,
+    check_asked,
+    owner_of,
+    parts_of_study,
+    paths_of,
+    unused_settings,
+)
 from pixsim.studies.table import Label
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um
@@ -51,20 +71,32 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
-from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, changed_settings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import (
+    SOLVE_FOR,
+    GivenSettings,
+    changed_settings,
+    warn_of_settings_without_effect,
+)
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
 
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS, USUAL_REPEATS = (FEWEST_PAIRS, 10_000), 8
-OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
-# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files that state none. Its pixels,
-# technologies and pixel sizes are not used.
+OF_A_SENSOR = (
+    "camera",
+    "lens",
+    "pixel",
+    "exposure",
+)  # tables that each file has of its own; the others are those of the first
+# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files
+# that state none. Its pixels, technologies and pixel sizes are not used.
 OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
 SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
-DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+DIGITS = (
+    12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+)
 
 
 def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
@@ -74,16 +106,19 @@ def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class SensorGroup:
-    """Sensors that see one field through matched cameras on one display: at values of axes, under a condition, by a match.
+    """Sensors that see one field through matched cameras on one display: at values of axes, under a
+    condition, by a match.
 
-    cases : of the sensors, each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
+    cases : of the sensors, each with its own camera, pixel and exposure; the frequencies of its
+        chart on the sensor go with the die
     weight : share of the condition; 1 without conditions
     match : of the cameras
     scene : file, or name of a packaged scene
     finest : name of the sensor with the most pixels, whose view all have
     border : width of the border that is not scored, as a fraction of the width of the field
     view : display and chart that pixsim chose
-    film_width : samples across the first film, the most that any of the sensors needs: with one film, all see the same picture
+    film_width : samples across the first film, the most that any of the sensors needs: with one
+        film, all see the same picture
     """
 
     cases: tuple[Case[Run], ...]
@@ -123,10 +158,14 @@ class SensorGroup:
 
     def request(self, sensor: Case[Run], width: int) -> LightRequest:
         """Return what a sensor asks of its light on a film of so many samples across."""
-        return light_request(replace(sensor, resolved=(sensor.scene.with_resolution(width), sensor.camera)))
+        return light_request(
+            replace(sensor, resolved=(sensor.scene.with_resolution(width), sensor.camera))
+        )
 
     def sees_the_same(self, other: SensorGroup) -> bool:
-        """Return whether these sensors see in another group what they see here: field, chart, film and displays."""
+        """Return whether these sensors see in another group what they see here: field, chart, film
+        and displays.
+        """
         if (self.border, self.film_width) != (other.border, other.film_width):
             return False
         among = {case.sensor: case for case in other.cases}
@@ -146,13 +185,20 @@ def _seen_by(case: Case[Run]) -> tuple[object, ...]:
 
 
 def sensor_layer(file: str) -> Layer:
-    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged one; or a technology."""
+    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged
+    one; or a technology.
+    """
     known = packaged("data/technologies")
     if file not in known:
         path, names = Path(file), [*known, *packaged_sensors()]
         if path.suffix != ".toml" and file not in names:
             got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
-            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(names)}", did_you_mean(file, names))
+            raise invalid(
+                "sensor",
+                got,
+                f"a TOML file, or one of {', '.join(names)}",
+                did_you_mean(file, names),
+            )
         layer = settings_layer(file)
         if "pixel" in layer.table:
             return layer
@@ -164,21 +210,32 @@ def sensor_layer(file: str) -> Layer:
 
 
 def read_sensors(
-    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], overrides: Layer | None = None
+    files: Sequence[str],
+    lens: Layer,
+    config: Sequence[Layer],
+    options: dict[str, Any],
+    overrides: Layer | None = None,
 ) -> list[Case[Run]]:
     """Return the sensor of each file, with the settings of all sensors over its own.
 
     lens : [camera] for files that state none of it
-    config, options, overrides : for all sensors; each takes precedence over the one before it, and over a sensor's own file
+    config, options, overrides : for all sensors; each takes precedence over the one before it, and
+        over a sensor's own file
 
     Raises PixsimError that lists every problem of a file.
     """
     sensors: list[Case[Run]] = []
     for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
         own = sensor_layer(file)
-        run: Run = checked(Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])])
+        run: Run = checked(
+            Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])]
+        )
         first = sensors[0].settings if sensors else run
-        if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
+        if unused := [
+            n
+            for n in own.table
+            if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)
+        ]:
             tables = ", ".join(f"[{name}]" for name in OF_A_SENSOR)
             reason = f"only {tables} are used of it, and else the first file"
             warn(Note("not_used", setting=f"{file}: {', '.join(unused)}", reason=reason))
@@ -191,19 +248,33 @@ def check_files(files: Sequence[str]) -> None:
     low, high = SENSORS
     if not low <= len(files) <= high:
         hint = "" if files else "For example: pixsim compare a.toml b.toml"
-        raise invalid("sensors", f"{len(files)} ({', '.join(files)})" if files else "none", f"{low} to {high} files", hint)
+        raise invalid(
+            "sensors",
+            f"{len(files)} ({', '.join(files)})" if files else "none",
+            f"{low} to {high} files",
+            hint,
+        )
     for file in files:
         check_name(file, "sensor")
     real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
     for number, file in enumerate(real):
         if file in real[:number]:
             got = f"'{files[number]}' twice"
-            raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
+            raise invalid(
+                "sensors",
+                got,
+                "different files",
+                "A copy of the file may have other numbers, or the same.",
+            )
 
 
 def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return some tables of a study or of a condition, and the parameters of its scene, as those of `Run`."""
-    scene = {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
+    """Return some tables of a study or of a condition, and the parameters of its scene, as those of
+    `Run`.
+    """
+    scene = (
+        {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
+    )
     return {name: table[name] for name in names if name in table and name != "scene"} | scene
 
 
@@ -216,7 +287,8 @@ def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
 
 
 def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
-    """Return settings of a condition and of axes as tables of `Run`. Raises PixsimError for one that a comparison does not have.
+    """Return settings of a condition and of axes as tables of `Run`. Raises PixsimError for one
+    that a comparison does not have.
 
     where : names the condition and the values
     """
@@ -226,9 +298,13 @@ def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
         raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
     camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
     if isinstance(camera, Mapping) and (die := [name for name in OF_DIE if name in camera]):
-        raise invalid(where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
+        raise invalid(
+            where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die"
+        )
     if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
-        raise invalid(where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size")
+        raise invalid(
+            where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size"
+        )
     files = "set.scene.file, set.scene.parameters.<name>"
     if scene is not None and not isinstance(scene, Mapping):
         raise invalid(where, f"set.scene = {scene!r}", files)
@@ -268,11 +344,18 @@ class Circumstances:
 
         more : labels before theirs
         """
-        return replace(case, at=self.at, alone=self.alone, condition=self.condition, labels={**more, **self.labels})
+        return replace(
+            case,
+            at=self.at,
+            alone=self.alone,
+            condition=self.condition,
+            labels={**more, **self.labels},
+        )
 
 
 def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstances]]:
-    """Return the circumstances of a study: at each combination of its axes, under each of its conditions.
+    """Return the circumstances of a study: at each combination of its axes, under each of its
+    conditions.
 
     source : file of the study, for messages
 
@@ -291,10 +374,16 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstanc
             table = merge(table, point.table)
         under: list[Circumstances] = []
         for condition in plan.condition or (None,):
-            name, settings = ("", table) if condition is None else (condition.name, merge(table, condition.set))
+            name, settings = (
+                ("", table) if condition is None else (condition.name, merge(table, condition.set))
+            )
             values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
             words = ", ".join([*values, *([f"condition {name}"] if name else [])])
-            layer = overrides_layer(settings, ": ".join(filter(None, (source, words)))) if settings else None
+            layer = (
+                overrides_layer(settings, ": ".join(filter(None, (source, words))))
+                if settings
+                else None
+            )
             weight = 1.0 if condition is None else condition.weight / total
             scene = str(settings.get("scene", {}).get("file", ""))
             under.append(Circumstances(weight, layer, scene, at, alone, name, words))
@@ -303,7 +392,13 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstanc
 
 
 def circumstances_of_sensors(
-    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], scene: str, plan: Study | None, source: str
+    files: Sequence[str],
+    lens: Layer,
+    config: Sequence[Layer],
+    options: dict[str, Any],
+    scene: str,
+    plan: Study | None,
+    source: str,
 ) -> list[list[Circumstances]]:
     """Return the circumstances of a study with the sensors of files.
 
@@ -316,7 +411,10 @@ def circumstances_of_sensors(
     for under in circumstances(plan, source):
         complete = []
         for place in under:
-            sensors = [place.placed(sensor) for sensor in read_sensors(files, lens, config, options, place.layer)]
+            sensors = [
+                place.placed(sensor)
+                for sensor in read_sensors(files, lens, config, options, place.layer)
+            ]
             complete.append(replace(place, scene=place.scene or scene, sensors=tuple(sensors)))
         combined.append(complete)
     return combined
@@ -327,51 +425,76 @@ def warn_of_uncertainty(sources: Sequence[str]) -> None:
     for path in map(Path, sources):
         if path.is_file() and (unsure := sheet_uncertainty(path)):
             reason = f"it is used with {setting('uncertainty')} only"
-            warn(Note("not_used", setting=f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)}", reason=reason))
+            warn(
+                Note(
+                    "not_used",
+                    setting=f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)}",
+                    reason=reason,
+                )
+            )
 
 
 def _warn_of_settings_without_effect(
-    given: Sequence[Sequence[Case[Run]]], complete: Sequence[Sequence[Case[Run]]], match: Match, unused: Sequence[str]
+    given: Sequence[Sequence[Case[Run]]],
+    complete: Sequence[Sequence[Case[Run]]],
+    match: Match,
+    unused: Sequence[str],
 ) -> None:
-    """Warn of the settings that have no effect in any condition of a comparison, with the sensors that set them.
+    """Warn of the settings that have no effect in any condition of a comparison, with the sensors
+    that set them.
 
     given : the sensors under each condition, as the user set them
     complete : the same, with their cameras
     unused : dotted names of settings that only a study takes
 
-    Motion, display, correction and development are those of the first sensor; so is the lens, unless each has its own.
+    Motion, display, correction and development are those of the first sensor; so is the lens,
+    unless each has its own.
     """
     sensors: dict[str, list[GivenSettings]] = {}
     for sensors_of_condition, found in zip(given, complete, strict=True):
         first = sensors_of_condition[0].settings
         for sensor, case in zip(sensors_of_condition, found, strict=True):
-            shared = {table: getattr(first, table) for table in ("motion", "correction", "develop", "display")}
+            shared = {
+                table: getattr(first, table)
+                for table in ("motion", "correction", "develop", "display")
+            }
             run = sensor.settings.model_copy(update=shared)
             imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
             other_lens = () if match == "own" else _changed_lens(run, first)
-            settings = GivenSettings.of_setting(imaging, run, not_taken=(*STUDY_ALONE, SOLVE_FOR, *other_lens))
+            settings = GivenSettings.of_setting(
+                imaging, run, not_taken=(*STUDY_ALONE, SOLVE_FOR, *other_lens)
+            )
             settings = replace(settings, names=(*settings.names, *unused))
             sensors.setdefault(sensor.sensor, []).append(settings)
     warn_of_settings_without_effect(sensors)
 
 
 def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
-    """Return the names of settings of a sensor's camera and lens, but of its die, that differ from those of the first sensor."""
+    """Return the names of settings of a sensor's camera and lens, but of its die, that differ from
+    those of the first sensor.
+    """
     return tuple(
         f"{table}.{name}"
         for table in ("camera", "lens")
         for name in changed_settings(getattr(run, table))
-        if name not in OF_DIE and getattr(getattr(run, table), name) != getattr(getattr(first, table), name)
+        if name not in OF_DIE
+        and getattr(getattr(run, table), name) != getattr(getattr(first, table), name)
     )
 
 
 def group_of(
-    stated: Circumstances, numbers: Sequence[int], common: SensorGroup | None, match: Match, sensor: str | None, variant: str | None
+    stated: Circumstances,
+    numbers: Sequence[int],
+    common: SensorGroup | None,
+    match: Match,
+    sensor: str | None,
+    variant: str | None,
 ) -> SensorGroup:
     """Return some of the sensors that are stated, as if there were no others.
 
     numbers : of the sensors
-    common : another condition, whose dots and chart this one takes where it leaves them open, so that both can be averaged
+    common : another condition, whose dots and chart this one takes where it leaves them open, so
+        that both can be averaged
     match : of their cameras
     sensor, variant : of the scene
     """
@@ -381,13 +504,22 @@ def group_of(
         got = f"'{settings.display.raster}', which gives each sensor a display of its own"
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
     if is_picture(scene):
-        raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
-    loaded = loaded_scene(scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+        raise invalid(
+            "--scene",
+            f"'{scene}', a picture",
+            "a Mitsuba scene, which each sensor sees through its own lens",
+        )
+    loaded = loaded_scene(
+        scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor
+    )
     whole = _whole_cameras(loaded, chosen)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)
     cameras = matched_cameras(whole, match, settings.window_mm)
-    resolved = [replace(case, resolved=(loaded, camera)) for case, camera in zip(chosen, cameras, strict=True)]
+    resolved = [
+        replace(case, resolved=(loaded, camera))
+        for case, camera in zip(chosen, cameras, strict=True)
+    ]
     for case in resolved:
         with named(case.sensor):
             derive(case.settings.pixel, load_technology(case.settings.pixel.technology))
@@ -399,13 +531,19 @@ def group_of(
         view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, loaded)
     if common is not None:
         view = {name: common.view.get(name, value) for name, value in view.items()}
-    of_first = {name: on_other_die(view[name], finest.camera, cameras[0]) for name in view if name == MAX_LP_PER_MM}
+    of_first = {
+        name: on_other_die(view[name], finest.camera, cameras[0])
+        for name in view
+        if name == MAX_LP_PER_MM
+    }
     settings = with_view(settings, view | of_first)
     border = 0.0
     for case in resolved:
         pixel, exposure = case.settings.pixel, case.settings.exposure
         border_um = BORDER_PIXELS * pixel.pitch_um * pixel.bin_side
-        border_um = border_with_room_um(border_um, settings.motion, exposure, case.camera, [(pixel.pitch_um, pixel.bin_side)])
+        border_um = border_with_room_um(
+            border_um, settings.motion, exposure, case.camera, [(pixel.pitch_um, pixel.bin_side)]
+        )
         border = max(border, border_um / case.camera.die_um[1])
 
     highest = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
@@ -415,11 +553,20 @@ def group_of(
         if highest is not None:
             on_sensor = on_other_die(float(highest), cameras[0], camera)
             of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
-        own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
-        complete.append(replace(case, settings=settings.model_copy(update=own), resolved=(of_sensor, camera)))
+        own = {
+            "camera": camera.options,
+            "lens": camera.lens_options,
+            "pixel": run.pixel,
+            "exposure": run.exposure,
+        }
+        complete.append(
+            replace(case, settings=settings.model_copy(update=own), resolved=(of_sensor, camera))
+        )
     first_camera, pitch_um = complete[0].camera, complete[0].settings.pixel.pitch_um
     border_um = border * first_camera.die_um[1]
-    others = further_displays(chosen[0].settings.display, settings.display, first_camera.die_um, pitch_um, border_um)
+    others = further_displays(
+        chosen[0].settings.display, settings.display, first_camera.die_um, pitch_um, border_um
+    )
     group = SensorGroup(
         cases=tuple(replace(case, others=others) for case in complete),
         weight=stated.weight,
@@ -433,23 +580,43 @@ def group_of(
 
 
 def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
-    """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
+    """Return each file's own camera. A file without a die, such as a technology's, has that of the
+    first file which states one.
+    """
     own = [each.settings.camera for each in sensors]
-    die = next((each.model_dump(include={"die_mm", "die_height_mm"}) for each in own if each.die_mm is not None), None)
+    die = next(
+        (
+            each.model_dump(include={"die_mm", "die_height_mm"})
+            for each in own
+            if each.die_mm is not None
+        ),
+        None,
+    )
     cameras = []
     for sensor, each in zip(sensors, own, strict=True):
-        stated = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
+        stated = (
+            each
+            if die is None or each.die_mm is not None
+            else CameraOptions(**die | each.model_dump(exclude_none=True))
+        )
         with named(sensor.sensor):
             cameras.append(scene.camera(stated, sensor.settings.lens))
     return cameras
 
 
 def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
-    """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the same field of view."""
-    return lp_per_mm if camera.die_mm == other.die_mm else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
+    """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the
+    same field of view.
+    """
+    return (
+        lp_per_mm
+        if camera.die_mm == other.die_mm
+        else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
+    )
 
 
-# --- the job --------------------------------------------------------------------------------------------------------------------
+# --- the job
+# --------------------------------------------------------------------------------------------------------------------
 
 
 PAIR, MATCH = "pair", "match"  # labels, beside those of axes and conditions
@@ -461,10 +628,12 @@ class ComparisonJob(Job[Run]):
     """A comparison that is prepared.
 
     cases : the sensors of all groups
-    groups : all sensors, then the first sensor and each other one alone: at values of axes, under conditions, by matches
+    groups : all sensors, then the first sensor and each other one alone: at values of axes, under
+        conditions, by matches
     match : of the cameras that was asked for
     base : settings of each sensor, as the files and options have them without a condition
-    study : whose settings, axes and conditions are those of all sensors, if any; its scene is that of the comparison
+    study : whose settings, axes and conditions are those of all sensors, if any; its scene is that
+        of the comparison
     types : sensor types over which the comparison is repeated, if they are asked for
     """
 
@@ -493,7 +662,9 @@ class ComparisonJob(Job[Run]):
             firsts.setdefault(repr((group.first.at, group.first.alone)), group.first)
         return tuple(firsts.values())
 
-    def of_sensors(self, combination: int = 0, other: str = "", match: Match | None = None) -> list[SensorGroup]:
+    def of_sensors(
+        self, combination: int = 0, other: str = "", match: Match | None = None
+    ) -> list[SensorGroup]:
         """Return the groups of all sensors under each condition; or of the first and another one.
 
         combination : number of the values of axes
@@ -506,7 +677,8 @@ class ComparisonJob(Job[Run]):
         return [
             group
             for group in self.groups
-            if (group.first.at, group.first.alone, group.match) == place and tuple(case.sensor for case in group.cases) == names
+            if (group.first.at, group.first.alone, group.match) == place
+            and tuple(case.sensor for case in group.cases) == names
         ]
 
     @property
@@ -536,12 +708,14 @@ def prepare(
     quick: bool = False,
     smaller_than_um: Sequence[float] = (),
 ) -> ComparisonJob:
-    """Choose what a comparison leaves open, and check everything that can be checked before a render.
+    """Choose what a comparison leaves open, and check everything that can be checked before a
+    render.
 
     match : None means `view`, and another one as a further condition
     repeats : pairs of frames; None means `USUAL_REPEATS`
-    config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions.
-        Both may have what only a study has, as axes and conditions, in place of those of the study
+    config, options : settings for all sensors, as tables; they take precedence over those of the
+        study, but not of its conditions. Both may have what only a study has, as axes and
+        conditions, in place of those of the study
     uncertainty, sobol : sensor types to draw, or points of total indices
     quick : take the overrides NAME.quick.toml of the study, and fewer pairs
     smaller_than_um : a question to a study, which is refused
@@ -554,22 +728,38 @@ def prepare(
         repeats = QUICK_REPEATS if quick else USUAL_REPEATS
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
-    parts = [parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options or {})))]
+    parts = [
+        parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options or {})))
+    ]
     *layers, of_options = [of_run for of_run, _ in parts]
     options = of_options.table
     varied = [of_study for _, of_study in parts if of_study.table]
-    check_asked("comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper"))
+    check_asked(
+        "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
+    )
     plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
     if study is not None or varied:
-        stated = study_of(study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick)
+        stated = study_of(
+            study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick
+        )
         plan = with_range_ends(checked_study([stated, *varied]))
         source = stated.source
         if scene is not None:
-            stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
+            stated = Layer(
+                {name: value for name, value in stated.table.items() if name != "scene"},
+                stated.source,
+            )
             plan = plan.model_copy(update={"scene": StudyScene(file=file)})
         warn_of_overridden(plan, options)
-        file, layers = plan.scene.file, [Layer(as_run(stated.table, SHARED), stated.source), *layers]
-        camera = {name: value for name, value in stated.table.get("camera", {}).items() if name not in OF_DIE}
+        file, layers = (
+            plan.scene.file,
+            [Layer(as_run(stated.table, SHARED), stated.source), *layers],
+        )
+        camera = {
+            name: value
+            for name, value in stated.table.get("camera", {}).items()
+            if name not in OF_DIE
+        }
         of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
         lens = Layer({name: table for name, table in of_lens.items() if table}, stated.source)
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
@@ -585,7 +775,9 @@ def prepare(
             made: dict[int, SensorGroup] = {}
             for place in dict.fromkeys((shown, *range(len(under)))):
                 with named(under[place].words):
-                    made[place] = group_of(under[place], numbers, made.get(shown), by, sensor, variant)
+                    made[place] = group_of(
+                        under[place], numbers, made.get(shown), by, sensor, variant
+                    )
             groups += [made[place] for place in range(len(under))]
         return groups
 
@@ -593,14 +785,21 @@ def prepare(
     everyone = range(len(sources))
     groups = groups_of(everyone, chosen)
     given = [stated.sensors for under in combined for stated in under]
-    _warn_of_settings_without_effect(given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE))
+    _warn_of_settings_without_effect(
+        given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE)
+    )
     with without_warnings():  # those of all sensors are shown
         further = [] if match else groups_of(everyone, OTHER_MATCH[chosen])
         if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):
             further = []
         alone = [(0, other) for other in everyone[1:]] if len(sources) > 2 else []
         pairs = [group for numbers in alone for group in groups_of(numbers, chosen)]
-        pairs += [group for numbers in alone if further for group in groups_of(numbers, OTHER_MATCH[chosen])]
+        pairs += [
+            group
+            for numbers in alone
+            if further
+            for group in groups_of(numbers, OTHER_MATCH[chosen])
+        ]
     asked = asked_of(uncertainty, sobol, (), {})
     if asked is None:
         warn_of_uncertainty(sources)
@@ -624,7 +823,9 @@ def prepare(
 
 
 def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGroup]:
-    """Yield groups whose cases are complete: their imaging, random streams, sizes, and the labels that tell any of them apart."""
+    """Yield groups whose cases are complete: their imaging, random streams, sizes, and the labels
+    that tell any of them apart.
+    """
     most = len(groups[0].cases)
     tables = []
     for group in groups:
@@ -644,7 +845,13 @@ def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
     """
     request = metrics_of(with_delta_e(group.first.settings), repeats)
     with named(group.words), named(case.sensor):
-        complete = sensor_case(case, repeats=repeats, border_um=group.border_um(case.camera), request=request, single=True)
+        complete = sensor_case(
+            case,
+            repeats=repeats,
+            border_um=group.border_um(case.camera),
+            request=request,
+            single=True,
+        )
     return replace(complete, stream=("compare", case.settings.seed))
 
 
@@ -652,13 +859,17 @@ Match = Literal["view", "lens", "own"]
 ALIKE = 1e-9  # relative difference of two fields of view that is rounding
 
 
-def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | None = None) -> tuple[Camera, ...]:
+def matched_cameras(
+    cameras: Sequence[Camera], match: Match, window_mm: float | None = None
+) -> tuple[Camera, ...]:
     """Return cameras that see one field: the central part that all have in common, after `match`.
 
     cameras : of each sensor, with its whole die; the first is the reference
-    match : 'view': the lens of the reference, its focal length scaled such that the image distance v = f(1 + |m|) goes with the
-        width of the die: equal field of view, f-number and object distance; 'lens': the lens of the reference; 'own': each its own
-    window_mm : width of a central part of the reference's die that limits the field; None takes all of it
+    match : 'view': the lens of the reference, its focal length scaled such that the image distance
+        v = f(1 + |m|) goes with the width of the die: equal field of view, f-number and object
+        distance; 'lens': the lens of the reference; 'own': each its own
+    window_mm : width of a central part of the reference's die that limits the field; None takes all
+        of it
 
     Raises PixsimError if a camera forms no image.
 
@@ -671,7 +882,9 @@ def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | 
     if match == "view":
         seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
     elif match == "lens":
-        seen = [lens_on_die(reference, camera) for camera in cameras]  # cropped below to a field that all of them have
+        seen = [
+            lens_on_die(reference, camera) for camera in cameras
+        ]  # cropped below to a field that all of them have
     else:
         seen = list(cameras)
     seen[0] = seen[0].window(window_mm)
@@ -681,10 +894,15 @@ def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | 
 
 
 def _with_view_of(reference: Camera, camera: Camera) -> Camera:
-    """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u + 1/v, with v as the width."""
+    """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u +
+    1/v, with v as the width.
+    """
     if reference.lens is not None:
         return lens_on_die(reference, camera, same_view=True)
-    v_mm, u_mm = reference.image_distance_mm * camera.die_mm / reference.die_mm, 1e3 * reference.object_distance_m
+    v_mm, u_mm = (
+        reference.image_distance_mm * camera.die_mm / reference.die_mm,
+        1e3 * reference.object_distance_m,
+    )
     lens = {"focal_length_mm": u_mm * v_mm / (u_mm + v_mm)}
     if camera.die_mm == reference.die_mm:  # without rounding
         lens = {}
@@ -696,13 +914,22 @@ def _with_view_of(reference: Camera, camera: Camera) -> Camera:
         for name in ("chief_ray_angle", "fall_off")
         if (rows := getattr(reference, name)) is not None
     }
-    return seen.model_copy(update=tables)  # they need reach only the field that is cropped from this one
+    return seen.model_copy(
+        update=tables
+    )  # they need reach only the field that is cropped from this one
 
 
 def _cropped(camera: Camera, width: float, height: float) -> Camera:
-    """Return the lens on a central part of the die, whose sides are given as multiples of the image distance."""
+    """Return the lens on a central part of the die, whose sides are given as multiples of the image
+    distance.
+    """
     v_mm = camera.image_distance_mm
-    if camera.die_mm <= width * v_mm * (1 + ALIKE) and camera.height_mm <= height * v_mm * (1 + ALIKE):
+    if camera.die_mm <= width * v_mm * (1 + ALIKE) and camera.height_mm <= height * v_mm * (
+        1 + ALIKE
+    ):
         return camera
-    die = {"die_mm": min(camera.die_mm, width * v_mm), "die_height_mm": min(camera.height_mm, height * v_mm)}
+    die = {
+        "die_mm": min(camera.die_mm, width * v_mm),
+        "die_height_mm": min(camera.height_mm, height * v_mm),
+    }
     return Camera(**camera.model_dump() | die)

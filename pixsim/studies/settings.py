@@ -1,4 +1,6 @@
-"""What a study asks: its settings and pixel sizes, its axes and conditions, and the layers of files and options below them."""
+"""What a study asks: its settings and pixel sizes, its axes and conditions, and the layers of files
+and options below them.
+"""
 
 from __future__ import annotations
 
@@ -53,30 +55,49 @@ from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
-# --- axes and conditions ----------------------------------------------------------------------------------------------------------
+# --- axes and conditions
+# ----------------------------------------------------------------------------------------------------------
 
 AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
 MOST_TOGETHER = 100  # settings of an axis that take each value together
-NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  # columns of a study's rows
+NOT_NAMES = {
+    "pitch",
+    "technology",
+    "pitch_um",
+    "repeat",
+    "key",
+    "condition",
+}  # columns of a study's rows
 PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
 NOT_SETTINGS = {
-    **dict.fromkeys(("name", "streams", "title", "axis", "condition", "sources", "sensors", "paper"), ""),
+    **dict.fromkeys(
+        ("name", "streams", "title", "axis", "condition", "sources", "sensors", "paper"), ""
+    ),
     PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",
     **dict.fromkeys(
-        ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"
+        ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"),
+        "the sensors of all cases are counted alike",
     ),
-    **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
-    **dict.fromkeys(("iso_delta_e", "detail", "noise_budget"), "it changes the report, not its numbers"),
+    **dict.fromkeys(
+        ("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"
+    ),
+    **dict.fromkeys(
+        ("iso_delta_e", "detail", "noise_budget"), "it changes the report, not its numbers"
+    ),
 }
 
 
 def setting_path(dotted: str) -> tuple[str, ...]:
-    """Parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three. ValueError if it is none."""
+    """Parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three. ValueError
+    if it is none.
+    """
     try:
-        node: Any = tomllib.loads(f"{dotted} = 0") if "\n" not in dotted and "=" not in dotted else None
+        node: Any = (
+            tomllib.loads(f"{dotted} = 0") if "\n" not in dotted and "=" not in dotted else None
+        )
     except tomllib.TOMLDecodeError:
         node = None
     path: list[str] = []
@@ -89,7 +110,9 @@ def setting_path(dotted: str) -> tuple[str, ...]:
 
 
 def setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
-    """Nested tables that set one value. The technology of the pixel is a study's only technology."""
+    """Nested tables that set one value. The technology of the pixel is a study's only
+    technology.
+    """
     if tuple(path) == ("pixel", "technology"):
         return {"technologies": [value]}
     return nested(path, value)
@@ -101,12 +124,16 @@ def with_technology(table: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(pixel, dict) or "technology" not in pixel:
         return table
     left = {name: value for name, value in pixel.items() if name != "technology"}
-    others = {name: value for name, value in table.items() if name != "pixel"} | ({"pixel": left} if left else {})
+    others = {name: value for name, value in table.items() if name != "pixel"} | (
+        {"pixel": left} if left else {}
+    )
     return others | {"technologies": [pixel["technology"]]}
 
 
 def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Paths of the values of nested tables; `dark_current` of a pixel and the curves of its channels are one value each."""
+    """Paths of the values of nested tables; `dark_current` of a pixel and the curves of its
+    channels are one value each.
+    """
     for name, value in table.items():
         if isinstance(value, dict) and value and name not in ("dark_current", *RESPONSES):
             yield from paths_of(value, (*above, name))
@@ -117,23 +144,35 @@ def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[
 def _settings(table: object) -> dict[str, Any]:
     """Check which settings of a study an axis or a condition may change. ValueError for others."""
     if not isinstance(table, dict) or not table:
-        raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
+        raise ValueError(
+            "got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8"
+        )
     for path in paths_of(table):
         value = reduce(getitem, path, table)
         if not isinstance(value, str | int | float | list | tuple | dict):
-            raise ValueError(f"{'.'.join(path)} = {brief(value)}; allowed: a number, a text or a list")
+            raise ValueError(
+                f"{'.'.join(path)} = {brief(value)}; allowed: a number, a text or a list"
+            )
         if path[0] in NOT_SETTINGS:
             hint = NOT_SETTINGS[path[0]]
-            raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint and '; '}{hint}")
+            raise ValueError(
+                f"{'.'.join(path)} cannot be changed by an axis or a condition{hint and '; '}{hint}"
+            )
         if path[0] == "process" and len(path) != 3:
-            raise ValueError(f"got {'.'.join(path)}; allowed: a technology in quotes and its number, as process.'0.35um'.prnu")
+            raise ValueError(
+                f"got {'.'.join(path)}; allowed: a technology in quotes and its number, as"
+                " process.'0.35um'.prnu"
+            )
     return table
 
 
 def _of_condition(table: object) -> object:
     """As `_settings`. A technology is what a condition leaves as it is."""
     if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
-        raise ValueError("pixel.technology cannot be changed by a condition; name technologies in the study, or vary it by an axis")
+        raise ValueError(
+            "pixel.technology cannot be changed by a condition; name technologies in the study, or"
+            " vary it by an axis"
+        )
     return table
 
 
@@ -151,14 +190,19 @@ MAX_CASE_NAME = 60
 
 def is_case_name(value: str) -> bool:
     """Whether a text can be the label of a value of an axis."""
-    return len(value) <= MAX_CASE_NAME and re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value) is not None
+    return (
+        len(value) <= MAX_CASE_NAME
+        and re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value) is not None
+    )
 
 
 def _case_name(value: str) -> str:
     if fault := name_fault(value):
         raise ValueError(f"got a name that {fault}; allowed: another name")
     if not is_case_name(value):
-        raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
+        raise ValueError(
+            f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends"
+        )
     return value
 
 
@@ -169,7 +213,9 @@ CaseName = Annotated[str, Field(max_length=MAX_CASE_NAME), AfterValidator(_case_
 
 
 # Names that the files and folders of a study have, or may have.
-FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|pdf|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
+FILES_OF_STUDY = re.compile(
+    r"\..*|.*\.(toml|csv|json|html|svg|pdf|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE
+)
 
 
 def case_folder(words: str) -> str:
@@ -178,25 +224,36 @@ def case_folder(words: str) -> str:
 
 
 def check_case_folders(words: Sequence[str]) -> None:
-    """Raise ValueError if the folders of two cases would be one, also where capitals do not count, or have a file's name."""
+    """Raise ValueError if the folders of two cases would be one, also where capitals do not count,
+    or have a file's name.
+    """
     taken: dict[str, str] = {}
     for each in words:
         folder = case_folder(each)
         if FILES_OF_STUDY.fullmatch(folder):
-            raise ValueError(f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another name")
+            raise ValueError(
+                f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another"
+                " name"
+            )
         if other := taken.get(folder.casefold()):
-            raise ValueError(f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names that differ more")
+            raise ValueError(
+                f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names"
+                " that differ more"
+            )
         taken[folder.casefold()] = each
 
 
 SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
-    'Several are stated by technologies = ["0.35um", "0.18um"], in a study\'s file or in Python; one by --pixel.technology'
+    'Several are stated by technologies = ["0.35um", "0.18um"], in a study\'s file or in Python;'
+    " one by --pixel.technology"
 )
 
 
 def _axis_number(value: object) -> object:
     if not isinstance(value, float | int | str) or value == "":
-        raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
+        raise ValueError(
+            f"got {brief(value)}; allowed: a number, a name, or a table of label and set"
+        )
     if isinstance(value, str) and (fault := name_fault(value)):
         raise ValueError(f"got a name that {fault}; allowed: another name")
     return value
@@ -209,13 +266,18 @@ def _is_table(value: object) -> str:
 class AxisValue(Record):
     """One value of an axis: its label, and the settings of the study that it changes."""
 
-    label: CaseName = Field(description="name of the value, in columns and results", examples=['label = "fast lens"'])
-    set: Settings = Field(description="settings, as set.camera.f_number = 2.8", examples=["set.camera.f_number = 2.8"])
+    label: CaseName = Field(
+        description="name of the value, in columns and results", examples=['label = "fast lens"']
+    )
+    set: Settings = Field(
+        description="settings, as set.camera.f_number = 2.8", examples=["set.camera.f_number = 2.8"]
+    )
 
 
 # One branch for each kind, so that a message is about the kind that was meant.
 OneOfAxis = Annotated[
-    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Annotated[AxisValue, Tag(BRANCHES[0])]
+    | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
     Discriminator(_is_table),
 ]
 
@@ -239,8 +301,9 @@ class AxisPoint:
 class Axis(Record):
     """Something that a study varies beside the pixel size: settings and their values.
 
-    Either the field set names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of
-    `values` has a label and settings of its own; or `range_of` names a number of technologies, which a study replaces by values.
+    Either the field set names settings that take each value together, with `values`, or `from`,
+    `to` and `count`; or each of `values` has a label and settings of its own; or `range_of` names a
+    number of technologies, which a study replaces by values.
     """
 
     name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
@@ -254,16 +317,25 @@ class Axis(Record):
     )
     first: AnyNumber | None = Field(None, alias="from", description="first value")
     to: AnyNumber | None = Field(None, description="last value")
-    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
-    spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
+    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(
+        None, description="number of values from first to last"
+    )
+    spacing: Literal["linear", "log"] = Field(
+        "linear", description="'linear': equal steps; 'log': equal ratios"
+    )
     range_of: str | None = Field(
         None,
         description=(
-            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of its range, in all technologies "
-            "together and in each alone"
+            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of"
+            " its range, in all technologies together and in each alone"
         ),
     )
-    alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
+    alone: bool = Field(
+        False,
+        description=(
+            "vary this axis alone, about the values of the study, not with each value of the others"
+        ),
+    )
 
     model_config = ConfigDict(populate_by_name=True)
 
@@ -271,14 +343,25 @@ class Axis(Record):
     def _has_values(self) -> Self:
         if self.name in NOT_NAMES:
             hint = f". {SEVERAL_TECHNOLOGIES}" if self.name == "technology" else ""
-            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name{hint}")
+            raise ValueError(
+                f"name: '{self.name}' is a column of every study; allowed: another name{hint}"
+            )
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
         given = [name for name, value in ends.items() if value is not None]
         if self.range_of is not None:
-            if others := [*(["set"] if self.set else []), *(["values"] if self.values is not None else []), *given]:
-                raise ValueError(f"range_of and {', '.join(others)} both state the values; give one")
+            if others := [
+                *(["set"] if self.set else []),
+                *(["values"] if self.values is not None else []),
+                *given,
+            ]:
+                raise ValueError(
+                    f"range_of and {', '.join(others)} both state the values; give one"
+                )
             if not self.alone:
-                raise ValueError("range_of without alone = true; allowed: ranges of technologies one at a time, with alone = true")
+                raise ValueError(
+                    "range_of without alone = true; allowed: ranges of technologies one at a time,"
+                    " with alone = true"
+                )
             return self
         given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
         if self.values is not None and given:
@@ -288,22 +371,42 @@ class Axis(Record):
             raise ValueError(f"missing: {missing}; allowed: values = [...], or from, to and count")
         if self.values is not None and not self.values:
             raise ValueError("values: got an empty list; allowed: one value or more")
-        if self.spacing == "log" and not (self.first is not None and self.to is not None and min(self.first, self.to) > 0):
-            raise ValueError(f"from = {self.first:g}, to = {self.to:g} with spacing = 'log'; allowed: numbers above 0")
+        if self.spacing == "log" and not (
+            self.first is not None and self.to is not None and min(self.first, self.to) > 0
+        ):
+            raise ValueError(
+                f"from = {self.first:g}, to = {self.to:g} with spacing = 'log'; allowed: numbers"
+                " above 0"
+            )
         tables = [value for value in self.values or () if isinstance(value, AxisValue)]
         if tables and (self.set or len(tables) < len(self.values or ())):
-            raise ValueError("values with settings of their own do not go with set, or with plain values; give one of them")
+            raise ValueError(
+                "values with settings of their own do not go with set, or with plain values; give"
+                " one of them"
+            )
         if not tables and not self.set:
-            raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
+            raise ValueError(
+                "set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values"
+                " with label and set"
+            )
         labels = [point.label for point in self.points]
         if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
-            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: values that differ in 4 digits, or labels")
+            raise ValueError(
+                f"values: {labels[twice[0]]} stands there twice; allowed: values that differ in 4"
+                " digits, or labels"
+            )
         return self
 
     @model_serializer(mode="wrap")
     def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table = {("from" if name == "first" else name): value for name, value in handler(self).items()}
-        return {name: value for name, value in table.items() if value not in (None, {}, (), [], False, "linear")}
+        table = {
+            ("from" if name == "first" else name): value for name, value in handler(self).items()
+        }
+        return {
+            name: value
+            for name, value in table.items()
+            if value not in (None, {}, (), [], False, "linear")
+        }
 
     @cached_property
     def points(self) -> tuple[AxisPoint, ...]:
@@ -319,7 +422,11 @@ class Axis(Record):
             if isinstance(value, AxisValue):
                 points.append(AxisPoint(value.label, with_technology(value.set)))
             else:
-                points.append(AxisPoint(value, reduce(merge, (setting_table(path, value) for path in paths), {})))
+                points.append(
+                    AxisPoint(
+                        value, reduce(merge, (setting_table(path, value) for path in paths), {})
+                    )
+                )
         return tuple(points)
 
     @property
@@ -345,32 +452,47 @@ class Condition(Record):
     """One of the circumstances in which the pixel is used, such as day or night."""
 
     name: CaseName = Field(description="name in columns and results", examples=['name = "night"'])
-    weight: Annotated[float, Field(ge=0, le=1e9)] = Field(1.0, description="share of this condition; all are normalised to 1")
+    weight: Annotated[float, Field(ge=0, le=1e9)] = Field(
+        1.0, description="share of this condition; all are normalised to 1"
+    )
     set: ConditionSettings = Field(
-        description="settings, as set.exposure.max_integration_s = 0.033", examples=["set.exposure.max_integration_s = 0.033"]
+        description="settings, as set.exposure.max_integration_s = 0.033",
+        examples=["set.exposure.max_integration_s = 0.033"],
     )
 
 
-# --- the record of a study --------------------------------------------------------------------------------------------------------
+# --- the record of a study
+# --------------------------------------------------------------------------------------------------------
 
 MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
-PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
+PITCH_RATIO = (
+    4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
+)
 
 
 class PitchRange(Record):
-    """Pitches at equal ratios, from that of `min_fill_factor` (or `min_um`) to `max_um`; or the list `values_um`."""
+    """Pitches at equal ratios, from that of `min_fill_factor` (or `min_um`) to `max_um`; or the
+    list `values_um`.
+    """
 
     min_fill_factor: Fraction = Field(0.05, description="fill factor of the smallest pixel size")
-    min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
-    max_um: Pitch = Field(15.0, description="largest pixel size")
-    count: Annotated[int, Field(ge=5, le=MOST_PITCHES)] = Field(24, description="number of pixel sizes")
-    values_um: Annotated[tuple[Pitch, ...], Field(max_length=MOST_PITCHES), BeforeValidator(as_list)] | None = Field(
-        None, description="list of pixel sizes, in place of min, max and count"
+    min_um: Pitch | None = Field(
+        None, description="smallest pixel size, in place of min_fill_factor"
     )
+    max_um: Pitch = Field(15.0, description="largest pixel size")
+    count: Annotated[int, Field(ge=5, le=MOST_PITCHES)] = Field(
+        24, description="number of pixel sizes"
+    )
+    values_um: (
+        Annotated[tuple[Pitch, ...], Field(max_length=MOST_PITCHES), BeforeValidator(as_list)]
+        | None
+    ) = Field(None, description="list of pixel sizes, in place of min, max and count")
     own_um: Pitch | None = Field(
         None,
-        description="pixel size of the sensor itself, from whose data sheet an open range, the display's dots and the chart follow "
-        "(absent: data_sheet_pitch_um)",
+        description=(
+            "pixel size of the sensor itself, from whose data sheet an open range, the display's"
+            " dots and the chart follow (absent: data_sheet_pitch_um)"
+        ),
     )
 
     @property
@@ -383,11 +505,15 @@ StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 
 
 def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
-    """The value at a setting, or at one that takes its place in [pixel] by another word; empty if there is none."""
+    """The value at a setting, or at one that takes its place in [pixel] by another word; empty if
+    there is none.
+    """
     if path in settings:
         return settings[path]
     words = excluded_by(path[1:2]) if path[0] == "pixel" else ()
-    return next((settings[other] for other in settings if other[0] == "pixel" and other[1] in words), "")
+    return next(
+        (settings[other] for other in settings if other[0] == "pixel" and other[1] in words), ""
+    )
 
 
 @checked_methods
@@ -395,44 +521,77 @@ class Study(Setting):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
     name: StudyName = Field(
-        description="name: letters, digits, dots and dashes; the random streams depend on it", examples=['name = "my-study"']
+        description="name: letters, digits, dots and dashes; the random streams depend on it",
+        examples=['name = "my-study"'],
     )
-    streams: StudyName | None = Field(None, description="name of the study whose random streams this one has; absent: its own")
+    streams: StudyName | None = Field(
+        None, description="name of the study whose random streams this one has; absent: its own"
+    )
     title: str = Field("", description="title of the report")
     technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
         ("0.35um",),
-        description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
+        description=(
+            "packaged technologies, or paths of TOML files with a technology or a data sheet"
+            " ([pixel]); each gives a curve"
+        ),
     )
     sensors: dict[str, Pixel] = Field(
-        default_factory=dict, description="the data sheets among the technologies, path -> its pixel, as read from the files"
+        default_factory=dict,
+        description=(
+            "the data sheets among the technologies, path -> its pixel, as read from the files"
+        ),
     )
     process: dict[str, dict[str, AnyNumber]] = Field(
-        default_factory=dict, description="changes to technologies: name -> entry of its file -> value, in the unit of the file"
+        default_factory=dict,
+        description=(
+            "changes to technologies: name -> entry of its file -> value, in the unit of the file"
+        ),
     )
     pitch: PitchRange = Field(PitchRange(), description="pixel sizes of the study")
-    repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="number of sensors for each pitch")
+    repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
+        8, description="number of sensors for each pitch"
+    )
     target_ci_um: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
         None,
-        description="target for the half-length of the 95 % interval of every optimum; sizes and sensors are added to reach it",
+        description=(
+            "target for the half-length of the 95 % interval of every optimum; sizes and sensors"
+            " are added to reach it"
+        ),
     )
     refine: bool = Field(
         True,
-        description="without target_ci_um, add a few sizes and sensors where the interval of the optimum has an open end, or is "
-        "long for want of sizes near the best (not to pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)",
+        description=(
+            "without target_ci_um, add a few sizes and sensors where the interval of the optimum"
+            " has an open end, or is long for want of sizes near the best (not to pitch.values_um,"
+            " nor beyond the range, nor in studies of more than 64 cases)"
+        ),
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
         32, description="largest number of sensors at one pixel size, for target_ci_um"
     )
     max_evaluations: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
         None,
-        description="largest number of frames in all, for target_ci_um (absent: max_repeats per initial pixel size and technology)",
+        description=(
+            "largest number of frames in all, for target_ci_um (absent: max_repeats per initial"
+            " pixel size and technology)"
+        ),
     )
-    iso_delta_e: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
+    iso_delta_e: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
+        3.0, description="level of the iso-ΔE curves"
+    )
     detail: tuple[UnitInterval, UnitInterval] | None = Field(
-        None, description="centre of the detail that the report compares, as fractions of width and height from the upper left"
+        None,
+        description=(
+            "centre of the detail that the report compares, as fractions of width and height from"
+            " the upper left"
+        ),
     )
     paper: bool = Field(
-        False, description="compare with the statements of Chen et al. (2000); needs the scene csf and the technology 0.35um"
+        False,
+        description=(
+            "compare with the statements of Chen et al. (2000); needs the scene csf and the"
+            " technology 0.35um"
+        ),
     )
     scene: StudyScene = Field(StudyScene(), description="scene of the study")
     axis: Annotated[tuple[Axis, ...], Field(max_length=AXIS_COUNT)] = Field(
@@ -441,7 +600,9 @@ class Study(Setting):
     condition: Annotated[tuple[Condition, ...], Field(max_length=AXIS_COUNT)] = Field(
         (), description="circumstances in which the pixel is used; each has its own optimum"
     )
-    sources: dict[str, str] = Field(default_factory=dict, description="sources of values: dotted name -> text")
+    sources: dict[str, str] = Field(
+        default_factory=dict, description="sources of values: dotted name -> text"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -450,8 +611,18 @@ class Study(Setting):
         if not isinstance(values, dict) or "technologies" in values:
             return values
         pixel = values.get("pixel")
-        table = pixel if isinstance(pixel, dict) else dict(pixel) if isinstance(pixel, PixelOptions) else {}
-        return {**values, "technologies": (NO_TECHNOLOGY,)} if is_data_sheet(table, "data_sheet_pitch_um") else values
+        table = (
+            pixel
+            if isinstance(pixel, dict)
+            else dict(pixel)
+            if isinstance(pixel, PixelOptions)
+            else {}
+        )
+        return (
+            {**values, "technologies": (NO_TECHNOLOGY,)}
+            if is_data_sheet(table, "data_sheet_pitch_um")
+            else values
+        )
 
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:
@@ -469,7 +640,9 @@ class Study(Setting):
         for kind, records in (("axis", self.axis), ("condition", self.condition)):
             names = [record.name for record in records]
             if twice := [name for place, name in enumerate(names) if name in names[:place]]:
-                raise ValueError(f"{kind}: '{twice[0]}' stands there twice; allowed: each name once")
+                raise ValueError(
+                    f"{kind}: '{twice[0]}' stands there twice; allowed: each name once"
+                )
         check_case_folders([condition.name for condition in self.condition])
         if self.condition and not any(condition.weight for condition in self.condition):
             raise ValueError("condition: all weights are 0; allowed: one of them above 0")
@@ -477,7 +650,10 @@ class Study(Setting):
         for axis in self.axis:
             for path in () if axis.alone else axis.paths:
                 if other := _that_sets(path, together):
-                    raise ValueError(f"axis: {'.'.join(path)} is varied by '{other}' and by '{axis.name}'; give it to one axis")
+                    raise ValueError(
+                        f"axis: {'.'.join(path)} is varied by '{other}' and by '{axis.name}'; give"
+                        " it to one axis"
+                    )
             together |= {} if axis.alone else dict.fromkeys(axis.paths, axis.name)
         of_axes = {path: axis.name for axis in self.axis for path in axis.paths}
         for condition in self.condition:
@@ -485,22 +661,33 @@ class Study(Setting):
                 if other := _that_sets(path, of_axes):
                     name = ".".join(path)
                     raise ValueError(
-                        f"condition '{condition.name}': {name} is varied by the axis '{other}'; give it to one of them"
+                        f"condition '{condition.name}': {name} is varied by the axis '{other}';"
+                        " give it to one of them"
                     )
         return self
 
     @model_validator(mode="after")
     def _technologies_are_varied_once(self) -> Self:
-        by_axis = [axis.name for axis in self.axis for point in axis.points if "technologies" in point.table]
+        by_axis = [
+            axis.name
+            for axis in self.axis
+            for point in axis.points
+            if "technologies" in point.table
+        ]
         if by_axis and "technologies" in self.model_fields_set:
-            raise ValueError(f"axis '{by_axis[0]}' varies pixel.technology; leave technologies out, or the axis")
+            raise ValueError(
+                f"axis '{by_axis[0]}' varies pixel.technology; leave technologies out, or the axis"
+            )
         return self
 
     @model_validator(mode="after")
     def _paper_needs_its_scene(self) -> Self:
         others = self.scene.parameters.keys() & {"chart", "max_lp_per_mm"}
         if self.paper and (self.scene.file != "csf" or others or "0.35um" not in self.technologies):
-            raise ValueError("paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and technology '0.35um'")
+            raise ValueError(
+                "paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and"
+                " technology '0.35um'"
+            )
         return self
 
     @model_validator(mode="after")
@@ -508,15 +695,29 @@ class Study(Setting):
         """A full well that does not scale with the area would favour small pixels."""
         if NO_TECHNOLOGY in self.technologies:
             if len(self.technologies) > 1:
-                raise ValueError(f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone, or leave it out")
-            given = [*(name for name, value in self.pixel if value is not None), *efficiencies_of(self.pixel.colour)]
-            if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
-                raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
+                raise ValueError(
+                    f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone,"
+                    " or leave it out"
+                )
+            given = [
+                *(name for name, value in self.pixel if value is not None),
+                *efficiencies_of(self.pixel.colour),
+            ]
+            if missing := [
+                *(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []),
+                *missing_of_data_sheet(given),
+            ]:
+                raise ValueError(
+                    f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing:"
+                    f" {', '.join(missing)}"
+                )
         return self
 
     @property
     def border_um(self) -> float:
-        """Width on each side of the die that is not scored on a display of fixed size, for all pixel sizes and registrations."""
+        """Width on each side of the die that is not scored on a display of fixed size, for all
+        pixel sizes and registrations.
+        """
         return BORDER_PIXELS * self.pitch.largest_um
 
     @property
@@ -526,12 +727,16 @@ class Study(Setting):
 
     @property
     def own_pitches_um(self) -> tuple[float, ...]:
-        """Pitches of the sensors whose data sheets the study has; none for a study of technologies."""
+        """Pitches of the sensors whose data sheets the study has; none for a study of
+        technologies.
+        """
         if NO_TECHNOLOGY in self.technologies:
             own = self.pitch.own_um or self.pixel.data_sheet_pitch_um
             return () if own is None else (own,)
         sheets = [self.sensors[name] for name in self.technologies if name in self.sensors]
-        if len(sheets) < len(self.technologies) or any(pixel.technology != NO_TECHNOLOGY for pixel in sheets):
+        if len(sheets) < len(self.technologies) or any(
+            pixel.technology != NO_TECHNOLOGY for pixel in sheets
+        ):
             return ()
         return tuple(pixel.pitch_um for pixel in sheets)
 
@@ -552,7 +757,8 @@ class Study(Setting):
 
     @property
     def open_range_um(self) -> tuple[float | None, float]:
-        """Ends of the range of pitches, where they are not set: of a data sheet from a quarter to four times its pitch.
+        """Ends of the range of pitches, where they are not set: of a data sheet from a quarter to
+        four times its pitch.
 
         None for the lower end of a technology, which follows from `min_fill_factor`.
         """
@@ -560,7 +766,10 @@ class Study(Setting):
         if self.own_um is None:
             return low, high
         largest_um = max(self.own_pitches_um) * PITCH_RATIO
-        return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else largest_um
+        return (
+            low or self.own_um / PITCH_RATIO,
+            high if "max_um" in self.pitch.model_fields_set else largest_um,
+        )
 
     def options_of(self, technology: str) -> PixelOptions:
         """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
@@ -568,7 +777,8 @@ class Study(Setting):
 
 
 def owner_of(study: Study, path: tuple[str, ...]) -> str:
-    """What sets a study's setting in every case, so that its own value is not used: an axis, or all conditions; empty for none.
+    """What sets a study's setting in every case, so that its own value is not used: an axis, or all
+    conditions; empty for none.
 
     path : of the setting
     """
@@ -581,11 +791,15 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
     return ""
 
 
-# --- layers of settings -----------------------------------------------------------------------------------------------------------
+# --- layers of settings
+# -----------------------------------------------------------------------------------------------------------
 
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
-REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
+REPLACED_RANGE = {
+    "values_um": ("min_um", "max_um", "count", "min_fill_factor"),
+    "min_um": ("min_fill_factor",),
+}
 
 
 # Names of settings that a sensor's file does not have.
@@ -596,20 +810,37 @@ STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
 NOT_ASKED = {
     "smaller_than_um": "a study, whose answer is a pixel size",
     "paper": "a study with the scene of Chen et al. (2000) and their pixel sizes",
-    "light": "sweep(light, pixels), of sensors in one light; those of a comparison see a scene, each through its own lens",
+    "light": (
+        "sweep(light, pixels), of sensors in one light; those of a comparison see a scene, each"
+        " through its own lens"
+    ),
     "without": "sweep(light, pixels, without=…); the sensors of a comparison see a scene",
     "noise_budget": "run, study or compare, whose results have a page",
 }
-# Settings of a study that decide nothing on sensors of other commands, which have their own technologies and pixel sizes.
+# Settings of a study that decide nothing on sensors of other commands, which have their own
+# technologies and pixel sizes.
 STUDY_ALONE = (
-    *("name", "streams", "title", "sources", "technologies", "sensors", "process", "pitch", "repeats", "refine", "target_ci_um"),
+    *(
+        "name",
+        "streams",
+        "title",
+        "sources",
+        "technologies",
+        "sensors",
+        "process",
+        "pitch",
+        "repeats",
+        "refine",
+        "target_ci_um",
+    ),
     *("max_repeats", "max_evaluations", "iso_delta_e", "paper"),
 )
 WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
 
 
 def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list[str]:
-    """Return the dotted names of settings that a command does not take, without what a file says of itself.
+    """Return the dotted names of settings that a command does not take, without what a file says of
+    itself.
 
     layers : of files and options
     not_taken : fields of a study
@@ -617,7 +848,11 @@ def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list
     names: list[str] = []
     for layer in layers:
         words = WORDS_OF_FILES if layer.source else ()
-        names += [".".join(path) for path in paths_of(layer.table) if path[0] in not_taken and path[0] not in words]
+        names += [
+            ".".join(path)
+            for path in paths_of(layer.table)
+            if path[0] in not_taken and path[0] not in words
+        ]
     return names
 
 
@@ -625,11 +860,15 @@ def check_asked(command: str, **asked: object) -> None:
     """Raise PixsimError for something that is asked of a command, and that only others answer."""
     for name, value in asked.items():
         if value is not None and value is not False and value != ():
-            raise invalid(setting(name), f"a value in a {command}", f"{setting(name)} of {NOT_ASKED[name]}")
+            raise invalid(
+                setting(name), f"a value in a {command}", f"{setting(name)} of {NOT_ASKED[name]}"
+            )
 
 
 def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
-    """Return the tables of a layer that a run has too, with the scene's parameters alone, and what only a study has."""
+    """Return the tables of a layer that a run has too, with the scene's parameters alone, and what
+    only a study has.
+    """
     of_study = {name: value for name, value in layer.table.items() if name in STUDY_ONLY}
     of_run = {name: value for name, value in layer.table.items() if name not in STUDY_ONLY}
     scene = of_run.get("scene")
@@ -644,66 +883,108 @@ def has_study_settings(table: dict[str, Any]) -> bool:
     return bool(table.keys() & STUDY_ONLY)
 
 
-def study_layers(studies: Sequence[Layer], files: Sequence[Layer], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table and overrides, then files of settings of a study or of a sensor, then the options.
+def study_layers(
+    studies: Sequence[Layer], files: Sequence[Layer], options: dict[str, Any] | None = None
+) -> list[Layer]:
+    """Layers of a study: its own table and overrides, then files of settings of a study or of a
+    sensor, then the options.
 
-    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
-    quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
-    not used. What later layers make void is removed from those of a study. A file that gives the study another name leaves it
-    the random streams of the first.
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the
+    study, whose sizes go from a quarter to four times its own unless a range is set. A technology
+    becomes the only one of the study; the pitch of its file is not used. What later layers make
+    void is removed from those of a study. A file that gives the study another name leaves it the
+    random streams of the first.
 
     studies : of `read_study`
     files : of `config_layers`
-    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera`
+        pixels, as a sensor file has
 
     Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
     options = dict(options or {})
     sensors = [layer for layer in files if not has_study_settings(layer.table)]
     pixel_options = options.get("pixel", {})
-    sensor = [*sensors, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    sensor = [
+        *sensors,
+        Layer({name: options[name] for name in ("camera", "pixel") if name in options}),
+    ]
     settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
     given = set(merged(sensor).get("pixel", {}))
     derived: dict[str, Any] = {}
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     if sheet:
-        derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
+        derived = {
+            "technologies": [NO_TECHNOLOGY],
+            "paper": False,
+            "pitch": {"own_um": settings.pixel.pitch_um},
+        }
     elif "technology" in given:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
     elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
-        names = ", ".join(map(str, merged(studies).get("technologies", Study.model_fields["technologies"].default)))
+        names = ", ".join(
+            map(
+                str, merged(studies).get("technologies", Study.model_fields["technologies"].default)
+            )
+        )
         missing = ", ".join(missing_of_data_sheet(given))
-        words = f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}"
+        words = (
+            f"[pixel] gives no technology and not {missing}, which come from the study's technology"
+            f" {names}"
+        )
         warn(Note("assumed", words=words))
     scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
     if "pitch_um" in given and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
     if "pitch_um" in pixel_options and not (scaled or sheet):
-        got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
-        raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+        got, expected = (
+            f"'{pixel_options['pitch_um']}' for a study",
+            "the pitch of a data sheet: a study has sizes of its own",
+        )
+        raise invalid(
+            "pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um."
+        )
     if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
         derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
     source = sensors[-1].source if sensors else ""
     first, *others = studies
-    if any(layer not in sensors and "name" in layer.table for layer in files) and "name" in first.table:
+    if (
+        any(layer not in sensors and "name" in layer.table for layer in files)
+        and "name" in first.table
+    ):
         first = Layer({"streams": first.table["name"]} | first.table, first.source)
     layers = [first, *others]
-    layers += [Layer(_as_study_table(layer.table), layer.source) if layer in sensors else layer for layer in files]
+    layers += [
+        Layer(_as_study_table(layer.table), layer.source) if layer in sensors else layer
+        for layer in files
+    ]
     layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
-    for place, layer in reversed(list(enumerate(layers))):  # so that what is void in a later layer makes nothing void before it
+    for place, layer in reversed(
+        list(enumerate(layers))
+    ):  # so that what is void in a later layer makes nothing void before it
         if place < len(studies) or has_study_settings(layer.table):
-            layers[place] = Layer(_without_void(layer.table, merged(layers[place + 1 :])), layer.source)
+            layers[place] = Layer(
+                _without_void(layer.table, merged(layers[place + 1 :])), layer.source
+            )
     return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
 
 
 def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
     """A study's table without what later layers make void."""
     table = _with_light(_with_range(_with_technologies(table, overriding), overriding), overriding)
-    if _scene(overriding).get("file") is not None:  # the parameters of a study are those of its own scene
+    if (
+        _scene(overriding).get("file") is not None
+    ):  # the parameters of a study are those of its own scene
         table = _without_parameters(table)
     if isinstance(sources := table.get("sources"), dict):
         layer = Layer(overriding)
-        table = table | {"sources": {name: source for name, source in sources.items() if not layer.names(str(name).split("."))}}
+        table = table | {
+            "sources": {
+                name: source
+                for name, source in sources.items()
+                if not layer.names(str(name).split("."))
+            }
+        }
     return table
 
 
@@ -714,12 +995,21 @@ def _scene(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the numbers and the data sheets of technologies that overriding ones leave out."""
+    """A study's table without the numbers and the data sheets of technologies that overriding ones
+    leave out.
+    """
     names = overriding.get("technologies")
     if not isinstance(names, list):
         return table
-    parts = {part: values for part in ("process", "sensors") if isinstance(values := table.get(part), dict)}
-    return table | {part: {name: value for name, value in values.items() if name in names} for part, values in parts.items()}
+    parts = {
+        part: values
+        for part in ("process", "sensors")
+        if isinstance(values := table.get(part), dict)
+    }
+    return table | {
+        part: {name: value for name, value in values.items() if name in names}
+        for part, values in parts.items()
+    }
 
 
 def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
@@ -731,46 +1021,73 @@ def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the fields of [pitch] that an overriding range makes void, such as a list of pitches."""
+    """A study's table without the fields of [pitch] that an overriding range makes void, such as a
+    list of pitches.
+    """
     pitch, given = table.get("pitch"), overriding.get("pitch", {})
     if not (isinstance(pitch, dict) and isinstance(given, dict)):
         return dict(table)
-    void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
+    void = {
+        name
+        for name, others in REPLACED_RANGE.items()
+        if name not in given and any(other in given for other in others)
+    }
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
 
 def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the luminance of its scene where an overriding one states the illuminance, or the other way round."""
+    """A study's table without the luminance of its scene where an overriding one states the
+    illuminance, or the other way round.
+    """
     scene, given = table.get("scene"), _scene(overriding).get("parameters", {})
-    if not (isinstance(scene, dict) and isinstance(own := scene.get("parameters"), dict) and isinstance(given, dict)):
+    if not (
+        isinstance(scene, dict)
+        and isinstance(own := scene.get("parameters"), dict)
+        and isinstance(given, dict)
+    ):
         return table
     stated = given.keys() & {ILLUMINANCE, LUMINANCE}
     void = {ILLUMINANCE, LUMINANCE} - stated if stated else set()
-    return table | {"scene": scene | {"parameters": {name: value for name, value in own.items() if name not in void}}}
+    return table | {
+        "scene": (
+            scene | {"parameters": {name: value for name, value in own.items() if name not in void}}
+        )
+    }
 
 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
-    """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
+    """Layers of a study with the data sheets among its technologies: TOML files with a table
+    [pixel], each a sensor of its own.
 
-    A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options of the pixel replace values of
-    each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are data sheets, the pitches go from a
-    quarter of the smallest to four times the largest, unless the study sets a range.
+    A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options
+    of the pixel replace values of each sheet, and the study's [pixel] has what a sheet leaves open.
+    If all technologies are data sheets, the pitches go from a quarter of the smallest to four times
+    the largest, unless the study sets a range.
 
     Raises PixsimError if a sheet is invalid.
     """
     study = merged(layers)
     technologies = study.get("technologies")
-    names = dict.fromkeys(name for name in technologies if isinstance(name, str)) if isinstance(technologies, list) else {}
+    names = (
+        dict.fromkeys(name for name in technologies if isinstance(name, str))
+        if isinstance(technologies, list)
+        else {}
+    )
     known = study.get("sensors")
     sensors = {}
     for name in names:
-        if isinstance(known, dict) and name in known:  # settings.toml states the values, whatever the file says now
+        if (
+            isinstance(known, dict) and name in known
+        ):  # settings.toml states the values, whatever the file says now
             sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
         elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
             if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
                 reason = "of a sensor among technologies, only [pixel] is used"
                 warn(Note("not_used", setting=f"{name}: {', '.join(others)}", reason=reason))
-            sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
+            sheet = [
+                Layer({"pixel": study.get("pixel", {})}),
+                Layer({"pixel": layer.table["pixel"]}, layer.source),
+            ]
         else:
             continue
         settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
@@ -786,7 +1103,9 @@ def _is_settings(name: str) -> bool:
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
-    """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
+    """Settings without what a study has in other fields: pitch, technology, and the pixels that
+    make the die.
+    """
     left = dict(table)
     for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
         if isinstance(values := table.get(name), dict):
@@ -795,33 +1114,58 @@ def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
+    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as
+    scene.parameters.
+    """
     scene, table = table.get("scene"), _without_sensor_only(table)
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
 
 
-def with_axes(options: Mapping[str, Any], texts: Sequence[str], layers: Sequence[Layer]) -> dict[str, Any]:
-    """Return options of a study with the axes of --axis over those of its layers; as they are without --axis."""
-    return {**options, "axis": axes_of(texts, merged(layers).get("axis", []))} if texts else dict(options)
+def with_axes(
+    options: Mapping[str, Any], texts: Sequence[str], layers: Sequence[Layer]
+) -> dict[str, Any]:
+    """Return options of a study with the axes of --axis over those of its layers; as they are
+    without --axis.
+    """
+    return (
+        {**options, "axis": axes_of(texts, merged(layers).get("axis", []))}
+        if texts
+        else dict(options)
+    )
 
 
 def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
-    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values of an axis of that name.
+    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values
+    of an axis of that name.
 
-    NAME is an axis of the file or a dotted setting; settings joined by + take each value together. VALUES are v1,v2,… or
-    from:to:count, with :log for equal ratios. Raises PixsimError for a text that is neither.
+    NAME is an axis of the file or a dotted setting; settings joined by + take each value together.
+    VALUES are v1,v2,… or from:to:count, with :log for equal ratios. Raises PixsimError for a text
+    that is neither.
     """
     if not isinstance(file_axes, list):
         raise invalid("axis", repr(file_axes), "a list of tables [[axis]]")
     axes = [dict(axis) if isinstance(axis, dict) else axis for axis in file_axes]
-    by_name = {axis["name"]: axis for axis in axes if isinstance(axis, dict) and isinstance(axis.get("name"), str)}
+    by_name = {
+        axis["name"]: axis
+        for axis in axes
+        if isinstance(axis, dict) and isinstance(axis.get("name"), str)
+    }
     names: set[str] = set()
     for text in texts:
         name, equals, values = (part.strip() for part in text.partition("="))
         if not (name and equals and values):
-            raise invalid("--axis", f"'{text}'", "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4")
+            raise invalid(
+                "--axis",
+                f"'{text}'",
+                "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4",
+            )
         if name in names:
-            raise invalid("--axis", f"'{name}' twice", "each axis once", "Give all of its values in one --axis.")
+            raise invalid(
+                "--axis",
+                f"'{name}' twice",
+                "each axis once",
+                "Give all of its values in one --axis.",
+            )
         names.add(name)
         table = _values_of(text, values)
         if name in by_name:
@@ -830,7 +1174,13 @@ def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
                 by_name[name].pop(old, None)
             by_name[name].update(table)
         else:
-            axes.append({"name": " and ".join(name.split("+")), "set": [part.strip() for part in name.split("+")]} | table)
+            axes.append(
+                {
+                    "name": " and ".join(name.split("+")),
+                    "set": [part.strip() for part in name.split("+")],
+                }
+                | table
+            )
     return axes
 
 
@@ -839,28 +1189,49 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
     ends = values.split(":")
     if len(ends) in (3, 4) and "," not in values:
         try:
-            table: dict[str, Any] = {"from": float(ends[0]), "to": float(ends[1]), "count": int(ends[2])}
+            table: dict[str, Any] = {
+                "from": float(ends[0]),
+                "to": float(ends[1]),
+                "count": int(ends[2]),
+            }
         except ValueError:
-            raise invalid("--axis", f"'{text}'", "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log") from None
+            raise invalid(
+                "--axis",
+                f"'{text}'",
+                "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log",
+            ) from None
         if ends[3:] and ends[3] not in ("log", "linear"):
             raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
         return table | ({"spacing": ends[3]} if ends[3:] else {})
     parts = [part.strip() for part in values.split(",")]
     if "" in parts:
-        raise invalid("--axis", f"'{text}'", "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4")
+        raise invalid(
+            "--axis",
+            f"'{text}'",
+            "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4",
+        )
     return {"values": [_value(part) for part in parts]}
 
 
 def _of_labels(text: str, table: dict[str, Any], values: object) -> dict[str, Any]:
-    """The values of an axis of a file that the text of an --axis names by their labels, if they have some."""
-    tables = [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+    """The values of an axis of a file that the text of an --axis names by their labels, if they
+    have some.
+    """
+    tables = (
+        [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+    )
     if not tables:
         return table
     by_label = {str(value.get("label")): value for value in tables}
     names = [str(name) for name in table.get("values", ["a range"])]
     if unknown := [name for name in names if name not in by_label]:
         hint = did_you_mean(unknown[0], by_label)
-        raise invalid("--axis", f"{unknown[0]} in '{text}'", f"labels of its values: {', '.join(by_label)}", hint)
+        raise invalid(
+            "--axis",
+            f"{unknown[0]} in '{text}'",
+            f"labels of its values: {', '.join(by_label)}",
+            hint,
+        )
     return {"values": [by_label[name] for name in names]}
 
 

@@ -1,4 +1,6 @@
-"""Run a study: mean ΔE for many pixel sizes, technologies and sensors; resumable, and independent of the number of workers."""
+"""Run a study: mean ΔE for many pixel sizes, technologies and sensors; resumable, and independent
+of the number of workers.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,51 @@ from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
+from pixsim.studies.claims import (
+    REFERENCE_TECHNOLOGY,
+    Evidence,
+    Finding,
+    reference_rows,
+    scaling_rows,
+)
 from pixsim.studies.curve import Curve, DisplayOptimum, Rounds, curve_of, on_first_display
-from pixsim.studies.design import Case, Sizes, check_number, metrics_of, of_technology, study_pitches_um, warn_of_reviews
+from pixsim.studies.design import (
+    Case,
+    Sizes,
+    check_number,
+    metrics_of,
+    of_technology,
+    study_pitches_um,
+    warn_of_reviews,
+)
 from pixsim.studies.dry_run import largest_frame_bytes
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
-from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
-from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
+from pixsim.studies.evaluate import (
+    Counts,
+    LitCase,
+    check_ideals,
+    evaluate_points,
+    ideal_facts,
+    lit_cases,
+)
+from pixsim.studies.files import (
+    load_study,
+    scene_table,
+    settings_text,
+    spreads_of_study,
+    tables_of_python,
+    uncertainty_of,
+)
 from pixsim.studies.lights import Light, render_lights
-from pixsim.studies.prepare import Asked, Job, asked_of, cases_of_sensors, check_given_light, check_types, prepare
+from pixsim.studies.prepare import (
+    Asked,
+    Job,
+    asked_of,
+    cases_of_sensors,
+    check_given_light,
+    check_types,
+    prepare,
+)
 from pixsim.studies.result import CasesResult, StudyResult, causes_of_curve
 from pixsim.studies.settings import Study
 from pixsim.studies.table import DOTS, Label, Table, check_replaceable_results
@@ -60,7 +98,9 @@ if TYPE_CHECKING:
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
-def repeated_settings(job: Job[Study], image: SpectralImage, spreads: Uncertainty, asked: Asked | None = None) -> str:
+def repeated_settings(
+    job: Job[Study], image: SpectralImage, spreads: Uncertainty, asked: Asked | None = None
+) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     image : the render of the study
@@ -73,7 +113,10 @@ def repeated_settings(job: Job[Study], image: SpectralImage, spreads: Uncertaint
         without = job.cases[0].without
         more = "" if without is None else f" and, without its target, {without.header[DIGEST]}"
         names = "light=…" if without is None else "light=…, without=…"
-        command = f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest {image.header[DIGEST]}{more}"
+        command = (
+            f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest"
+            f" {image.header[DIGEST]}{more}"
+        )
         return settings_text(job.complete, command, spreads_of_study(job.complete, spreads))
     scene, kept = job.source, without_clock(job.complete, image)
     file = kept.scene.file
@@ -82,13 +125,19 @@ def repeated_settings(job: Job[Study], image: SpectralImage, spreads: Uncertaint
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
     camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
-    # Where dots and distance are stated, no further display is shown: one of them stays open if it was.
+    # Where dots and distance are stated, no further display is shown: one of them stays open if it
+    # was.
     stated = job.asked.display.model_fields_set
     is_open = any(case.others for case in job.cases)
     left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
     display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
     return settings_text(
-        kept, repeating_command(job.variant, asked), spreads_of_study(kept, spreads), scene=of_scene, camera=camera, display=display
+        kept,
+        repeating_command(job.variant, asked),
+        spreads_of_study(kept, spreads),
+        scene=of_scene,
+        camera=camera,
+        display=display,
     )
 
 
@@ -102,12 +151,16 @@ def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
 
 
 def on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
-    """Return the optima of a curve on the further displays of its case, from the first sensors of each size."""
+    """Return the optima of a curve on the further displays of its case, from the first sensors of
+    each size.
+    """
     if DOTS not in table.columns or not curve.judged_by_delta_e:
         return ()
     different = dict.fromkeys(table.columns[DOTS].tolist())
     return tuple(
-        DisplayOptimum(dots, curve_of(study, curve.technology, table.where(dots=dots), (DELTA_E,)).optimum)
+        DisplayOptimum(
+            dots, curve_of(study, curve.technology, table.where(dots=dots), (DELTA_E,)).optimum
+        )
         for dots in list(different)[1:]
     )
 
@@ -131,17 +184,21 @@ def evaluate_cases(
     progress: Callable[[], Progress | None],
     begun: Callable[[StudyResult], None] | None = None,
 ) -> tuple[list[StudyResult | str], Counts, Table]:
-    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima.
+    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is
+    met, and fit the optima.
 
-    begun : called once with a study of one case in its light, without curves, when workers have made its first evaluations
+    begun : called once with a study of one case in its light, without curves, when workers have
+        made its first evaluations
 
-    Returns the result of each combination, or the reason why too few of its pixel sizes are possible, how much was computed,
-    and the table of all points.
+    Returns the result of each combination, or the reason why too few of its pixel sizes are
+    possible, how much was computed, and the table of all points.
     """
     lit = lit_cases(cases, lights)
     by_scene: dict[tuple[str, str], list[LitCase]] = {}
     for sensor in lit:
-        by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(sensor)
+        by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(
+            sensor
+        )
     for sensors in by_scene.values():
         check_ideals(sensors)
 
@@ -156,21 +213,34 @@ def evaluate_cases(
 
         def evaluated(share: float) -> None:
             if awaits:
-                awaits.pop()(StudyResult(cases[0].settings, (), lights[0], view=dict(view), lit=tuple(lit)))
+                awaits.pop()(
+                    StudyResult(cases[0].settings, (), lights[0], view=dict(view), lit=tuple(lit))
+                )
             report(share)
 
         return evaluated
 
     has_target = any(case.settings.target_ci_um is not None for case in cases)
     table = evaluate_points(
-        lit, results, workers, reports, more=rounds.more, known=rounds.curve, counts=counts, in_parts=has_target
+        lit,
+        results,
+        workers,
+        reports,
+        more=rounds.more,
+        known=rounds.curve,
+        counts=counts,
+        in_parts=has_target,
     )
 
     tables = table.by_case()
     curves = [rounds.curve(number, rows) for number, rows in enumerate(tables)]
     warn_of_left_out(lit, curves)
-    possible = (sensor for sensor, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve))
-    warn_of_reviews((label_of(sensor.case.sensor), sensor.case, sensor.scenes.light) for sensor in possible)
+    possible = (
+        sensor for sensor, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve)
+    )
+    warn_of_reviews(
+        (label_of(sensor.case.sensor), sensor.case, sensor.scenes.light) for sensor in possible
+    )
     combinations: list[StudyResult | str] = []
     for members in groups.values():
         of_members = [(lit[number], curves[number], tables[number]) for number in members]
@@ -180,9 +250,13 @@ def evaluate_cases(
 
 
 def combination_result(
-    members: Sequence[tuple[LitCase, Curve | str, Table]], light: Light, view: Mapping[str, Any], rows: Table
+    members: Sequence[tuple[LitCase, Curve | str, Table]],
+    light: Light,
+    view: Mapping[str, Any],
+    rows: Table,
 ) -> StudyResult | str:
-    """Return the result of one combination of axes and condition, or the reason why a sensor of it has no curve.
+    """Return the result of one combination of axes and condition, or the reason why a sensor of it
+    has no curve.
 
     members : each sensor in its light, its curve, and the evaluations of the curve
     rows : evaluations of all sensors
@@ -204,7 +278,9 @@ def combination_result(
         on_displays = on_further_displays(case.settings, curve, table)
         complete.append(replace(curve, case=labels, errors=errors, on_displays=on_displays))
     sensors = tuple(sensor for sensor, _, _ in members)
-    return StudyResult(sensors[0].case.settings, tuple(complete), light, view=dict(view), table=rows, lit=sensors)
+    return StudyResult(
+        sensors[0].case.settings, tuple(complete), light, view=dict(view), table=rows, lit=sensors
+    )
 
 
 def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
@@ -214,79 +290,135 @@ def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) ->
         if isinstance(curve, Curve) and curve.left_out:
             sizes = dict(curve.left_out)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
-            notes.append(Note("left_out", words=f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}"))
+            notes.append(
+                Note("left_out", words=f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}")
+            )
     for note in few([notes]):
         warn(note)
 
 
-def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
-    """Return the statements compared with each case of a study with axes or conditions; none where a case lacks the process.
+def findings_of_cases(
+    parts: Sequence[StudyResult], workers: Workers, progress: Progress
+) -> tuple[tuple[Finding, ...], ...]:
+    """Return the statements compared with each case of a study with axes or conditions; none where
+    a case lacks the process.
 
     The rows of the paper's process are computed once for cases that differ in other processes only.
     """
     keys = [
-        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].frames_hash])
-        if REFERENCE_TECHNOLOGY in part.study.technologies
-        else ""
+        (
+            content_hash(
+                [
+                    of_technology(part.study, REFERENCE_TECHNOLOGY),
+                    part.sensors[REFERENCE_TECHNOLOGY].frames_hash,
+                ]
+            )
+            if REFERENCE_TECHNOLOGY in part.study.technologies
+            else ""
+        )
         for part in parts
     ]
     first = {key: part for key, part in zip(keys, parts, strict=True) if key}
     # Each call has its own `make`, since the calls share no data.
-    calls = [(key, partial(StudyResult, part.study, part.curves, part.light)) for key, part in first.items()]
+    calls = [
+        (key, partial(StudyResult, part.study, part.curves, part.light))
+        for key, part in first.items()
+    ]
     rows: dict[str, list[Finding]] = {"": []}
     for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
         rows[key] = own
         progress(done / len(calls))
-    return tuple((*rows[key], *scaling_rows(part.curves)) if key else () for key, part in zip(keys, parts, strict=True))
+    return tuple(
+        (*rows[key], *scaling_rows(part.curves)) if key else ()
+        for key, part in zip(keys, parts, strict=True)
+    )
 
 
 def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
     """Return the key of a case and the rows of the paper's process in it."""
-    return key, reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves}))
+    return key, reference_rows(
+        Evidence(result, {curve.technology: curve for curve in result.curves})
+    )
 
 
 def draw_types(
-    result: StudyResult, asked: Asked, folder: Path, workers: Workers, progress: Callable[[], Progress | None]
+    result: StudyResult,
+    asked: Asked,
+    folder: Path,
+    workers: Workers,
+    progress: Callable[[], Progress | None],
 ) -> list[UncertaintyResult]:
-    """Evaluate the sensor types of a finished study, and return what is known of each of its optima, metric by metric.
+    """Evaluate the sensor types of a finished study, and return what is known of each of its
+    optima, metric by metric.
 
-    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics that tell no best size of the base.
+    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics that tell
+    no best size of the base.
 
     result : of the study, whose optima are the base
     folder : of the study, in which `types_file` keeps the rows, so that an interrupted run goes on
 
-    Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the base.
+    Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the
+    base.
     """
     results = []
     for metric in drawn_metrics(result.study):
         if all(metric.name in curve.optima for base in result.cases for curve in base.curves):
-            bases = [replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves)) for base in result.cases]
-            results += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
+            bases = [
+                replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves))
+                for base in result.cases
+            ]
+            results += _types_by_metric(
+                bases, asked, folder / types_file(metric), workers, progress
+            )
         else:
             reason = "it tells no best size of some of the study's own sensors"
-            warn(Note("no_effect", words=f"sensor types for {metric.words}: nothing is drawn, since {reason}"))
+            warn(
+                Note(
+                    "no_effect",
+                    words=f"sensor types for {metric.words}: nothing is drawn, since {reason}",
+                )
+            )
     return results
 
 
 def _types_by_metric(
-    bases: Sequence[StudyResult], asked: Asked, file: Path, workers: Workers, progress: Callable[[], Progress | None]
+    bases: Sequence[StudyResult],
+    asked: Asked,
+    file: Path,
+    workers: Workers,
+    progress: Callable[[], Progress | None],
 ) -> list[UncertaintyResult]:
-    """Return what is known of the optima of the cases of a study by the first metric of their curves."""
+    """Return what is known of the optima of the cases of a study by the first metric of their
+    curves.
+    """
     study, metric = bases[0].study, bases[0].curves[0].metric
     sample = asked.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
     cases: list[Case[Study]] = []  # by case of the study, then by type, then by technology
     lights: list[Light] = []
     for number, base in enumerate(bases):
-        settings = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"})
+        settings = base.study.model_dump(
+            mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"}
+        )
         settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
-        types = [Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
+        types = [
+            Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw)))
+            for draw in sample.draws
+        ]
         few = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
-        few_frames = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+        few_frames = base.study.model_copy(
+            update={"metrics": (metric.name,), "repeats": FEW_SENSORS}
+        )
         light = replace(base.light, film=None, noise=None)
         for draw, drawn_study in enumerate(types):
             labels: dict[str, Label] = {"case": number, "draw": draw}
-            combination = Case(drawn_study, labels, labels=labels, group=(number, draw), resolved=(base.irradiance, base.camera))
+            combination = Case(
+                drawn_study,
+                labels,
+                labels=labels,
+                group=(number, draw),
+                resolved=(base.irradiance, base.camera),
+            )
             for case in cases_of_sensors(combination):
                 assert case.imaging is not None
                 imaging = case.imaging.changed(
@@ -294,7 +426,9 @@ def _types_by_metric(
                     single=allows_single(few_frames.tolerance_delta_e),
                     metrics=metrics_of(few_frames, FEW_SENSORS),
                 )
-                cases.append(replace(case, imaging=imaging, sizes=few[case.sensor], caches_frames=False))
+                cases.append(
+                    replace(case, imaging=imaging, sizes=few[case.sensor], caches_frames=False)
+                )
                 lights.append(light)
 
     lit = lit_cases(cases, lights)
@@ -311,10 +445,16 @@ def _types_by_metric(
     for base in bases:
         types_curves = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
         for place, curve in enumerate(base.curves):
-            table, holds = _results_of_types(list(zip(*types_curves, strict=True)), place, base, asked)
+            table, holds = _results_of_types(
+                list(zip(*types_curves, strict=True)), place, base, asked
+            )
             inputs = sample if asked.total else sample_of(sample, curve.technology)
             label = curve.label if sum(len(other.curves) for other in bases) > 1 else ""
-            results.append(UncertaintyResult(inputs, table, holds, asked.draws, study.seed, label, asked.total, metric))
+            results.append(
+                UncertaintyResult(
+                    inputs, table, holds, asked.draws, study.seed, label, asked.total, metric
+                )
+            )
     return results
 
 
@@ -339,16 +479,27 @@ def _results_of_types(
     drawn_curves = curves[place]
     optima = [curve.optimum for curve in drawn_curves]
     value = base.curves[place].metric.columns[0]
-    names = ("optimum_um", "interval_low_um", "interval_high_um", value, f"{value}_low", f"{value}_high")
+    names = (
+        "optimum_um",
+        "interval_low_um",
+        "interval_high_um",
+        value,
+        f"{value}_low",
+        f"{value}_high",
+    )
     rows = [(best.pitch_um, *best.interval_um, best.value, *best.value_interval) for best in optima]
     table = dict(zip(names, np.array(rows, float).T, strict=True))
     table["inside"] = np.array([best.inside for best in optima])
 
-    # An optimum at the smallest size tried is there or below; of one at the largest size nothing is known above it.
+    # An optimum at the smallest size tried is there or below; of one at the largest size nothing is
+    # known above it.
     smallest_um, largest_um = np.array([curve.fitted_range_um for curve in drawn_curves]).T
     pitch_um = table["optimum_um"]
     is_known = table["inside"] | (pitch_um == smallest_um)
-    holds = {f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size) for size in asked.smaller_than_um}
+    holds = {
+        f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size)
+        for size in asked.smaller_than_um
+    }
     labels = [curve.plain_label for curve in base.curves]
     delta_e = [np.array([curve.optimum.mean_delta_e for curve in drawn]) for drawn in curves]
     for other, name in enumerate(labels):
@@ -384,35 +535,41 @@ def study(
 
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, created if missing
-    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure and display, for a named
-        study; later ones take precedence
+    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure
+        and display, for a named study; later ones take precedence
     parameters : of the scene, each in its unit; they override those of a named study
-    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's. A
-        data sheet may stand here instead of in a file, with its pitch_um
+    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they
+        override a named study's. A data sheet may stand here instead of in a file, with its
+        pitch_um
     scene : XML file or name of a packaged scene, which overrides a named study's
-    quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file NAME.quick.toml next to the study's,
-        or else at most 8 sizes of 4 sensors
+    quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file
+        NAME.quick.toml next to the study's, or else at most 8 sizes of 4 sensors
     jobs : processes; None means one per core. The results do not depend on it.
-    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes;
-        on the same kind of processor their results are bitwise equal
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
+        replace local processes; on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
     agreed : whether a study with axes or sensor types may take more than 100 000 evaluations
-    uncertainty : number of sensor types to draw from the ranges of technologies and [pixel.uncertainty] of `config`, for the
-        result's `uncertainty`; None means none
-    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
+    uncertainty : number of sensor types to draw from the ranges of technologies and
+        [pixel.uncertainty] of `config`, for the result's `uncertainty`; None means none
+    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
+        types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
-    metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`, each a number in its own unit; the first
-        is that of `Curve.optimum`, and each has its own in `Curve.optima`
-    light : on the sensor, rendered or of another program (`pixsim.read_irradiance`), in place of a scene's. Its camera is that of
-        its header, or the default, with `camera` over it. Axes and conditions then vary the sensor and what follows it, and
-        settings.toml repeats the study in Python alone, with the same light
+    metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`, each a
+        number in its own unit; the first is that of `Curve.optimum`, and each has its own in
+        `Curve.optima`
+    light : on the sensor, rendered or of another program (`pixsim.read_irradiance`), in place of a
+        scene's. Its camera is that of its header, or the default, with `camera` over it. Axes and
+        conditions then vary the sensor and what follows it, and settings.toml repeats the study in
+        Python alone, with the same light
     without : such light of the scene without its target, for the metrics detectability and npwe
-    settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
-        pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
-        "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
+    settings : other fields of `Study`, which override a named study's; tables as dicts:
+        camera={"f_number": 2.8}, pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3,
+        window_mm=1.0, axis=[{"name": "lens", "set": "camera.f_number", "values": [2.0, 4.0]}],
+        condition=[…]
 
-    Raises PixsimError for invalid input, before anything is rendered, and if `out` holds a results.csv of another program.
+    Raises PixsimError for invalid input, before anything is rendered, and if `out` holds a
+    results.csv of another program.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -426,18 +583,43 @@ def study(
     if light is not None:
         check_given_light(scene=scene, parameters=parameters)
     if light is None and without is not None:
-        raise invalid("without", "a value without light", f"light beside it; of a scene, {setting('metric.detectability.without')}")
-    given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene, "quick": quick} | settings
+        raise invalid(
+            "without",
+            "a value without light",
+            f"light beside it; of a scene, {setting('metric.detectability.without')}",
+        )
+    given = {
+        "config": config,
+        "parameters": parameters,
+        "pixel": pixel,
+        "scene": scene,
+        "quick": quick,
+    } | settings
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
-        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, quick, **settings)
-        spreads = uncertainty_of(plan, listed(config), quick) if isinstance(plan, str | os.PathLike) else {}
+        chosen = (
+            plan
+            if isinstance(plan, Study)
+            else load_study(plan, config, parameters, pixel, scene, quick, **settings)
+        )
+        spreads = (
+            uncertainty_of(plan, listed(config), quick)
+            if isinstance(plan, str | os.PathLike)
+            else {}
+        )
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         job = prepare(chosen, variant, light=light, without=without)
         return run_prepared(
-            job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, spreads=spreads, asked=asked
+            job,
+            out,
+            jobs=jobs,
+            scheduler=scheduler,
+            progress=progress,
+            agreed=agreed,
+            spreads=spreads,
+            asked=asked,
         )
 
 
@@ -465,25 +647,45 @@ def run_prepared(
 
     stage = progress or no_stage
     if jobs is None and scheduler is None:
-        jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.combinations]))
+        jobs = jobs_in_memory(
+            largest_frame_bytes([(case.settings, case.camera) for case in job.combinations])
+        )
     with collected_notes() as notes, ExitStack() as stack:
-        for name in ("results.csv", *(map(types_file, drawn_metrics(job.complete)) if asked else ())):
+        for name in (
+            "results.csv",
+            *(map(types_file, drawn_metrics(job.complete)) if asked else ()),
+        ):
             check_replaceable_results(Path(out) / name)
-        workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
+        workers, folder = (
+            stack.enter_context(workers_for(jobs, scheduler)),
+            stack.enter_context(output_folder(out)),
+        )
         chosen = job.complete
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = list(dict.fromkeys(light for light in lights if isinstance(light, str)))
         found: list[StudyResult] = []
-        if lit := [(case, light) for case, light in zip(job.cases, lights, strict=True) if isinstance(light, Light)]:
+        if lit := [
+            (case, light)
+            for case, light in zip(job.cases, lights, strict=True)
+            if isinstance(light, Light)
+        ]:
             cases = on_their_films(lit)
             made, counts, table = evaluate_cases(
-                cases, [light for _, light in lit], job.view, folder / "results.csv", workers, lambda: stage("evaluate"), begun
+                cases,
+                [light for _, light in lit],
+                job.view,
+                folder / "results.csv",
+                workers,
+                lambda: stage("evaluate"),
+                begun,
             )
             reasons += [reason for reason in made if isinstance(reason, str)]
             found = [part for part in made if isinstance(part, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
-        for note in few([[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]):
+        for note in few(
+            [[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]
+        ):
             warn(note)
         curves = found[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
@@ -496,7 +698,13 @@ def run_prepared(
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(
             chosen,
-            tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name),
+            tuple(
+                curve
+                for name in names
+                for part in found
+                for curve in part.curves
+                if curve.technology == name
+            ),
             first.light,
             view=first.view,
             settings_toml=settings_toml,

@@ -1,4 +1,6 @@
-"""Many sensors in one light: the frames are those of `pixsim.evaluate`, computed as the evaluations of a study are."""
+"""Many sensors in one light: the frames are those of `pixsim.evaluate`, computed as the evaluations
+of a study are.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,28 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import array_size_um
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.design import BASE, Case, check_number, metrics_of, named, warn_of_reviews, with_range_ends
+from pixsim.studies.design import (
+    BASE,
+    Case,
+    check_number,
+    metrics_of,
+    named,
+    warn_of_reviews,
+    with_range_ends,
+)
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
 from pixsim.studies.files import checked_study, config_layers, tables_of_python
 from pixsim.studies.lights import Light
-from pixsim.studies.prepare import Asked, Types, asked_of, check_axis_names, check_given_light, check_metrics, of_given_light
+from pixsim.studies.prepare import (
+    Asked,
+    Types,
+    asked_of,
+    check_axis_names,
+    check_given_light,
+    check_metrics,
+    of_given_light,
+)
 from pixsim.studies.result import causes_of_frames
 from pixsim.studies.sensors import circumstances
 from pixsim.studies.settings import STUDY_ALONE, Study, check_asked, parts_of_study, unused_settings
@@ -48,9 +66,23 @@ from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, warn_of_setti
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
 OF_RENDER = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
-NOT_TAKEN = (*STUDY_ALONE, "detail", "noise_budget", "quick", "resolution")  # settings of a study that change nothing in a sweep
+NOT_TAKEN = (
+    *STUDY_ALONE,
+    "detail",
+    "noise_budget",
+    "quick",
+    "resolution",
+)  # settings of a study that change nothing in a sweep
 ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
-RECORDS = ("exposure", "display", "correction", "motion", "develop", "metric", "camera")  # arguments that may be tables
+RECORDS = (
+    "exposure",
+    "display",
+    "correction",
+    "motion",
+    "develop",
+    "metric",
+    "camera",
+)  # arguments that may be tables
 
 
 def sweep(
@@ -88,31 +120,41 @@ def sweep(
 ) -> Table:
     """Evaluate many sensors in one light, rendered or of another program.
 
-    The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed, bit for bit; equal sensors have
-    equal frames. All are shown with one white, and scored on the same dots: the border of the largest pixels is left out. So
-    pixels of one size have the numbers of `evaluate`, and smaller ones among larger ones those of fewer dots.
+    The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed,
+    bit for bit; equal sensors have equal frames. All are shown with one white, and scored on the
+    same dots: the border of the largest pixels is left out. So pixels of one size have the numbers
+    of `evaluate`, and smaller ones among larger ones those of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
     camera : of all; None means that of the light's header, or the default; a table is over it
-    exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`, or tables as of `pixsim.study`
-    metrics : names of metrics, or functions of a Score that return a number; each has its columns. One that has no number for a
-        frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why. None means ΔE
+    exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`, or
+        tables as of `pixsim.study`
+    metrics : names of metrics, or functions of a Score that return a number; each has its columns.
+        One that has no number for a frame, as NIIRS for one that is overexposed, is NaN, with a
+        warning that says why. None means ΔE
     repeats : sensors of each kind; None means 1
     seed : of the fixed patterns and the temporal noise; None means 0
-    config : one or more TOML files with settings of all sensors, which take precedence over the numbers of `pixels`
+    config : one or more TOML files with settings of all sensors, which take precedence over the
+        numbers of `pixels`
     pixel : fields of all pixels, as {"bits": 12}
-    jobs : processes; None means one per core, where they are worth it. The results do not depend on it
-    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
+    jobs : processes; None means one per core, where they are worth it. The results do not depend on
+        it
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
+        replace local processes
     progress : returns a callback for each named stage
     agreed : whether a sweep with axes or sensor types may take more than 100 000 evaluations
-    out : folder whose results.csv keeps the numbers of each frame, so that an interrupted sweep goes on. None keeps nothing
-    uncertainty : sensor types to draw of each pixel from the ranges of its technology; rounded up to a power of two. The column
-        `draw` tells them from the pixels as they are, `base`; further columns have the numbers that were drawn
-    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
-    axis, condition : tables of a study, whose values are columns: axis=[{"name": "light", "set": "exposure.integration_s",
-        "values": [0.01, 0.1]}]. Pixels of one combination share white and dots
-    scene, parameters, variant, smaller_than_um : of `pixsim.study`, each in its unit; they have no meaning in light that is given,
-        or in a sweep, and are refused
+    out : folder whose results.csv keeps the numbers of each frame, so that an interrupted sweep
+        goes on. None keeps nothing
+    uncertainty : sensor types to draw of each pixel from the ranges of its technology; rounded up
+        to a power of two. The column `draw` tells them from the pixels as they are, `base`; further
+        columns have the numbers that were drawn
+    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
+        types
+    axis, condition : tables of a study, whose values are columns: axis=[{"name": "light", "set":
+        "exposure.integration_s", "values": [0.01, 0.1]}]. Pixels of one combination share white and
+        dots
+    scene, parameters, variant, smaller_than_um : of `pixsim.study`, each in its unit; they have no
+        meaning in light that is given, or in a sweep, and are refused
     quick, settings : of `pixsim.study`; what decides nothing on a sweep is named in a warning
 
     Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
@@ -124,19 +166,37 @@ def sweep(
     >>> [(row["pixel"], row["pitch_um"]) for row in table], table[0]["mean_delta_e"] < 1
     ([(0, 60.0), (1, 84.8)], True)
     """
-    by_name: Mapping[Any, Pixel] = pixels if isinstance(pixels, Mapping) else dict(enumerate(pixels))
+    by_name: Mapping[Any, Pixel] = (
+        pixels if isinstance(pixels, Mapping) else dict(enumerate(pixels))
+    )
     if not by_name:
         raise invalid("pixels", "none", "at least one Pixel")
     for name in by_name:
         if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
-            raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
-    check_asked("sweep", smaller_than_um=smaller_than_um, paper=settings.get("paper"), noise_budget=settings.get("noise_budget"))
+            raise invalid(
+                "pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table"
+            )
+    check_asked(
+        "sweep",
+        smaller_than_um=smaller_than_um,
+        paper=settings.get("paper"),
+        noise_budget=settings.get("noise_budget"),
+    )
     check_given_light(scene=scene, parameters=parameters)
-    records = dict(zip(RECORDS, (exposure, display, correction, motion, develop, metric, camera), strict=True))
-    tables = records | {"pixel": pixel, "seed": seed, "axis": list(axis), "condition": list(condition)} | settings
+    records = dict(
+        zip(RECORDS, (exposure, display, correction, motion, develop, metric, camera), strict=True)
+    )
+    tables = (
+        records
+        | {"pixel": pixel, "seed": seed, "axis": list(axis), "condition": list(condition)}
+        | settings
+    )
     stated = {name: value for name, value in tables.items() if value is not None and value != []}
     layers = [*config_layers(config), Layer(tables_of_python(stated, metrics))]
-    light, without = light.identified, None if without is None else without.identified  # once for all cases
+    light, without = (
+        light.identified,
+        None if without is None else without.identified,
+    )  # once for all cases
 
     with collected_notes(), ExitStack() as stack:
         plan, of_all = sweep_plan(layers, variant)
@@ -148,7 +208,11 @@ def sweep(
         asked = asked_of(uncertainty, sobol, (), {})
         if asked is not None:
             cases = with_types(cases, asked)
-        check_number(len({case.group for case in cases}), sum(sum(case.sizes.values()) for case in cases), agreed)
+        check_number(
+            len({case.group for case in cases}),
+            sum(sum(case.sizes.values()) for case in cases),
+            agreed,
+        )
 
         results = None
         if out is not None:
@@ -166,7 +230,8 @@ def sweep(
 
 
 def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, list[Layer]]:
-    """Return a study with the axes and conditions of a sweep, and the settings of all of its sensors as tables of `Run`.
+    """Return a study with the axes and conditions of a sweep, and the settings of all of its
+    sensors as tables of `Run`.
 
     layers : of files and of what was given in Python
 
@@ -174,8 +239,15 @@ def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, lis
     """
     parts = [parts_of_study(layer) for layer in layers]
     of_all = [of_run for of_run, _ in parts]
-    of_scene = {name: value for layer in of_all for name, value in layer.table.items() if name in ONLY_OF_SCENE}
-    plan = checked_study([Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)])
+    of_scene = {
+        name: value
+        for layer in of_all
+        for name, value in layer.table.items()
+        if name in ONLY_OF_SCENE
+    }
+    plan = checked_study(
+        [Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)]
+    )
     return with_range_ends(of_given_light(plan, variant)), of_all
 
 
@@ -188,7 +260,8 @@ def prepare_cases(
     without: SpectralImage | None,
     unused: Sequence[str],
 ) -> list[Case[Run]]:
-    """Return each pixel at each combination of the axes and under each condition, checked, with white and border in common.
+    """Return each pixel at each combination of the axes and under each condition, checked, with
+    white and border in common.
 
     camera : as it was given
     plan, of_all : of `sweep_plan`
@@ -206,17 +279,27 @@ def prepare_cases(
                 table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
                 run: Run = checked(Run, [table, *of_all, *([place.layer] if place.layer else [])])
                 group.append(place.placed(prepared_case(run, light, camera), **{PIXEL: name}))
-            given.append(given_settings(group[-1], light, unused, has_background=without is not None))
+            given.append(
+                given_settings(group[-1], light, unused, has_background=without is not None)
+            )
         records = [case.settings.pixel for case in group]
-        background = check_metrics(group[0].settings, records, light, without, names=list(labels.values()))
-        cases += (replace(case, without=background) for case in with_one_screen(group, light, len(cases)))
+        background = check_metrics(
+            group[0].settings, records, light, without, names=list(labels.values())
+        )
+        cases += (
+            replace(case, without=background) for case in with_one_screen(group, light, len(cases))
+        )
     check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
-    warn_of_reviews((f"pixel {case.labels[PIXEL]}", case, SceneLight(light, without)) for case in cases)
+    warn_of_reviews(
+        (f"pixel {case.labels[PIXEL]}", case, SceneLight(light, without)) for case in cases
+    )
     warn_of_settings_without_effect({"": given})
     return cases
 
 
-def given_settings(case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool) -> GivenSettings:
+def given_settings(
+    case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool
+) -> GivenSettings:
     """Return the settings of a sensor, of which some may have no effect.
 
     unused : names of settings that change nothing in a sweep
@@ -227,11 +310,21 @@ def given_settings(case: Case[Run], light: SpectralImage, unused: Sequence[str],
     names = *settings.names, *unused, *(name for name in OF_RENDER if name in run.model_fields_set)
     names = tuple(dict.fromkeys(names))
     not_taken = *NOT_TAKEN, SOLVE_FOR
-    return replace(settings, names=names, settings=None if has_background else run, picture=light, not_taken=not_taken)
+    return replace(
+        settings,
+        names=names,
+        settings=None if has_background else run,
+        picture=light,
+        not_taken=not_taken,
+    )
 
 
-def prepared_case(run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None) -> Case[Run]:
-    """Return a sensor in light that is given. Raises PixsimError for one that the dots of the display do not allow."""
+def prepared_case(
+    run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None
+) -> Case[Run]:
+    """Return a sensor in light that is given. Raises PixsimError for one that the dots of the
+    display do not allow.
+    """
     if isinstance(camera, Camera):
         lens = run.lens if run.lens.model_fields_set else None
         whole = camera if lens is None else camera_with_lens(camera, run.camera, lens)
@@ -240,7 +333,14 @@ def prepared_case(run: Run, light: SpectralImage, camera: Camera | Mapping[str, 
     imaging = Imaging.of(run, whole).changed(metrics=metrics_of(run), is_run=True)
     physics = imaging.physics
     size_um, array_um = picture_size_um(light), array_size_um(light, whole)
-    dot_edges_um(size_um, physics.read_pitch_um, imaging.display, imaging.scored_border_um, array_um, physics.registration)
+    dot_edges_um(
+        size_um,
+        physics.read_pitch_um,
+        imaging.display,
+        imaging.scored_border_um,
+        array_um,
+        physics.registration,
+    )
     return Case(
         run,
         sensor=imaging.technology.name,
@@ -258,18 +358,28 @@ def imaging_of_case(case: Case[Run]) -> Imaging:
     return case.imaging
 
 
-def with_one_screen(cases: Sequence[Case[Run]], light: SpectralImage, group: int) -> Iterator[Case[Run]]:
+def with_one_screen(
+    cases: Sequence[Case[Run]], light: SpectralImage, group: int
+) -> Iterator[Case[Run]]:
     """Yield cases that are scored on the dots that the largest pixels leave, with one white."""
     border_um = max(imaging_of_case(case).scored_border_um for case in cases)
     imagings = [imaging_of_case(case).changed(border_um=border_um) for case in cases]
     white = white_header([(imaging, light) for imaging in imagings])
     for case, imaging in zip(cases, imagings, strict=True):
-        yield replace(case, group=group, imaging=imaging.changed(display=with_white(imaging.display, white)))
+        yield replace(
+            case, group=group, imaging=imaging.changed(display=with_white(imaging.display, white))
+        )
 
 
 def with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
-    """Return cases and their sensor types, whose labels say the draw and its numbers. Raises PixsimError if nothing is unknown."""
-    first = [replace(case, sensor=str(case.labels[PIXEL])) for case in cases if case.group == cases[0].group]
+    """Return cases and their sensor types, whose labels say the draw and its numbers. Raises
+    PixsimError if nothing is unknown.
+    """
+    first = [
+        replace(case, sensor=str(case.labels[PIXEL]))
+        for case in cases
+        if case.group == cases[0].group
+    ]
     types = Types.of(asked, first)
     unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
     as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
@@ -283,7 +393,9 @@ def with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
 
 
 def warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage) -> None:
-    """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the display clips."""
+    """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
+    display clips.
+    """
     of_light: dict[object, IdealFacts] = {}
     for lit, rows in zip(cases, table.by_case(), strict=True):
         where = ", ".join(filter(None, (f"pixel {lit.case.labels[PIXEL]}", lit.case.words)))
@@ -293,7 +405,9 @@ def warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage)
             continue
         if lit.light_id not in of_light:
             of_light[lit.light_id] = lit.scenes.ideal_facts(lit.light_key, lit.imaging)
-        for cause in causes_of_frames(light, lit.imaging, of_light[lit.light_id].lightness, rows.possible):
+        for cause in causes_of_frames(
+            light, lit.imaging, of_light[lit.light_id].lightness, rows.possible
+        ):
             if cause.leaves_nothing:
                 warn(cause.note.of([where]))
     brightest = max((facts.beyond_white for facts in of_light.values()), default=0.0)

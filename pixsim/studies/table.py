@@ -1,6 +1,8 @@
-"""The one result of evaluations: a table of typed columns with the labels of each case; and its file, results.csv.
+"""The one result of evaluations: a table of typed columns with the labels of each case; and its
+file, results.csv.
 
-A table has a row for each evaluation. Rows of results.csv are appended as they finish, from which interrupted work goes on.
+A table has a row for each evaluation. Rows of results.csv are appended as they finish, from which
+interrupted work goes on.
 """
 
 from __future__ import annotations
@@ -31,12 +33,20 @@ from pixsim.base.result import Result
 from pixsim.base.schema import KEY, SCHEMA
 from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, Metric, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.metrics import (
+    DELTA_E,
+    OF_PIXEL,
+    PIXEL_STATISTICS,
+    Metric,
+    columns_of_metrics,
+    columns_with_numbers,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-# --- the table --------------------------------------------------------------------------------------------------------------------
+# --- the table
+# --------------------------------------------------------------------------------------------------------------------
 
 DOTS, DEGREE = "dots", "samples_per_deg"  # columns where frames are shown on several displays
 REASON = "reason"
@@ -48,12 +58,14 @@ Label = float | int | str
 class Table(Sequence[dict[str, Any]], Result):
     """Evaluations of sensors: a row for each case, pixel size, sensor and display.
 
-    Iterating gives a dict for each row. A point that is impossible has a row without numbers, with its reason.
+    Iterating gives a dict for each row. A point that is impossible has a row without numbers, with
+    its reason.
 
-    labels : of each case, name -> value, the sensor as `technology` first; all cases have the same names
+    labels : of each case, name -> value, the sensor as `technology` first; all cases have the same
+        names
     case : (N,) number of the case of each row
-    columns : name -> (N,): `pitch_um`, `repeat`, of several displays `dots` and `samples_per_deg`, and then the numbers of the
-        pixel, the frame and the metrics, each in its unit
+    columns : name -> (N,): `pitch_um`, `repeat`, of several displays `dots` and `samples_per_deg`,
+        and then the numbers of the pixel, the frame and the metrics, each in its unit
     metrics : in the order of their columns
     impossible : row -> the reason why its pixel is impossible
     undefined : row -> {metric: the reason why it has no number there, which is NaN}
@@ -72,11 +84,15 @@ class Table(Sequence[dict[str, Any]], Result):
     @property
     def reasons(self) -> dict[int, str]:
         """Why a row lacks its numbers, or some of them, by its place."""
-        return {row: "; ".join(reasons.values()) for row, reasons in self.undefined.items()} | dict(self.impossible)
+        return {row: "; ".join(reasons.values()) for row, reasons in self.undefined.items()} | dict(
+            self.impossible
+        )
 
     @property
     def printed_columns(self) -> tuple[str, ...]:
-        """The columns after the labels, without variants of metrics that have no number in any row."""
+        """The columns after the labels, without variants of metrics that have no number in any
+        row.
+        """
         metric_columns = set(columns_of_metrics(self.metrics))
         printed = set(columns_with_numbers(self.metrics, self.columns))
         return tuple(name for name in self.columns if name not in metric_columns or name in printed)
@@ -96,7 +112,10 @@ class Table(Sequence[dict[str, Any]], Result):
         values = (self.columns[name].tolist() for name in names)
         # The sensor, its size and the repeat come first, as in results.csv.
         heads: list[dict[str, Any]] = [
-            {name: labels[name] for name in list(labels)[:1]} | dict.fromkeys(names[:2]) | dict(labels) for labels in self.labels
+            {name: labels[name] for name in list(labels)[:1]}
+            | dict.fromkeys(names[:2])
+            | dict(labels)
+            for labels in self.labels
         ]
         for number, (case, *numbers) in enumerate(zip(self.case.tolist(), *values, strict=True)):
             row = heads[case] | dict(zip(names, numbers, strict=True))
@@ -122,7 +141,9 @@ class Table(Sequence[dict[str, Any]], Result):
         return [self.take(np.arange(first, end)) for first, end in pairwise(ends.tolist())]
 
     def where(self, **labels: Label) -> Table:
-        """Return the rows whose labels and columns have these values, as `technology="0.35um", repeat=0`."""
+        """Return the rows whose labels and columns have these values, as
+        `technology="0.35um", repeat=0`.
+        """
         chosen = np.ones(len(self), bool)
         for name, value in labels.items():
             if name in self.columns:
@@ -154,7 +175,8 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
     return {new: entries[old] for new, old in enumerate(places.tolist()) if old in entries}
 
 
-# --- results.csv ------------------------------------------------------------------------------------------------------------------
+# --- results.csv
+# ------------------------------------------------------------------------------------------------------------------
 
 ROWS_FILE = "results.csv"  # a row for each evaluation
 COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
@@ -166,13 +188,16 @@ Row = dict[str, str]  # of a file
 
 
 def row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
-    """Return the columns of results.csv, with further labels after the repeat, and those of some metrics at the end."""
+    """Return the columns of results.csv, with further labels after the repeat, and those of some
+    metrics at the end.
+    """
     after = OF_PIXEL.index("repeat") + 1
     return *OF_PIXEL[:after], *labels, *OF_PIXEL[after:], *columns_of_metrics(metrics)
 
 
 class Store:
-    """The rows of evaluations by their keys: their numbers in memory, and all of them in results.csv, appended as they finish.
+    """The rows of evaluations by their keys: their numbers in memory, and all of them in
+    results.csv, appended as they finish.
 
     path : of the file; None keeps them in memory alone
     labels : columns that tell cases and displays apart, after the repeat
@@ -180,7 +205,9 @@ class Store:
     damaged : number of rows of the file that are not as they were written
     """
 
-    def __init__(self, path: Path | None, labels: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
+    def __init__(
+        self, path: Path | None, labels: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)
+    ) -> None:
         self.path = path
         self.damaged = 0
         self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
@@ -219,7 +246,8 @@ class Store:
 
         If there are others, copy the file; leave only the expected rows.
 
-        Warns of rows of another version of pixsim, and of rows that fail their check: they are computed again.
+        Warns of rows of another version of pixsim, and of rows that fail their check: they are
+        computed again.
         """
         if self.path is None:
             return []
@@ -248,13 +276,41 @@ class Store:
     def _say_what_is_kept(self, path: Path) -> None:
         """Copy the file, and warn of its rows that do not continue."""
         backup = self._back_up(path)
-        if not self._places and not self.damaged and (version := version_of_files(path.parent)) != VERSION:
-            which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
-            then = ", and they are computed again; only the settings and the version that wrote them continue them"
-            warn(Note("rows_not_continued", rows=f"the rows of '{path}' are {which}", backup=backup, then=then))
+        if (
+            not self._places
+            and not self.damaged
+            and (version := version_of_files(path.parent)) != VERSION
+        ):
+            which = (
+                f"of pixsim {version}"
+                if version
+                else "of other settings, or of another version of pixsim"
+            )
+            then = (
+                ", and they are computed again; only the settings and the version that wrote them"
+                " continue them"
+            )
+            warn(
+                Note(
+                    "rows_not_continued",
+                    rows=f"the rows of '{path}' are {which}",
+                    backup=backup,
+                    then=then,
+                )
+            )
         if self.damaged:
-            which = f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim wrote the file"
-            warn(Note("rows_not_continued", rows=which, backup=backup, then=", and what changed is computed again"))
+            which = (
+                f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim"
+                " wrote the file"
+            )
+            warn(
+                Note(
+                    "rows_not_continued",
+                    rows=which,
+                    backup=backup,
+                    then=", and what changed is computed again",
+                )
+            )
 
     def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
         """Leave only these rows in the file, copied first if it holds others.
@@ -273,7 +329,8 @@ class Store:
         return set() if self.path is None else {row["key"] for row in self._whole_rows(self.path)}
 
     def _whole_rows(self, path: Path) -> Iterator[Row]:
-        """Iterate over the rows that are as pixsim wrote them, one in memory at a time, and count those that were changed.
+        """Iterate over the rows that are as pixsim wrote them, one in memory at a time, and count
+        those that were changed.
 
         Rows without a check, as of release 1.1, are of other settings.
         """
@@ -301,18 +358,33 @@ class Store:
     def _has_numbers(self, row: Row) -> bool:
         """Return whether a row has all of its numbers: it may be of other metrics.
 
-        A row that lacks one is computed again, since it does not tell the reason, which notes state.
+        A row that lacks one is computed again, since it does not tell the reason, which notes
+        state.
         """
         try:
-            optional = {name for metric in self.metrics for name in metric.variants if metric.may_lack(name, float(row[name]))}
-            names = [name for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics)) if name not in optional]
+            optional = {
+                name
+                for metric in self.metrics
+                for name in metric.variants
+                if metric.may_lack(name, float(row[name]))
+            }
+            names = [
+                name
+                for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics))
+                if name not in optional
+            ]
             return all(math.isfinite(float(row[name])) for name in names)
         except (KeyError, ValueError):
             return False
 
     def _back_up(self, path: Path) -> str:
-        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
-        with clear_write_errors(path), opened(path, "results", "the rows of a study", MAX_BYTES) as content:
+        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other
+        content; return the name.
+        """
+        with (
+            clear_write_errors(path),
+            opened(path, "results", "the rows of a study", MAX_BYTES) as content,
+        ):
             digest = digest_of(path)
             copy, number = path.with_name(f"{path.name}.old"), 1
             while os.path.lexists(copy):
@@ -327,7 +399,11 @@ class Store:
     def write(self, rows: Iterable[Sequence[Any]]) -> None:
         """Replace the file by these rows, completely or not at all."""
         assert self.path is not None
-        with clear_write_errors(self.path), replacing(self.path, named=False) as partial, partial.open("wb") as file:
+        with (
+            clear_write_errors(self.path),
+            replacing(self.path, named=False) as partial,
+            partial.open("wb") as file,
+        ):
             file.write(_line(self._head))
             file.writelines(map(self._row_line, rows))
 
@@ -364,15 +440,22 @@ def is_as_written(line: str, head: str) -> bool:
 
 
 def check_of(body: str, head: str) -> str:
-    """Return the check of a row of results.csv: the CRC-32 of the line of names and of the row's text, as a number."""
+    """Return the check of a row of results.csv: the CRC-32 of the line of names and of the row's
+    text, as a number.
+    """
     return str(zlib.crc32(body.encode(), zlib.crc32(head.encode())))
 
 
 def check_replaceable_results(path: Path) -> None:
-    """Raise PixsimError if results.csv is a link, or does not begin with the columns of a study: it is another program's."""
+    """Raise PixsimError if results.csv is a link, or does not begin with the columns of a study: it
+    is another program's.
+    """
     if not os.path.lexists(path):
         return
-    allowed, hint = "the rows of a study, or no such file", "Choose another folder with --out, or move the file away."
+    allowed, hint = (
+        "the rows of a study, or no such file",
+        "Choose another folder with --out, or move the file away.",
+    )
     if not stat.S_ISREG(mode := path.lstat().st_mode):
         raise invalid("results", f"'{path}', {kind_of(mode)}", allowed, hint)
     with opened(path, "results", allowed) as file:
@@ -388,8 +471,8 @@ def clear_write_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise PixsimError(
-            f"results: '{path}' cannot be written ({error.strerror or error}). Finished rows are kept: free some disk "
-            "space, and run the same command again."
+            f"results: '{path}' cannot be written ({error.strerror or error}). Finished rows are"
+            " kept: free some disk space, and run the same command again."
         ) from None
 
 

@@ -1,13 +1,15 @@
 """Sobol' indices: the shares of a result's variance that its independent inputs explain.
 
-The first-order share of an input, Var(E[y|x_i])/Var(y), is its correlation ratio. `first_order` estimates it from the draws
-themselves, as the adjusted R² of a cubic regression of the result on that input alone (M. Ezekiel, Methods of Correlation
-Analysis, 1930). The total share, E[Var(y|all but x_i)]/Var(y), counts interactions too. It needs points of its own, n(k + 2) of
-them, in the design of A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259, with the estimator of M. J. W. Jansen,
-Comput. Phys. Commun. 117 (1999) 35.
+The first-order share of an input, Var(E[y|x_i])/Var(y), is its correlation ratio. `first_order`
+estimates it from the draws themselves, as the adjusted R² of a cubic regression of the result on
+that input alone (M. Ezekiel, Methods of Correlation Analysis, 1930). The total share, E[Var(y|all
+but x_i)]/Var(y), counts interactions too. It needs points of its own, n(k + 2) of them, in the
+design of A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259, with the estimator of M. J. W.
+Jansen, Comput. Phys. Commun. 117 (1999) 35.
 
-Standard errors are those of independent draws, and hold from about 64 of them. Sobol' points fill the space more evenly, so errors
-are smaller than stated: by half for a linear model with a quarter of noise.
+Standard errors are those of independent draws, and hold from about 64 of them. Sobol' points fill
+the space more evenly, so errors are smaller than stated: by half for a linear model with a quarter
+of noise.
 """
 
 from __future__ import annotations
@@ -43,17 +45,24 @@ TYPES_FILE = "types.csv"
 
 @dataclass(frozen=True)
 class Share:
-    """A share of a variance, with its standard error. Both are NaN where the draws do not tell them."""
+    """A share of a variance, with its standard error. Both are NaN where the draws do not tell
+    them.
+    """
 
     share: float = math.nan
     standard_error: float = math.nan
 
     def __str__(self) -> str:
-        return "unknown" if math.isnan(self.share) else f"{self.share:.2f} ± {self.standard_error:.2f}"
+        return (
+            "unknown" if math.isnan(self.share) else f"{self.share:.2f} ± {self.standard_error:.2f}"
+        )
 
     def as_dict(self) -> dict[str, float | None]:
         """Return the numbers as in summary.json; None for NaN."""
-        return {name: None if math.isnan(value) else round(value, DIGITS) for name, value in vars(self).items()}
+        return {
+            name: None if math.isnan(value) else round(value, DIGITS)
+            for name, value in vars(self).items()
+        }
 
 
 def does_vary(values: Array) -> bool:
@@ -81,10 +90,12 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
     names : of the inputs, (k,)
 
     Shares need at least 5 draws, else they are NaN. An estimate below 0 counts as 0. An input whose
-    effect turns more than twice over its range is underestimated: of Ishigami's second input, a cubic finds 0.02 of 0.44.
+    effect turns more than twice over its range is underestimated: of Ishigami's second input, a
+    cubic finds 0.02 of 0.44.
 
-    The standard error has two parts: that of the efficient estimator of the share (S. Da Veiga and F. Gamboa, J. Nonparametr.
-    Stat. 25 (2013) 573), and that of R² of p terms without any effect, √(2p/((n - 1 - p)(n + 1))).
+    The standard error has two parts: that of the efficient estimator of the share (S. Da Veiga and
+    F. Gamboa, J. Nonparametr. Stat. 25 (2013) 573), and that of R² of p terms without any effect,
+    √(2p/((n - 1 - p)(n + 1))).
     """
     if not does_vary(values):
         return {name: Share() for name in names}
@@ -114,7 +125,8 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
 
 
 def saltelli(sobol: Array) -> Array:
-    """Return the points (n(k + 2), k) of Saltelli's design from those of a Sobol' sequence, (n, 2k).
+    """Return the points (n(k + 2), k) of Saltelli's design from those of a Sobol' sequence, (n,
+    2k).
 
     First A, then B, then for each column A with this column of B.
     """
@@ -130,7 +142,8 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     values : (n(k + 2),) the result at the points of `saltelli`, in their order
     names : of the inputs, (k,)
 
-    Source: Saltelli et al. (2010), Table 2 (b) for first-order shares, with the points' mean removed, and Jansen (1999).
+    Source: Saltelli et al. (2010), Table 2 (b) for first-order shares, with the points' mean
+    removed, and Jansen (1999).
     """
     if not does_vary(values):
         return {name: {"first": Share(), "total": Share()} for name in names}
@@ -139,24 +152,42 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     mean = centred[:2].mean()
     squares = ((a - mean) ** 2 + (b - mean) ** 2) / 2
     return {
-        name: {"first": ratio_of_means(b * (mixed - a), squares), "total": ratio_of_means((a - mixed) ** 2 / 2, squares)}
+        name: {
+            "first": ratio_of_means(b * (mixed - a), squares),
+            "total": ratio_of_means((a - mixed) ** 2 / 2, squares),
+        }
         for name, mixed in zip(names, centred[2:], strict=True)
     }
 
 
-CENTRAL_90 = float(ndtri(0.95))  # half of the central 90 % of a normal distribution, in standard deviations
+CENTRAL_90 = float(
+    ndtri(0.95)
+)  # half of the central 90 % of a normal distribution, in standard deviations
 NORMAL_95 = float(ndtri(0.975))
 LEAST_KEPT = 0.5  # of a distribution, within the bounds of its number
-# Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets large, or our knowledge of
-# them poor, does so in all of its processes.
-SHARED = ("dark_current_na_per_cm2", "dark_current_perimeter_pa_per_cm", "dsnu", "offset_fpn", "a_vt_mv_um", "column_fpn")
+# Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets
+# large, or our knowledge of them poor, does so in all of its processes.
+SHARED = (
+    "dark_current_na_per_cm2",
+    "dark_current_perimeter_pa_per_cm",
+    "dsnu",
+    "offset_fpn",
+    "a_vt_mv_um",
+    "column_fpn",
+)
 # Pairs of a technology's numbers of which the first must not exceed the second.
-ORDERED = (("voltage_swing_v", "reset_voltage_v"), ("fill_factor_inset_features", "fill_factor_zero_pitch_features"))
+ORDERED = (
+    ("voltage_swing_v", "reset_voltage_v"),
+    ("fill_factor_inset_features", "fill_factor_zero_pitch_features"),
+)
 LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
-HALF_CELL = 2.0**-31  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
+HALF_CELL = (
+    2.0**-31
+)  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
 QUANTILES = {"p05": 0.05, "p50": 0.5, "p95": 0.95}
-SCATTER = "scatter of the evaluations"  # an input beside the numbers of the sensor: the frames and the fit of each type
+# an input beside the numbers of the sensor: the frames and the fit of each type
+SCATTER = "scatter of the evaluations"
 
 
 @dataclass(frozen=True)
@@ -184,12 +215,19 @@ class Unknown:
 
     def __post_init__(self) -> None:
         if self.spread.kind == "lognormal" and self.value <= 0:
-            raise invalid(self.name, f"a lognormal distribution of {self.value:g}", "a number above 0")
+            raise invalid(
+                self.name, f"a lognormal distribution of {self.value:g}", "a number above 0"
+            )
         low, high = self.cut
         if high - low < LEAST_KEPT:
             bounds = f"{self.allowed[0]:g} to {self.allowed[1]:g}"
-            got = f"a {self.spread.kind} distribution of which {percent(high - low)} are within {bounds}"
-            raise invalid(self.name, got, f"at least {percent(LEAST_KEPT)}", "Give a narrower spread.")
+            got = (
+                f"a {self.spread.kind} distribution of which {percent(high - low)} are within"
+                f" {bounds}"
+            )
+            raise invalid(
+                self.name, got, f"at least {percent(LEAST_KEPT)}", "Give a narrower spread."
+            )
 
     @property
     def name(self) -> str:
@@ -198,7 +236,9 @@ class Unknown:
 
     @cached_property
     def distribution(self) -> Any:
-        """The whole distribution, of scipy.stats: of the number, or of the logarithm of a lognormal one."""
+        """The whole distribution, of scipy.stats: of the number, or of the logarithm of a lognormal
+        one.
+        """
         from scipy import stats  # imported here: it takes 0.5 s
 
         spread, sd = self.spread, self.spread.sd or 0.0
@@ -223,13 +263,19 @@ class Unknown:
         return float(self.distribution.cdf(low)), float(self.distribution.cdf(high))
 
     def _share(self, quantile: Array) -> Array:
-        """Quantiles of the whole distribution at quantiles of the distribution within its bounds."""
+        """Quantiles of the whole distribution at quantiles of the distribution within its
+        bounds.
+        """
         low, high = self.cut
         return low + quantile * (high - low)
 
     def coordinate(self, quantile: Array) -> Array:
-        """Return the number in a unit in which it is uniform between 0 and 1, or standard normal, at quantiles (n,)."""
-        return quantile if self.spread.kind == "uniform" else np.asarray(ndtri(self._share(quantile)))
+        """Return the number in a unit in which it is uniform between 0 and 1, or standard normal,
+        at quantiles (n,).
+        """
+        return (
+            quantile if self.spread.kind == "uniform" else np.asarray(ndtri(self._share(quantile)))
+        )
 
     def at(self, quantile: Array) -> Array:
         """Return the values at quantiles (n,) of the distribution within its bounds."""
@@ -244,20 +290,26 @@ class Unknown:
         return {"name": self.name, "value": self.value, "distribution": self.spread.kind} | stated
 
 
-def unknowns_of_technology(technology: Technology, name: str, known: Sequence[str] = ()) -> list[Unknown]:
+def unknowns_of_technology(
+    technology: Technology, name: str, known: Sequence[str] = ()
+) -> list[Unknown]:
     """Return the numbers of a technology whose file has a range.
 
     name : of the technology in the study
     known : numbers that the study sets, which have no range then
 
-    Where the ranges of two numbers would break their order (`ORDERED`), they end at the other number's value, or at the middle
-    between both values if both are unknown.
+    Where the ranges of two numbers would break their order (`ORDERED`), they end at the other
+    number's value, or at the middle between both values if both are unknown.
     """
     unknowns = {}
     for number, ends in technology.ranges.items():
         if number not in known and ends[0] < ends[1]:
-            spread = Spread(range=ends, distribution=technology.distributions.get(number, "uniform"))
-            unknowns[number] = Unknown(number, technology.numbers[number], spread, name, bounds_of(technology, number))
+            spread = Spread(
+                range=ends, distribution=technology.distributions.get(number, "uniform")
+            )
+            unknowns[number] = Unknown(
+                number, technology.numbers[number], spread, name, bounds_of(technology, number)
+            )
 
     for smaller, larger in ORDERED:
         small, large = unknowns.get(smaller), unknowns.get(larger)
@@ -268,7 +320,13 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
         lowest = float(large.at(np.array([HALF_CELL]))[0]) if large else large_value
         if highest <= lowest:
             continue
-        limit = (small_value + large_value) / 2 if small and large else small_value if large else large_value
+        limit = (
+            (small_value + large_value) / 2
+            if small and large
+            else small_value
+            if large
+            else large_value
+        )
         if small:
             unknowns[smaller] = replace(small, allowed=(small.allowed[0], limit))
         if large:
@@ -276,26 +334,45 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
     return list(unknowns.values())
 
 
-def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], technology: str = "") -> list[Unknown]:
+def unknowns_of_sheet(
+    pixel: PixelOptions, uncertainty: Mapping[str, Spread], technology: str = ""
+) -> list[Unknown]:
     """Return the uncertain numbers of a data sheet.
 
     pixel : the data sheet
     uncertainty : its [pixel.uncertainty], as `pixsim.sensor.spread.sheet_uncertainty` returns it
     technology : name of the sheet in a study of several; empty for the study's own [pixel]
 
-    Raises PixsimError for a number that the pixel does not have, as where an option states it in another word.
+    Raises PixsimError for a number that the pixel does not have, as where an option states it in
+    another word.
     """
     unknowns = []
     for name, spread in uncertainty.items():
         value = getattr(pixel, name, None)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            given = sorted(field for field in pixel.model_fields_set if isinstance(getattr(pixel, field), float))
-            raise invalid(f"pixel.uncertainty.{name}", "no such number", ", ".join(given) or "none", did_you_mean(name, given))
+            given = sorted(
+                field
+                for field in pixel.model_fields_set
+                if isinstance(getattr(pixel, field), float)
+            )
+            raise invalid(
+                f"pixel.uncertainty.{name}",
+                "no such number",
+                ", ".join(given) or "none",
+                did_you_mean(name, given),
+            )
         if not spread.holds({name: value}, name):
             low, high = spread.range or (value, value)
             hint = "Give the uncertainty of that number."
-            raise invalid(f"pixel.uncertainty.{name}", f"range = [{low:g}, {high:g}]", f"a range that holds {value:g}", hint)
-        unknowns.append(Unknown(name, float(value), spread, technology, bounds_of(pixel, name), of_sheet=True))
+            raise invalid(
+                f"pixel.uncertainty.{name}",
+                f"range = [{low:g}, {high:g}]",
+                f"a range that holds {value:g}",
+                hint,
+            )
+        unknowns.append(
+            Unknown(name, float(value), spread, technology, bounds_of(pixel, name), of_sheet=True)
+        )
     return unknowns
 
 
@@ -307,26 +384,37 @@ def _properties(kind: type[Record]) -> dict[str, Any]:
 
 
 def bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, float]:
-    """Return the smallest and the largest allowed value of a number of a technology, its junction, or a pixel."""
+    """Return the smallest and the largest allowed value of a number of a technology, its junction,
+    or a pixel.
+    """
     if isinstance(record, PixelOptions):
         kind: type[Record] = PixelOptions
     else:
         kind = Junction if number in Junction.model_fields else Technology
     schema = _properties(kind)[number]
-    schema = next((option for option in schema.get("anyOf", ()) if option.get("type") == "number"), schema)
+    schema = next(
+        (option for option in schema.get("anyOf", ()) if option.get("type") == "number"), schema
+    )
 
     low = schema.get("minimum", schema.get("exclusiveMinimum", -math.inf))
     if low == 0 and "exclusiveMinimum" in schema:
         low = MIN_FRACTION
     high = schema.get("maximum", math.inf)
-    if number == "quantum_efficiency" and isinstance(record, PixelOptions) and record.quantum_efficiency_nm is not None:
+    if (
+        number == "quantum_efficiency"
+        and isinstance(record, PixelOptions)
+        and record.quantum_efficiency_nm is not None
+    ):
         depth_um = record.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
         high = float(absorbed_share(record.quantum_efficiency_nm, depth_um))
     return low, high
 
 
-def unknowns_of_process(pixel: PixelOptions, technology: Technology, name: str, known: Iterable[str] = ()) -> list[Unknown]:
-    """Return the numbers of a technology with a range that neither a pixel gives in its place nor are known otherwise.
+def unknowns_of_process(
+    pixel: PixelOptions, technology: Technology, name: str, known: Iterable[str] = ()
+) -> list[Unknown]:
+    """Return the numbers of a technology with a range that neither a pixel gives in its place nor
+    are known otherwise.
 
     name : of the sensor
     """
@@ -336,15 +424,23 @@ def unknowns_of_process(pixel: PixelOptions, technology: Technology, name: str, 
 
 
 def given_for_process(pixel: PixelOptions) -> set[str]:
-    """Return the numbers of a technology that a pixel replaces by other names: of its stack, and with its read noise."""
+    """Return the numbers of a technology that a pixel replaces by other names: of its stack, and
+    with its read noise.
+    """
     replaced = set() if pixel.read_noise_e is None else {"read_noise_after_gain_e"}
     if pixel.stack is None:
         return replaced
-    own = set(StackOptions.model_fields) if not pixel.stack.enabled else set(pixel.stack.model_dump(exclude_none=True))
+    own = (
+        set(StackOptions.model_fields)
+        if not pixel.stack.enabled
+        else set(pixel.stack.model_dump(exclude_none=True))
+    )
     return replaced | {f"stack_{name}" for name in own | restated_by(StackOptions, own)}
 
 
-def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]) -> dict[str, Any]:
+def settings_of(
+    study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]
+) -> dict[str, Any]:
     """Return the settings of a study that make one sensor type, as tables to merge into it.
 
     unknowns : of `unknowns_of_study`
@@ -394,28 +490,40 @@ class Sample:
     @property
     def stated(self) -> dict[str, list[dict[str, Any]]]:
         """The inputs as in summary.json."""
-        return {name: [unknown.as_dict() for unknown in members] for name, members in self.inputs.items()}
+        return {
+            name: [unknown.as_dict() for unknown in members]
+            for name, members in self.inputs.items()
+        }
 
-    def shares(self, values: Array, scatter_variances: Array, *, total: bool = False) -> dict[str, dict[str, Share]]:
+    def shares(
+        self, values: Array, scatter_variances: Array, *, total: bool = False
+    ) -> dict[str, dict[str, Share]]:
         """Return the shares of a result's variance: input -> `first` -> share.
 
         values : (n,) the result of each type
-        scatter_variances : (n,) variance of each result by its own interval, for the share of `SCATTER`; NaN where it is not known
+        scatter_variances : (n,) variance of each result by its own interval, for the share of
+            `SCATTER`; NaN where it is not known
         total : whether the types are those of `sobol_points`, which tell the `total` shares too
         """
         scatter = scatter_share(values, scatter_variances)
         if total:
-            return total_indices(values, list(self.inputs)) | {SCATTER: {"first": scatter, "total": scatter}}
+            return total_indices(values, list(self.inputs)) | {
+                SCATTER: {"first": scatter, "total": scatter}
+            }
         unknowns = zip(self.inputs.values(), self.quantiles.T, strict=True)
-        coordinates = np.column_stack([members[0].coordinate(quantile) for members, quantile in unknowns])
+        coordinates = np.column_stack(
+            [members[0].coordinate(quantile) for members, quantile in unknowns]
+        )
         first = first_order(coordinates, values, list(self.inputs)) | {SCATTER: scatter}
         return {name: {"first": share} for name, share in first.items()}
 
 
 def scatter_share(values: Array, scatter_variances: Array) -> Share:
-    """Return the share of the variance of results (n,) that their own variances (n,) can explain at most.
+    """Return the share of the variance of results (n,) that their own variances (n,) can explain at
+    most.
 
-    It is an upper end, since types share random numbers, and so a part of their errors, which does not scatter.
+    It is an upper end, since types share random numbers, and so a part of their errors, which does
+    not scatter.
     """
     is_known = np.isfinite(scatter_variances)
     squares = (values - values.mean())[is_known] ** 2
@@ -423,25 +531,39 @@ def scatter_share(values: Array, scatter_variances: Array) -> Share:
 
 
 def inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
-    """Return the independent inputs: technologies' unknowns of a `SHARED` quantity, those of one process, each other one alone.
+    """Return the independent inputs: technologies' unknowns of a `SHARED` quantity, those of one
+    process, each other one alone.
 
     The numbers of data sheets were measured apart.
 
     Raises PixsimError for no unknowns.
     """
     if not unknowns:
-        hint = "Give a range to numbers of the technology, or [pixel.uncertainty] to the data sheet."
-        raise invalid("unknowns", "none", "at least one number with a range or an uncertainty", hint)
+        hint = (
+            "Give a range to numbers of the technology, or [pixel.uncertainty] to the data sheet."
+        )
+        raise invalid(
+            "unknowns", "none", "at least one number with a range or an uncertainty", hint
+        )
     draws: dict[tuple[bool, str], list[Unknown]] = {}
     for unknown in unknowns:
         is_shared = unknown.quantity in SHARED and not unknown.of_sheet
-        process_number = f"{unknown.process} {unknown.quantity}" if unknown.process else unknown.name
-        draws.setdefault((is_shared, unknown.quantity if is_shared else process_number), []).append(unknown)
-    return {members[0].name if len(members) == 1 else name: tuple(members) for (_, name), members in draws.items()}
+        process_number = (
+            f"{unknown.process} {unknown.quantity}" if unknown.process else unknown.name
+        )
+        draws.setdefault((is_shared, unknown.quantity if is_shared else process_number), []).append(
+            unknown
+        )
+    return {
+        members[0].name if len(members) == 1 else name: tuple(members)
+        for (_, name), members in draws.items()
+    }
 
 
 def sobol(n: int, dimensions: int, seed: int) -> Array:
-    """Return the first scrambled Sobol' points, (n rounded up to a power of two, dimensions), between 0 and 1, both excluded."""
+    """Return the first scrambled Sobol' points, (n rounded up to a power of two, dimensions),
+    between 0 and 1, both excluded.
+    """
     from scipy.stats import qmc  # imported here: it takes 0.5 s
 
     points = qmc.Sobol(dimensions, scramble=True, seed=stream("uncertainty", seed))
@@ -449,7 +571,8 @@ def sobol(n: int, dimensions: int, seed: int) -> Array:
 
 
 def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
-    """Draw sensor types, n rounded up to a power of two, since only so many Sobol' points are balanced.
+    """Draw sensor types, n rounded up to a power of two, since only so many Sobol' points are
+    balanced.
 
     Raises PixsimError for no unknowns.
     """
@@ -458,7 +581,8 @@ def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
 
 
 def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
-    """Return the n(inputs + 2) sensor types of `pixsim.studies.uncertainty.total_indices`, n rounded up to a power of two.
+    """Return the n(inputs + 2) sensor types of `pixsim.studies.uncertainty.total_indices`, n
+    rounded up to a power of two.
 
     Raises PixsimError for no unknowns.
     """
@@ -470,8 +594,9 @@ def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
 class Probability:
     """Probability that a verdict holds, with its 95 % interval.
 
-    The interval is Jeffreys' for independent draws. Sobol' points give a share that is closer to the truth than theirs, so it is
-    an upper bound of the uncertainty (L. D. Brown, T. T. Cai and A. DasGupta, Stat. Sci. 16 (2001) 101).
+    The interval is Jeffreys' for independent draws. Sobol' points give a share that is closer to
+    the truth than theirs, so it is an upper bound of the uncertainty (L. D. Brown, T. T. Cai and A.
+    DasGupta, Stat. Sci. 16 (2001) 101).
     """
 
     probability: float
@@ -481,7 +606,9 @@ class Probability:
 
     @classmethod
     def of(cls, holds: Sequence[float]) -> Probability:
-        """Return the probability from whether it holds in each draw, as 1, 0, or 0.5 where that is open."""
+        """Return the probability from whether it holds in each draw, as 1, 0, or 0.5 where that is
+        open.
+        """
         n, k = len(holds), sum(map(float, holds))
         low = float(betaincinv(k + 0.5, n - k + 0.5, 0.025)) if k else 0.0
         high = float(betaincinv(k + 0.5, n - k + 0.5, 0.975)) if k < n else 1.0
@@ -501,7 +628,9 @@ class ResultDistribution:
 
     @property
     def quantiles(self) -> dict[str, float]:
-        """Median, 5 and 95 % quantile, linear between the middles of the steps of the distribution."""
+        """Median, 5 and 95 % quantile, linear between the middles of the steps of the
+        distribution.
+        """
         quantiles = np.quantile(self.values, list(QUANTILES.values()), method="hazen").tolist()
         return dict(zip(QUANTILES, quantiles, strict=True))
 
@@ -511,9 +640,9 @@ class UncertaintyResult:
     """Distribution of an optimum and of its least ΔE over sensor types.
 
     sample : the sensor types
-    table : column -> values of all types, (n,): `optimum_um` within the sizes tried, the least ΔE or the best value of another
-        metric by its column, the ends of their 95 % intervals (`outputs`; NaN for an open end), and whether the optimum is `inside`
-        the sizes tried
+    table : column -> values of all types, (n,): `optimum_um` within the sizes tried, the least ΔE
+        or the best value of another metric by its column, the ends of their 95 % intervals
+        (`outputs`; NaN for an open end), and whether the optimum is `inside` the sizes tried
     holds : statement -> whether it holds for each type, (n,)
     asked, seed : the number of types asked for, and the seed of the draws
     label : of the curve whose optimum it is; empty for the only one
@@ -534,7 +663,10 @@ class UncertaintyResult:
     def outputs(self) -> dict[str, tuple[str, str]]:
         """The columns of the two results, with those of the ends of their intervals."""
         value = self.metric.columns[0]
-        return {"optimum_um": ("interval_low_um", "interval_high_um"), value: (f"{value}_low", f"{value}_high")}
+        return {
+            "optimum_um": ("interval_low_um", "interval_high_um"),
+            value: (f"{value}_low", f"{value}_high"),
+        }
 
     @property
     def by(self) -> str:
@@ -548,7 +680,9 @@ class UncertaintyResult:
 
     @property
     def optimum(self) -> ResultDistribution:
-        """Distribution of the optimal pitch. One at an end of the sizes tried counts as that size."""
+        """Distribution of the optimal pitch. One at an end of the sizes tried counts as that
+        size.
+        """
         return ResultDistribution(self.table["optimum_um"])
 
     @property
@@ -564,13 +698,17 @@ class UncertaintyResult:
     @cached_property
     def verdicts(self) -> dict[str, Probability]:
         """Statement -> probability that it holds."""
-        return {statement: Probability.of(holds.tolist()) for statement, holds in self.holds.items()}
+        return {
+            statement: Probability.of(holds.tolist()) for statement, holds in self.holds.items()
+        }
 
     @cached_property
     def shares(self) -> dict[str, dict[str, dict[str, Share]]]:
-        """Shares of the variance of both results: column -> input -> `first`, and `total` for the points of total indices.
+        """Shares of the variance of both results: column -> input -> `first`, and `total` for the
+        points of total indices.
 
-        The scatter of the evaluations is an input too. It counts also as an interaction of all inputs.
+        The scatter of the evaluations is an input too. It counts also as an interaction of all
+        inputs.
         """
         shares = {}
         for output, (low, high) in self.outputs.items():
@@ -587,32 +725,52 @@ class UncertaintyResult:
             "asked": self.asked,
             "seed": self.seed,
             "inputs": self.sample.stated,
-            "optimum_um": {"quantiles": self.optimum.quantiles, "share_at_ends": self.share_at_ends},
+            "optimum_um": {
+                "quantiles": self.optimum.quantiles,
+                "share_at_ends": self.share_at_ends,
+            },
             self.metric.columns[0]: {"quantiles": self.least_delta_e.quantiles},
-            "verdicts": {statement: asdict(probability) for statement, probability in self.verdicts.items()},
+            "verdicts": {
+                statement: asdict(probability) for statement, probability in self.verdicts.items()
+            },
             "shares": {output: plain_shares(shares) for output, shares in self.shares.items()},
         }
 
     def to_csv(self) -> str:
-        """Return a row for each sensor type as CSV: its inputs, its results, and its verdicts. An open end is an empty cell."""
+        """Return a row for each sensor type as CSV: its inputs, its results, and its verdicts. An
+        open end is an empty cell.
+        """
         from pixsim.base.tables import columns_of, table_csv
 
         results = self.table | self.holds
-        columns = {name: ["" if value != value else value for value in values.tolist()] for name, values in results.items()}
-        return table_csv({"draw": range(1, self.draws + 1)} | columns_of(self.sample.draws) | columns)
+        columns = {
+            name: ["" if value != value else value for value in values.tolist()]
+            for name, values in results.items()
+        }
+        return table_csv(
+            {"draw": range(1, self.draws + 1)} | columns_of(self.sample.draws) | columns
+        )
 
 
-def plain_shares(shares: Mapping[str, Mapping[str, Share]]) -> dict[str, dict[str, dict[str, float | None]]]:
+def plain_shares(
+    shares: Mapping[str, Mapping[str, Share]],
+) -> dict[str, dict[str, dict[str, float | None]]]:
     """Return the shares of a result as in summary.json."""
-    return {name: {kind: share.as_dict() for kind, share in kinds.items()} for name, kinds in shares.items()}
+    return {
+        name: {kind: share.as_dict() for kind, share in kinds.items()}
+        for name, kinds in shares.items()
+    }
 
 
 FEW_EVALUATIONS = 24
 FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
 LEAST_PITCHES = 5  # of a curve that can be fitted
-# Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to 1 % (5 % on a flat curve), as
-# their intervals say, also if it lies a quarter beside the base's.
-REACH = (2.0, 4.0)  # ratio of the few pitches' ends to the base optimum, whose half interval counts three times
+# Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
+# 1 % (5 % on a flat curve), as their intervals say, also if it lies a quarter beside the base's.
+REACH = (
+    2.0,
+    4.0,
+)  # ratio of the few pitches' ends to the base optimum, whose half interval counts three times
 PITCH_DIGITS = 5  # significant ones
 
 
@@ -622,9 +780,11 @@ def few_pitches_um(
     range_um: tuple[float, float],
     evaluations: int = FEW_EVALUATIONS,
 ) -> dict[float, int]:
-    """Return the pitches at which every sensor type is evaluated, and the sensors of each, {µm: sensors}.
+    """Return the pitches at which every sensor type is evaluated, and the sensors of each, {µm:
+    sensors}.
 
-    They are at equal ratios around the base optimum, and the same for all types, so that these share their random numbers.
+    They are at equal ratios around the base optimum, and the same for all types, so that these
+    share their random numbers.
 
     optimum_um, interval_um : of the base, within the range
     range_um : smallest and largest pitch that every type allows
@@ -635,17 +795,25 @@ def few_pitches_um(
     low, high = range_um
     if not 0 < low < high:
         raise invalid("range_um", f"[{low:g}, {high:g}]", "0 < low < high")
-    ratios = [max(end, optimum_um) / min(end, optimum_um) if end else REACH[1] for end in interval_um]
+    ratios = [
+        max(end, optimum_um) / min(end, optimum_um) if end else REACH[1] for end in interval_um
+    ]
     reach = float(np.clip(max(ratios) ** 3, *REACH))
     first, last = max(low, optimum_um / reach), min(high, optimum_um * reach)
-    pitches = [float(f"{pitch:.{PITCH_DIGITS}g}") for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()]
+    pitches = [
+        float(f"{pitch:.{PITCH_DIGITS}g}")
+        for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
+    ]
     few = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
     if len(few) < LEAST_PITCHES:
-        raise invalid("range_um", f"{low:g} to {high:g}", f"a range of {LEAST_PITCHES} different pitches")
+        raise invalid(
+            "range_um", f"{low:g} to {high:g}", f"a range of {LEAST_PITCHES} different pitches"
+        )
     return few
 
 
-# --- types of the sensors of a study or of a comparison ----------------------------------------------------
+# --- types of the sensors of a study or of a comparison
+# ----------------------------------------------------
 
 
 def types_file(metric: Metric) -> str:
@@ -659,14 +827,19 @@ def drawn_metrics(study: Study) -> tuple[Metric, ...]:
 
 
 def sample_of(sample: Sample, *technologies: str) -> Sample:
-    """Return the sensor types with the inputs of some technologies only: the others do not move their results."""
+    """Return the sensor types with the inputs of some technologies only: the others do not move
+    their results.
+    """
     columns = [
         column
         for column, members in enumerate(sample.inputs.values())
         if any(unknown.technology in ("", *technologies) for unknown in members)
     ]
     names = list(sample.inputs)
-    return Sample({names[column]: sample.inputs[names[column]] for column in columns}, sample.quantiles[:, columns])
+    return Sample(
+        {names[column]: sample.inputs[names[column]] for column in columns},
+        sample.quantiles[:, columns],
+    )
 
 
 @dataclass(frozen=True)
@@ -697,8 +870,12 @@ class PairUncertainty:
 
     @cached_property
     def probability_a_better(self) -> Probability:
-        """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
-        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences)))).tolist())
+        """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval;
+        an equal one counts half.
+        """
+        return Probability.of(
+            (0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences)))).tolist()
+        )
 
     @property
     def difference(self) -> ResultDistribution:
@@ -707,7 +884,9 @@ class PairUncertainty:
 
     @cached_property
     def shares(self) -> dict[str, dict[str, Share]]:
-        """Shares of the variance of the difference: input -> `first` -> share, and `total` of points of total indices."""
+        """Shares of the variance of the difference: input -> `first` -> share, and `total` of
+        points of total indices.
+        """
         return self.sample.shares(self.differences, self.scatter_variances, total=self.total)
 
     def as_dict(self) -> dict[str, Any]:

@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 
 Quantity = ArrayLike | Callable[..., ArrayLike]
-ANSWERS = None  # as expected values: the last of the arguments of each call, which `call` does not get
+ANSWERS = (
+    None  # as expected values: the last of the arguments of each call, which `call` does not get
+)
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class KnownAnswer:
 
     name : in the table
     call : returns a number or an array
-    expected : a number, or a function of the arguments of `call`; it broadcasts to what `call` returns. None takes the last of
-        the arguments, which `call` does not get
+    expected : a number, or a function of the arguments of `call`; it broadcasts to what `call`
+        returns. None takes the last of the arguments, which `call` does not get
     tolerance : largest error, relative to `scale`
     source : of the expected value, and the reason of the tolerance
     inputs : the arguments of each call; what is no tuple is the only argument
@@ -67,9 +69,14 @@ class KnownAnswer:
 
     def check(self, room: str = "") -> ExtremeCase:
         """Return the worst element of all calls, with the warnings that they raised."""
-        inputs = [arguments if isinstance(arguments, tuple) else (arguments,) for arguments in self.inputs]
+        inputs = [
+            arguments if isinstance(arguments, tuple) else (arguments,) for arguments in self.inputs
+        ]
         end = -1 if self.expected is ANSWERS else None
-        with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn", under="ignore"):
+        with (
+            warnings.catch_warnings(record=True) as caught,
+            np.errstate(all="warn", under="ignore"),
+        ):
             warnings.simplefilter("always")
             results = [np.asarray(self.call(*arguments[:end]), float) for arguments in inputs]
         got = np.concatenate([result.ravel() for result in results])
@@ -85,10 +92,18 @@ class KnownAnswer:
         return ExtremeCase(room, self.name, *answers, self.tolerance, self.source, warned)
 
 
-def _elements(quantity: Quantity | None, inputs: Sequence[tuple[Any, ...]], results: Sequence[Array]) -> Array:
+def _elements(
+    quantity: Quantity | None, inputs: Sequence[tuple[Any, ...]], results: Sequence[Array]
+) -> Array:
     """Return a quantity for each element of the results, (n,)."""
     elements = []
     for arguments, result in zip(inputs, results, strict=True):
-        value = quantity(*arguments) if callable(quantity) else arguments[-1] if quantity is ANSWERS else quantity
+        value = (
+            quantity(*arguments)
+            if callable(quantity)
+            else arguments[-1]
+            if quantity is ANSWERS
+            else quantity
+        )
         elements.append(np.broadcast_to(value, result.shape).ravel())
     return np.concatenate(elements)

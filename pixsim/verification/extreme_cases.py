@@ -1,7 +1,9 @@
-"""The table of extreme cases, whose answers are known apart from the kernels: a row each, by part of the computation.
+"""The table of extreme cases, whose answers are known apart from the kernels: a row each, by part
+of the computation.
 
-Columns: name, call, expected value, tolerance, its source and reason, inputs, scale, as `KnownAnswer` describes them. A source
-names a closed form, a limit, a conservation law, or a symmetry.
+Columns: name, call, expected value, tolerance, its source and reason, inputs, scale, as
+`KnownAnswer` describes them. A source names a closed form, a limit, a conservation law, or a
+symmetry.
 """
 
 from __future__ import annotations
@@ -47,9 +49,13 @@ DRAWN = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
 EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
 STORED = 2e-7  # the irradiance is stored in float32
-BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19  # SI 2019, exact; independent of pixsim's constants
+BOLTZMANN_J_PER_K, ELECTRON_C = (
+    1.380649e-23,
+    1.602176634e-19,
+)  # SI 2019, exact; independent of pixsim's constants
 
-# --- Lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the range of the grid ---
+# --- Lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the range of the
+# grid ---
 
 # f-number, tangent of the field angle, magnification, E/L by Foote (1915) in 400 digits.
 IRRADIANCES = (
@@ -63,14 +69,24 @@ IRRADIANCES = (
     (1e150, 1.0, 0.0, 1.963495408493621e-301),
 )
 # Share of the cut-off, OTF: the overlap of two pupils.
-OTFS = ((1e-16, 1.0), (0.25, 0.685037642474293), (0.5, 0.391002218955771), (0.999, 3.79549743734e-5), (1 - 1e-10, 1.2004e-15))
+OTFS = (
+    (1e-16, 1.0),
+    (0.25, 0.685037642474293),
+    (0.5, 0.391002218955771),
+    (0.999, 3.79549743734e-5),
+    (1 - 1e-10, 1.2004e-15),
+)
 ROUNDED = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
-TRANSFORMED = 1e-14  # rounding of a cosine transform and its inverse, relative to the brightest sample
+TRANSFORMED = (
+    1e-14  # rounding of a cosine transform and its inverse, relative to the brightest sample
+)
 
 
 def blurred(picture: Array, f_number: float) -> Array:
     """A picture of 1 µm samples in three wavelengths behind a lens."""
-    return diffract(picture, 1.0, np.array([360.0, 550.0, 830.0]), np.array([0.2, 0.5, 0.3]), f_number)
+    return diffract(
+        picture, 1.0, np.array([360.0, 550.0, 830.0]), np.array([0.2, 0.5, 0.3]), f_number
+    )
 
 
 def contrast_of_wave(order: int, share: float) -> float:
@@ -81,7 +97,9 @@ def contrast_of_wave(order: int, share: float) -> float:
 
 
 def optics() -> list[Row]:
-    pictures = [default_rng(shape).uniform(0, 2, shape) for shape in ((1, 1), (1, 33), (7, 1), (24, 40))]
+    pictures = [
+        default_rng(shape).uniform(0, 2, shape) for shape in ((1, 1), (1, 33), (7, 1), (24, 40))
+    ]
     return [
         (
             "E/L of a lens, f/0.5 to f/1e150, 0 to 80°, magnification 0 to -2",
@@ -131,16 +149,23 @@ def optics() -> list[Row]:
             ANSWERS,
             1e-7,
             "0 and 2/3 - √3/2π; three times the error 3e-8 of interpolation in the OTF table",
-            [(order, *answer) for order, answer in product(range(1, 32, 3), [(1.0, 0.0), (0.5, 0.391002218955771)])],
+            [
+                (order, *answer)
+                for order, answer in product(
+                    range(1, 32, 3), [(1.0, 0.0), (0.5, 0.391002218955771)]
+                )
+            ],
             1.0,
         ),
     ]
 
 
-# --- Spectra: lines of 1 nm at any wavelength, dark bands, and light outside the sensor's response ---
+# --- Spectra: lines of 1 nm at any wavelength, dark bands, and light outside the sensor's response
+# ---
 
-# A line of 1 W m⁻², 1 nm wide: nm, W m⁻² within 360-830 nm, electrons of the 0.35 µm process per W m⁻² and m², and lux. Integer and
-# fractional wavelengths, borders of bands, ends of the response (400 and 800 nm) and of the range.
+# A line of 1 W m⁻², 1 nm wide: nm, W m⁻² within 360-830 nm, electrons of the 0.35 µm process per W
+# m⁻² and m², and lux. Integer and fractional wavelengths, borders of bands, ends of the response
+# (400 and 800 nm) and of the range.
 LINES = (
     (360.0, 0.5, 0.0, 0.00139191),
     (365.5, 1.0, 0.0, 0.00504958),
@@ -166,19 +191,29 @@ def line(centre_nm: float) -> Spectrum:
 
 def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
     """A uniform field of 8×8 samples with the lamp's spectrum, W m⁻² nm⁻¹."""
-    factors, within = (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8))), (bands.nodes_nm, bands.shares)
-    return SpectralImage(bands.wavelength_nm, bands.width_nm, 20.0, factors=factors, within=within, header={})
+    factors, within = (
+        (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8))),
+        (bands.nodes_nm, bands.shares),
+    )
+    return SpectralImage(
+        bands.wavelength_nm, bands.width_nm, 20.0, factors=factors, within=within, header={}
+    )
 
 
 def uniform_images(spectrum: Array) -> list[SpectralImage]:
     """The same uniform field as a spectrum times a picture, and as full data."""
     factored = SpectralImage(BANDS_NM, 10.0, 20.0, factors=(spectrum, np.ones((1, 8, 6))))
-    return [factored, SpectralImage(BANDS_NM, 10.0, 20.0, data=np.broadcast_to(spectrum, (8, 6, BANDS_NM.size)))]
+    return [
+        factored,
+        SpectralImage(BANDS_NM, 10.0, 20.0, data=np.broadcast_to(spectrum, (8, 6, BANDS_NM.size))),
+    ]
 
 
 def is_refused(spectrum: Array, physics: PixelPhysics) -> bool:
     try:
-        imaging = Imaging(Camera(), physics.pixel, physics.technology, Exposure(), Display(white_cd_per_m2=1000.0))
+        imaging = Imaging(
+            Camera(), physics.pixel, physics.technology, Exposure(), Display(white_cd_per_m2=1000.0)
+        )
         white_rate(imaging, uniform_images(spectrum)[0])
     except PixsimError:
         return True
@@ -200,11 +235,19 @@ def spectra() -> list[Row]:
 
     def power_of_pulse(lamp: Spectrum, placed: Bands) -> float:
         pulses = fit(lamp, placed, SURFACES, witnesses, BANDS_TOLERANCE)
-        return math.nan if pulses is None else float((pulses.spectra.sum(axis=0) * placed.width_nm).sum())
+        return (
+            math.nan
+            if pulses is None
+            else float((pulses.spectra.sum(axis=0) * placed.width_nm).sum())
+        )
 
     lit = {  # with the electrons of a pixel per second
         "every second band dark": (physics, np.tile([0.02, 0.0], 24)[:47], 187258201.36563483),
-        "light only below and above the response, 400-800 nm": (physics, np.where(abs(BANDS_NM - 600) > 200, 0.02, 0.0), 0.0),
+        "light only below and above the response, 400-800 nm": (
+            physics,
+            np.where(abs(BANDS_NM - 600) > 200, 0.02, 0.0),
+            0.0,
+        ),
         "light only beyond the infrared cut": (cut, np.where(BANDS_NM > 655, 0.02, 0.0), 0.0),
     }
     return [
@@ -246,14 +289,19 @@ def spectra() -> list[Row]:
                 mean_signal_rate,
                 rate,
                 1e-7,
-                "sum over the lit bands; rounding of irradiance to float32, 6e-8; without light exactly 0",
+                (
+                    "sum over the lit bands; rounding of irradiance to float32, 6e-8; without light"
+                    " exactly 0"
+                ),
                 product(uniform_images(spectrum), [Camera()], [pixel]),
             )
             for name, (pixel, spectrum, rate) in lit.items()
         ),
         (
             "shares of light in the bands of a lamp that is off",
-            lambda: place_bands([line(555.0) * 0.0], SURFACES, witnesses, BANDS_TOLERANCE).shares.sum(axis=1),
+            lambda: place_bands(
+                [line(555.0) * 0.0], SURFACES, witnesses, BANDS_TOLERANCE
+            ).shares.sum(axis=1),
             1.0,
             1e-15,
             "sum of 1",
@@ -272,11 +320,28 @@ def spectra() -> list[Row]:
 # --- Light from zero to far beyond saturation ---
 
 QUIET: dict[str, Any] = dict.fromkeys(
-    ("dark_current_e_per_s", "read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0
+    (
+        "dark_current_e_per_s",
+        "read_noise_e",
+        "reset_noise_factor",
+        "prnu",
+        "dsnu",
+        "offset_fpn",
+        "column_fpn",
+    ),
+    0,
 )  # parameters of a pixel with photon shot noise alone
-GREEN = QUIET | {"quantum_efficiency": 0.5, "fill_factor": 0.5, "full_well_e": 65_535, "bits": 16, "pitch_um": 5.0}
+GREEN = QUIET | {
+    "quantum_efficiency": 0.5,
+    "fill_factor": 0.5,
+    "full_well_e": 65_535,
+    "bits": 16,
+    "pitch_um": 5.0,
+}
 CAMERA = Camera(die_mm=0.08)
-GREEN_E_PER_S = 1226.317856665  # of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
+GREEN_E_PER_S = (
+    1226.317856665  # of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
+)
 LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 FRAME = (200, 500)  # pixels of a frame of random samples
 COUNT = 100_000
@@ -288,7 +353,11 @@ def physics_of(options: dict[str, Any]) -> PixelPhysics:
 
 
 def capture(
-    rate: ArrayLike, options: dict[str, Any], shape: tuple[int, int] = FRAME, offset_e: float = 0.0, **exposure: Any
+    rate: ArrayLike,
+    options: dict[str, Any],
+    shape: tuple[int, int] = FRAME,
+    offset_e: float = 0.0,
+    **exposure: Any,
 ) -> Frame:
     """A frame of photo-electrons per second.
 
@@ -299,7 +368,9 @@ def capture(
     if offset_e:
         sensor = replace(sensor, offset_e=np.full(shape, offset_e))
     times = Exposure(**{"integration_s": 1.0} | exposure)
-    return capture_from_rates(np.broadcast_to(np.asarray(rate, float), shape), sensor, times, default_rng(1))
+    return capture_from_rates(
+        np.broadcast_to(np.asarray(rate, float), shape), sensor, times, default_rng(1)
+    )
 
 
 def moment_errors(variance: ArrayLike, count: int, fourth_cumulant: ArrayLike = 0.0) -> Array:
@@ -313,9 +384,18 @@ def moments(values: NDArray[Any], mean: float) -> Array:
     return np.array([values.mean(), np.mean((values - mean) ** 2)])
 
 
-def green_frame(luminance: ArrayLike, diffraction: bool = False, options: dict[str, Any] = GREEN, **exposure: Any) -> Frame:
-    """A frame of a picture in one band at 555 nm, behind `CAMERA` without fall-off; 16×16 samples and pixels of 5 µm."""
-    spectrum = [[1 / 683.002 / 10.0 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))]]
+def green_frame(
+    luminance: ArrayLike,
+    diffraction: bool = False,
+    options: dict[str, Any] = GREEN,
+    **exposure: Any,
+) -> Frame:
+    """A frame of a picture in one band at 555 nm, behind `CAMERA` without fall-off; 16×16 samples
+    and pixels of 5 µm.
+    """
+    spectrum = [
+        [1 / 683.002 / 10.0 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))]
+    ]
     factors = spectrum, [np.broadcast_to(luminance, (16, 16))]
     image = SpectralImage([555.0], 10.0, 5.0, factors=factors, header={"diffraction": diffraction})
     rate = mean_signal_rate(image, CAMERA, physics_of(options))
@@ -329,14 +409,22 @@ def bright_and_dark(diffraction: bool) -> Array:
 
 def light() -> list[Row]:
     small_well = GREEN | {"full_well_e": 1000}  # filled by 1e-9 cd/m² in 25 years
-    metered: dict[str, Any] = {"options": small_well, "integration_s": None, "max_integration_s": 1e9, "well_target": 0.95}
+    metered: dict[str, Any] = {
+        "options": small_well,
+        "integration_s": None,
+        "max_integration_s": 1e9,
+        "well_target": 0.95,
+    }
     return [
         (
             "electrons 1e-6 … 1e15, 200 000 pixels each: mean and variance",
-            lambda seed, mean_e: moments(shot_noise(np.full(200_000, mean_e), default_rng(seed)), mean_e),
+            lambda seed, mean_e: moments(
+                shot_noise(np.full(200_000, mean_e), default_rng(seed)), mean_e
+            ),
             lambda seed, mean_e: mean_e,
             SIGMAS,
-            # A mean of 1e-6 gives 0.2 electrons in all pixels together; three or more exceed the limit.
+            # A mean of 1e-6 gives 0.2 electrons in all pixels together; three or more exceed the
+            # limit.
             f"Poisson: both are the mean; {DRAWN}, 1e-3 at a mean of 1e-6",
             enumerate([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15]),
             lambda seed, mean_e: moment_errors(mean_e, 200_000, mean_e),
@@ -368,7 +456,9 @@ def light() -> list[Row]:
         ),
         (
             "automatic exposure: maximum integration time for dim or no light",
-            lambda luminance: green_frame(luminance, integration_s=None, max_integration_s=0.1).integration_s,
+            lambda luminance: (
+                green_frame(luminance, integration_s=None, max_integration_s=0.1).integration_s
+            ),
             0.1,
             0.0,
             "exactly max_integration_s",
@@ -378,7 +468,8 @@ def light() -> list[Row]:
             "1e10 : 1 in one picture: both halves, 3 pixels from the edge",
             lambda: bright_and_dark(False)[:, [0, 4, 11, 15]],
             np.array([1e12, 1e12, 1e2, 1e2]) * GREEN_E_PER_S,
-            # The rounding of the quintic spline is 1e-16 of the bright half's charge, which is 1e-6 of the dark half's.
+            # The rounding of the quintic spline is 1e-16 of the bright half's charge, which is 1e-6
+            # of the dark half's.
             3e-5,
             "luminance of each half; 1e10 · rounding of the running sum",
         ),
@@ -392,16 +483,21 @@ def light() -> list[Row]:
         (
             "1e10 : 1 with diffraction: light 6 pixels inside the dark half",
             lambda: bright_and_dark(True)[:, 13:15].mean() / (1e12 * GREEN_E_PER_S),
-            # Averaged over its rings, the Airy pattern decays as λN/(π³ r³), so a bright strip at distances a to b gives
-            # (2 λN/π³)(1/a - 1/b). Mirrored at the borders, strips of 80 µm begin at 30 + 160 k and 50 + 160 k µm.
+            # Averaged over its rings, the Airy pattern decays as λN/(π³ r³), so a bright strip at
+            # distances a to b gives (2 λN/π³)(1/a - 1/b). Mirrored at the borders, strips of 80 µm
+            # begin at 30 + 160 k and 50 + 160 k µm.
             6.109331e-3,
             0.1,
-            "Airy tails of the bright strips and their mirror images; accurate to ring width over distance, 5 %",
+            (
+                "Airy tails of the bright strips and their mirror images; accurate to ring width"
+                " over distance, 5 %"
+            ),
         ),
     ]
 
 
-# --- Sensors: pixels of 0.3 to 100 µm, 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB ---
+# --- Sensors: pixels of 0.3 to 100 µm, 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB
+# ---
 
 SENSOR = QUIET | {"fill_factor": 0.5}
 # Pitch in µm, full well of a junction of the 0.35 µm process that covers half of the pixel.
@@ -421,7 +517,10 @@ NOISY: tuple[dict[str, Any], ...] = (
     {"well_limit": "diode", "conversion": "junction"},
 )
 SATURATED_SHARE = 0.6152809902517223
-WIDE_DN, WIDE_DN2 = 8389107.5, 140.804028196446  # 1000 + (2²⁴ - 1001)/2; 0.5e12 · ((2²⁴ - 1001)/1e12)² + 1/12
+WIDE_DN, WIDE_DN2 = (
+    8389107.5,
+    140.804028196446,
+)  # 1000 + (2²⁴ - 1001)/2; 0.5e12 · ((2²⁴ - 1001)/1e12)² + 1/12
 
 
 def saturated_fraction(options: dict[str, Any], wells: float) -> float:
@@ -430,7 +529,9 @@ def saturated_fraction(options: dict[str, Any], wells: float) -> float:
 
 
 def rounding_errors(bits: int) -> Array:
-    """Mean and mean square error, in codes, of 2^18 levels over a whole number of codes, so that all are equally frequent."""
+    """Mean and mean square error, in codes, of 2^18 levels over a whole number of codes, so that
+    all are equally frequent.
+    """
     level = min(2**bits - 1, 2**16 - 1) * (np.arange(2**18) + 0.5) / 2**18
     return moments(quantise(level, bits) - level, 0.0)
 
@@ -454,13 +555,17 @@ def sensor() -> list[Row]:
 
     def amplified_variance_dn2(gain_db: float, share: float) -> float:
         gain = 10 ** (gain_db / 20)
-        return 0.61535**2 * (share * 1e5 * gain + (0.5 * gain) ** 2 + 30**2) + 1 / 12  # 61 535 codes for 1e5 electrons
+        return (
+            0.61535**2 * (share * 1e5 * gain + (0.5 * gain) ** 2 + 30**2) + 1 / 12
+        )  # 61 535 codes for 1e5 electrons
 
     return [
         (
             "full well of a pinned photodiode, pitch 0.3 … 100 µm, FF 1e-12 … 1",
             lambda pitch_um, fill: (
-                physics_of(QUIET | {"technology": "4t-bsi", "pitch_um": pitch_um, "fill_factor": fill}).full_well_e
+                physics_of(
+                    QUIET | {"technology": "4t-bsi", "pitch_um": pitch_um, "fill_factor": fill}
+                ).full_well_e
             ),
             lambda pitch_um, fill: 3490 * fill * pitch_um**2,
             ROUNDING,
@@ -476,21 +581,33 @@ def sensor() -> list[Row]:
             JUNCTION_WELLS_E,
         ),
         (
-            "dark charge of a thousand full wells, offset -0.4 full wells: every code, and saturated pixels",
+            (
+                "dark charge of a thousand full wells, offset -0.4 full wells: every code, and"
+                " saturated pixels"
+            ),
             lambda: [lowered.dn.min(), lowered.dn.max(), lowered.saturated_fraction],
             [614, 614, 1],
             0.0,
-            "0.6 · 1023, rounded: the full well clips before the offset is added; all pixels are full",
+            (
+                "0.6 · 1023, rounded: the full well clips before the offset is added; all pixels"
+                " are full"
+            ),
         ),
         (
             "automatic exposure in the dark: charge over full well",
-            lambda: capture(0.0, hot, (2, 2), integration_s=None, max_integration_s=10.0).mean_dark_e / 1000,
+            lambda: (
+                capture(0.0, hot, (2, 2), integration_s=None, max_integration_s=10.0).mean_dark_e
+                / 1000
+            ),
             0.95,
             ROUNDING,
             "well_target",
         ),
         (
-            "saturated pixels under 14 and 0.5 full wells: default pixel, pinned, diode, junction, diode and junction",
+            (
+                "saturated pixels under 14 and 0.5 full wells: default pixel, pinned, diode,"
+                " junction, diode and junction"
+            ),
             saturated_fraction,
             lambda options, wells: wells > 1,
             0.0,
@@ -524,8 +641,13 @@ def sensor() -> list[Row]:
             BITS,
         ),
         (
-            "no light and no noise, one pixel, 1 … 24 bits, a quarter of the codes below black: the code",
-            lambda bits: capture(0.0, SENSOR | {"bits": bits, "black_level_dn": 2**bits // 4}, (1, 1)).dn,
+            (
+                "no light and no noise, one pixel, 1 … 24 bits, a quarter of the codes below black:"
+                " the code"
+            ),
+            lambda bits: (
+                capture(0.0, SENSOR | {"bits": bits, "black_level_dn": 2**bits // 4}, (1, 1)).dn
+            ),
             lambda bits: 2**bits // 4,
             0.0,
             "exactly the black level",
@@ -545,7 +667,10 @@ def sensor() -> list[Row]:
             lambda gain_db, share: moments(amplified_dn(gain_db, share), 4000 + share * 61_535),
             lambda gain_db, share: [4000 + share * 61_535, amplified_variance_dn2(gain_db, share)],
             SIGMAS,
-            f"black level and light; (before · gain)² + after² + shot noise + 1/12, in codes; {DRAWN}",
+            (
+                "black level and light; (before · gain)² + after² + shot noise + 1/12, in codes;"
+                f" {DRAWN}"
+            ),
             product([0.0, 0.1, 6.0, 20.0, 40.0, 60.0], [0.0, 0.5]),
             lambda gain_db, share: moment_errors(amplified_variance_dn2(gain_db, share), COUNT),
         ),
@@ -559,7 +684,9 @@ def sensor() -> list[Row]:
         ),
         (
             "dark current at 77 … 400 K",
-            lambda kelvin: physics_of({"temperature_k": kelvin, "fill_factor": 0.5}).dark_current_e_per_s,
+            lambda kelvin: (
+                physics_of({"temperature_k": kelvin, "fill_factor": 0.5}).dark_current_e_per_s
+            ),
             lambda kelvin: 1e-9 * 0.5 * 6.5e-4**2 / ELECTRON_C * 2 ** ((kelvin - 300.15) / 8),
             ROUNDING,
             "1 nA/cm² · area / q at 300.15 K, doubling every 8 K; rounding",
@@ -568,7 +695,9 @@ def sensor() -> list[Row]:
         (
             "kTC noise at 77 … 400 K",
             lambda kelvin: physics_of({"temperature_k": kelvin, "fill_factor": 0.5}).reset_noise_e,
-            lambda kelvin: np.sqrt(BOLTZMANN_J_PER_K * kelvin * 16.583728112310343e-15) / ELECTRON_C,
+            lambda kelvin: (
+                np.sqrt(BOLTZMANN_J_PER_K * kelvin * 16.583728112310343e-15) / ELECTRON_C
+            ),
             ROUNDING,
             "√(kTC)/q with C = 16.58 fF at the reset voltage, from SPICE's C(V)",
             TEMPERATURES_K,
@@ -578,10 +707,13 @@ def sensor() -> list[Row]:
             dark_gains,
             lambda seed, dsnu: [1.0, dsnu**2],
             SIGMAS,
-            # The fourth cumulant of a gamma variable of mean 1 is 6 s⁶; 1e-15 is the rounding of values near 1.
+            # The fourth cumulant of a gamma variable of mean 1 is 6 s⁶; 1e-15 is the rounding of
+            # values near 1.
             f"1 and DSNU²; {DRAWN}",
             enumerate([1e-9, 0.02, 0.3, 1.0]),
-            lambda seed, dsnu: moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10]),
+            lambda seed, dsnu: (
+                moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10])
+            ),
         ),
     ]
 
@@ -599,13 +731,23 @@ def disc_radius_um(f_number: float, height_um: float, index: float) -> float:
 
 def share_under_lens(side_um: float, f_number: float, height_um: float, index: float) -> float:
     """Share of the light on a pixel of 6 µm that its photodiode collects."""
-    return float(stack_collection(6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial")[1, 1])
+    return float(
+        stack_collection(6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial")[
+            1, 1
+        ]
+    )
 
 
 def all_shares(f_number: float, chief_ray_deg: float, microlens: bool, height_um: float) -> float:
-    """Share of the light on a pixel that it and its neighbours collect, with photodiodes as wide as pixels."""
+    """Share of the light on a pixel that it and its neighbours collect, with photodiodes as wide as
+    pixels.
+    """
     angles: dict[str, Any] = {"chief_ray_deg": chief_ray_deg, "azimuth_deg": 30.0}
-    return float(stack_collection(6.0, 6.0, height_um, 1.5, f_number=f_number, microlens=microlens, **angles).sum())
+    return float(
+        stack_collection(
+            6.0, 6.0, height_um, 1.5, f_number=f_number, microlens=microlens, **angles
+        ).sum()
+    )
 
 
 def stacks() -> list[Row]:
@@ -615,7 +757,9 @@ def stacks() -> list[Row]:
     return [
         (
             "bare pixel behind a pinhole, FF 1e-12 … 1, height 1 nm … 10 mm",
-            lambda fill, high_um: stack_collection(3.0, 3 * math.sqrt(fill), high_um, 1.5, f_number=1e12, microlens=False)[1, 1],
+            lambda fill, high_um: stack_collection(
+                3.0, 3 * math.sqrt(fill), high_um, 1.5, f_number=1e12, microlens=False
+            )[1, 1],
             lambda fill, high_um: fill,
             ROUNDING,
             "fill factor",
@@ -623,7 +767,9 @@ def stacks() -> list[Row]:
         ),
         (
             "small photodiodes under microlenses, f/0.5 … f/1e6, height 4 µm … 10 mm, n 1 … 10",
-            lambda *lens: share_under_lens(min(0.7 * disc_radius_um(*lens), 6.0), *lens),  # its corner is within the disc
+            lambda *lens: share_under_lens(
+                min(0.7 * disc_radius_um(*lens), 6.0), *lens
+            ),  # its corner is within the disc
             lambda *lens: min(0.7, 6 / disc_radius_um(*lens)) ** 2 / math.pi,
             UNDER_LENS,
             "photodiode over disc, w²/(π (h NA/n)²); rounding of boundaries",
@@ -647,21 +793,27 @@ def stacks() -> list[Row]:
         ),
         (
             "chief rays of 0 … 89°, optimal shift, 1 mm below",
-            lambda: collected_shares(shifted, disc_pupil(1e-10, [0.0, 30.0, 60.0, 89.0], 40.0))[:, 2, 2],
+            lambda: collected_shares(shifted, disc_pupil(1e-10, [0.0, 30.0, 60.0, 89.0], 40.0))[
+                :, 2, 2
+            ],
             1.0,
             0.0,
             "exactly 1: on the centre of 1 nm",
         ),
         (
             "diffraction of a microlens of 1 µm, 300 … 1200 nm",
-            lambda: collected_shares(Stack(1.0, 0.4, 3.0, 1.5, microlens=True), disc_pupil(0.0), SPOT_NM)[:, 2, 2],
+            lambda: collected_shares(
+                Stack(1.0, 0.4, 3.0, 1.5, microlens=True), disc_pupil(0.0), SPOT_NM
+            )[:, 2, 2],
             [0.350674489265, 0.123055196522, 0.0273586031413],
             1e-7,
             "∫ sinc² by quadrature; table 2e-8",
         ),
         (
             "light beyond étendue at f/0.5, from the lowest microlens on",
-            lambda fill, high_um: max(0.0, share_under_lens(6 * math.sqrt(fill), 0.5, high_um, 1.5) - fill * 1.5**2 / 0.5),
+            lambda fill, high_um: max(
+                0.0, share_under_lens(6 * math.sqrt(fill), 0.5, high_um, 1.5) - fill * 1.5**2 / 0.5
+            ),
             0.0,
             0.0,
             "at most FF · n²/NA²",
@@ -670,11 +822,13 @@ def stacks() -> list[Row]:
     ]
 
 
-# --- Integration over pixels of incommensurate pitch and grid, and of ratios that are integers except for rounding ---
+# --- Integration over pixels of incommensurate pitch and grid, and of ratios that are integers
+# except for rounding ---
 
 ALMOST = 1e-12
 SIDE, LONG = 64, 20_000  # samples
-# The rounding of a running sum of n cells is proportional to n, and the spline amplifies it: measured 5 to 20 eps n.
+# The rounding of a running sum of n cells is proportional to n, and the spline amplifies it:
+# measured 5 to 20 eps n.
 RUNNING = 50 * EPS
 ALL = 4 * EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
 
@@ -688,7 +842,9 @@ def centres_um(count: int, pitch_um: float, length_um: float) -> Array:
 
 
 def plane(shape: tuple[int, ...], size_um: tuple[int, int], pitch_um: float = 1.0) -> Array:
-    """A linear picture, per µm², at centres of pixels: its value at a point is its mean over any rectangle centred there."""
+    """A linear picture, per µm², at centres of pixels: its value at a point is its mean over any
+    rectangle centred there.
+    """
     y, x = map(centres_um, shape, (pitch_um, pitch_um), size_um)
     return 1 + (y[:, None] + 2 * x) / max(size_um)
 
@@ -701,14 +857,19 @@ def integrated_plane(size_um: tuple[int, int], pitch_um: float, side_um: float) 
 
 def wave_means(count: int, pitch_um: float, side_um: float) -> Array:
     """Means of a grating with 2.5 periods in 64 µm over photodiodes, in closed form."""
-    return 1 + np.cos(np.pi * 5 * centres_um(count, pitch_um, SIDE) / SIDE) * np.sinc(5 * side_um / (2 * SIDE))
+    return 1 + np.cos(np.pi * 5 * centres_um(count, pitch_um, SIDE) / SIDE) * np.sinc(
+        5 * side_um / (2 * SIDE)
+    )
 
 
 def integration() -> list[Row]:
     picture, long = random_picture(SIDE, SIDE), random_picture(LONG, 3)
     return [
         (
-            "electrons of all pixels, FF 1, pitch/grid 1, 1 + 1e-12, 1/3, 4/7, 7/3, and one pixel that covers 1×1 to 64×64 samples",
+            (
+                "electrons of all pixels, FF 1, pitch/grid 1, 1 + 1e-12, 1/3, 4/7, 7/3, and one"
+                " pixel that covers 1×1 to 64×64 samples"
+            ),
             lambda samples, ratio: integrate_pixels(samples, 1.0, ratio, ratio).sum(),
             lambda samples, ratio: samples.sum(),
             ALL,
@@ -753,7 +914,9 @@ def integration() -> list[Row]:
         ),
         (
             "a grating with a period of 26 samples, photodiodes of 0.6 π samples, pitch π",
-            lambda: integrate_pixels(np.tile(wave_means(SIDE, 1, 1), (SIDE, 1)), 1.0, math.pi, 0.6 * math.pi),
+            lambda: integrate_pixels(
+                np.tile(wave_means(SIDE, 1, 1), (SIDE, 1)), 1.0, math.pi, 0.6 * math.pi
+            ),
             wave_means(20, math.pi, 0.6 * math.pi) * (0.6 * math.pi) ** 2,
             2e-4,
             "closed form; error of the quintic spline, 0.02 %",
@@ -762,7 +925,9 @@ def integration() -> list[Row]:
         ),
         (
             "light of 64 pixels shown on 1 to 4096 dots, nearest or linear interpolation",
-            lambda degree, dots: average_axis(picture, 1.0, 0.0, np.linspace(0.0, SIDE, dots + 1), degree, axis=0).mean(axis=0),
+            lambda degree, dots: average_axis(
+                picture, 1.0, 0.0, np.linspace(0.0, SIDE, dots + 1), degree, axis=0
+            ).mean(axis=0),
             picture.mean(axis=0),
             ALL,
             "conservation",
@@ -771,7 +936,8 @@ def integration() -> list[Row]:
     ]
 
 
-# --- Viewing: 0.5 to 2000 samples per degree, light from zero to 1e12 times white, tiny pictures ---
+# --- Viewing: 0.5 to 2000 samples per degree, light from zero to 1e12 times white, tiny pictures
+# ---
 
 DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
 SEEN_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))  # smaller than the widest Gaussian, 4.3°
@@ -785,7 +951,8 @@ COLOURS = (
     ((1e-3, 2e-3, 1e-4), (1.8065925925925939, -3.893518518518518, 2.959074074074075)),
     ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
 )
-# Samples per degree, order, and CIELAB of the first sample of `grating` behind the filters of Zhang & Wandell (1997).
+# Samples per degree, order, and CIELAB of the first sample of `grating` behind the filters of Zhang
+# & Wandell (1997).
 GRATINGS = (
     (0.5, 5, (82.01672249729, 37.088022229072, 29.53091783481)),
     (23.0, 1, (84.485053705885, 27.410936689977, 23.411444693678)),
@@ -794,17 +961,28 @@ GRATINGS = (
     (224.0, 1, (82.505326565353, 12.329986408683, 5.0481101434928)),
     (1000000000.0, 5, (76.069261014156, 0.0, 0.0)),
 )
-# Rounding of transforms of values near 1 times the slope of Lab, up to 903 in L* and 500·7.8 in a*: 1e-15 · 4e3 · 10.
+# Rounding of transforms of values near 1 times the slope of Lab, up to 903 in L* and 500·7.8 in a*:
+# 1e-15 · 4e3 · 10.
 LAB_ROUNDED = 1e-10
 
 
-def seen_lab(relative: Array, samples_per_deg: float = 23.0, filters: Filters = "published") -> Array:
+def seen_lab(
+    relative: Array, samples_per_deg: float = 23.0, filters: Filters = "published"
+) -> Array:
     """CIELAB of X/Xn, Y/Yn, Z/Zn behind the filters of the eye."""
-    return filtered_lab(relative * WHITE, white_xyz=WHITE, samples_per_deg=samples_per_deg, filters=filters)
+    return filtered_lab(
+        relative * WHITE, white_xyz=WHITE, samples_per_deg=samples_per_deg, filters=filters
+    )
 
 
 def seen_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters: Any) -> Array:
-    return delta_e_map(relative * WHITE * unit, other * WHITE * unit, white_xyz=WHITE * unit, samples_per_deg=23.0, **filters)
+    return delta_e_map(
+        relative * WHITE * unit,
+        other * WHITE * unit,
+        white_xyz=WHITE * unit,
+        samples_per_deg=23.0,
+        **filters,
+    )
 
 
 def grating(order: int) -> Array:
@@ -827,11 +1005,16 @@ def viewer() -> list[Row]:
     return [
         (
             "CIELAB of uniform pictures, 0.5 to 2000 samples/deg",
-            lambda colour, lab, shape, density: seen_lab(np.broadcast_to(colour, (*shape, 3)), density),
+            lambda colour, lab, shape, density: seen_lab(
+                np.broadcast_to(colour, (*shape, 3)), density
+            ),
             lambda colour, lab, shape, density: lab,
             LAB_ROUNDED,
             "CIE 15: blur does not change a uniform picture; ΔE, rounding",
-            [(*colour, *view) for colour, view in product(COLOURS, product(SEEN_SHAPES, DENSITIES))],
+            [
+                (*colour, *view)
+                for colour, view in product(COLOURS, product(SEEN_SHAPES, DENSITIES))
+            ],
             1.0,
         ),
         (
@@ -854,7 +1037,9 @@ def viewer() -> list[Row]:
         ),
         (
             "ΔE of a picture with itself: black, negative, 1e-12 and 1e12 times white",
-            lambda picture, times, filters: seen_delta_e(picture * times, picture * times, filters=filters),
+            lambda picture, times, filters: seen_delta_e(
+                picture * times, picture * times, filters=filters
+            ),
             0.0,
             0.0,
             "exactly 0",
@@ -887,7 +1072,9 @@ def viewer() -> list[Row]:
         ),
         (
             "grey pictures by one transform and by three, 0.5 to 2000 samples/deg",
-            lambda picture, density: filtered_grey_lab(picture[..., 1], white_xyz=WHITE, samples_per_deg=density),
+            lambda picture, density: filtered_grey_lab(
+                picture[..., 1], white_xyz=WHITE, samples_per_deg=density
+            ),
             lambda picture, density: seen_lab(picture[..., [1, 1, 1]], density),
             LAB_ROUNDED,
             "identical pictures; ΔE, rounding",
@@ -905,7 +1092,8 @@ def viewer() -> list[Row]:
     ]
 
 
-# --- Photodiodes: from hours in the dark to picoseconds in forward bias, 77 to 400 K, four processes ---
+# --- Photodiodes: from hours in the dark to picoseconds in forward bias, 77 to 400 K, four
+# processes ---
 
 CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
 HOURS_S = 36000.0
@@ -966,10 +1154,16 @@ def pixel_at(process: str, temperature_k: float, **options: Any) -> PixelPhysics
 
 
 def collected_share(process: str) -> Array:
-    """Share of the generated charge that is collected; 1 above 29 000 electrons, which take half of the reset voltage at most."""
+    """Share of the generated charge that is collected; 1 above 29 000 electrons, which take half of
+    the reset voltage at most.
+    """
     diode = diode_of(pixel_at(process, 300.15))
     generated_e = (CURRENTS_E_PER_S[:, None] + diode.saturation_current_e_per_s) * DISCHARGES_S
-    return np.where(generated_e < 29_000, collected_charge_e(CURRENTS_E_PER_S[:, None], DISCHARGES_S, diode) / generated_e, 1.0)
+    return np.where(
+        generated_e < 29_000,
+        collected_charge_e(CURRENTS_E_PER_S[:, None], DISCHARGES_S, diode) / generated_e,
+        1.0,
+    )
 
 
 def photodiode() -> list[Row]:
@@ -982,10 +1176,29 @@ def photodiode() -> list[Row]:
     for saturation, currents in ((0.0, CURRENTS_E_PER_S), (1e-300, CURRENTS_E_PER_S[:90])):
         name = f"a diode current of {saturation:g} e-/s: no charge is lost"
         diode = replace(default_diode(), saturation_current_e_per_s=saturation)
-        rows.append((name, collected_charge_e, 0.03 * currents, ROUNDING, "conservation of charge", [(currents, 0.03, diode)]))
+        rows.append(
+            (
+                name,
+                collected_charge_e,
+                0.03 * currents,
+                ROUNDING,
+                "conservation of charge",
+                [(currents, 0.03, diode)],
+            )
+        )
     for process, temperature_k in TABLES:
-        # At 0.18 µm the diode loses 1e-12 even there: e^(-V/V_T) at half of the reset voltage, 0.58 V, over hours.
-        rows.append((f"{process}: no loss before saturation", collected_share, 1.0, 1e-11, "conservation of charge", [process]))
+        # At 0.18 µm the diode loses 1e-12 even there: e^(-V/V_T) at half of the reset voltage, 0.58
+        # V, over hours.
+        rows.append(
+            (
+                f"{process}: no loss before saturation",
+                collected_share,
+                1.0,
+                1e-11,
+                "conservation of charge",
+                [process],
+            )
+        )
         rows += table_rows(process, temperature_k, 1e-3, "linear")
         rows += table_rows(process, temperature_k, HOURS_S, "junction")
     return rows
@@ -1014,7 +1227,9 @@ def table_rows(process: str, temperature_k: float, time_s: float, conversion: st
         ),
         (
             f"table is monotone: {name}",
-            lambda: min(np.diff(diodes.level_table(diode, well_e, time_s, is_junction).level_e).min(), 0.0),
+            lambda: min(
+                np.diff(diodes.level_table(diode, well_e, time_s, is_junction).level_e).min(), 0.0
+            ),
             0.0,
             0.0,
             "f_t is monotone",

@@ -1,4 +1,6 @@
-"""Mean ΔE of a scene on films of more and more samples: its error against run time, as `pixsim accuracy` shows it."""
+"""Mean ΔE of a scene on films of more and more samples: its error against run time, as
+`pixsim accuracy` shows it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,13 @@ from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import STILL
 from pixsim.studies.design import Case
-from pixsim.studies.film_error import chains_of_film, light_error_and_limit, measure_film, score_with, standard_noise_of
+from pixsim.studies.film_error import (
+    chains_of_film,
+    light_error_and_limit,
+    measure_film,
+    score_with,
+    standard_noise_of,
+)
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
 from pixsim.studies.prepare import loaded_scene
 from pixsim.verification.case import ExtremeCase
@@ -31,7 +39,10 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import GivenSettings, fields_of, warn_of_settings_without_effect
 
-EFFORTS, QUICK_EFFORTS = (0.25, 0.5, 1.0), (0.5, 1.0)  # samples across the film, relative to that of a run
+EFFORTS, QUICK_EFFORTS = (
+    (0.25, 0.5, 1.0),
+    (0.5, 1.0),
+)  # samples across the film, relative to that of a run
 REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
 SURE = 1 / 3  # of the smallest error that is shown: largest error of the reference
 LEAST_ACROSS = 16
@@ -42,7 +53,8 @@ class Rung:
     """Mean ΔE of one sensor on one film.
 
     across : samples of the film
-    render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples across has half of it
+    render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples
+        across has half of it
     seconds : of render and score
     mean_delta_e : of the sensor
     light, light_limit : errors that pixsim states by itself, and what is tolerated of them
@@ -65,8 +77,15 @@ class Rung:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the rung as in summary.json and ladder.csv."""
-        values = {name: value for name, value in vars(self).items() if name not in ("light", "light_limit")}
-        return values | {"film_delta_e": self.light.film_delta_e, "noise_delta_e": self.light.noise_delta_e}
+        values = {
+            name: value
+            for name, value in vars(self).items()
+            if name not in ("light", "light_limit")
+        }
+        return values | {
+            "film_delta_e": self.light.film_delta_e,
+            "noise_delta_e": self.light.noise_delta_e,
+        }
 
 
 @dataclass(frozen=True)
@@ -75,7 +94,8 @@ class Accuracy(Result):
 
     name : of the scene
     rungs : films of less work than the default settings, and these, which come last
-    reference : a film of more samples; its own error is below a third of the smallest that is shown, or it is none
+    reference : a film of more samples; its own error is below a third of the smallest that is
+        shown, or it is none
     cases : extreme cases
     header : of the irradiance with the default settings
     settings : as given
@@ -116,14 +136,16 @@ def accuracy(
     variant: str | None = None,
     progress: Stage | None = None,
 ) -> Accuracy:
-    """Measure the error of a scene's mean ΔE against run time, and check numerical stability at extreme settings.
+    """Measure the error of a scene's mean ΔE against run time, and check numerical stability at
+    extreme settings.
 
     scene : XML file or name of a packaged scene
     quick : fewer films
-    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
+        precedence
     parameters : of the scene, each in its unit
-    camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables, each in its unit, which override
-        those of the files
+    camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables,
+        each in its unit, which override those of the files
     seed : of the render; None means that of `config`, or 0
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
@@ -135,34 +157,84 @@ def accuracy(
     >>> len(result.rungs), all(case.passed for case in result.cases)
     (2, True)
     """
-    tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "motion": motion}
-    tables |= {"correction": correction, "develop": develop, "display": display, "scene": parameters}
-    settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
-    return measure_accuracy(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage)
+    tables = {
+        "camera": camera,
+        "lens": lens,
+        "pixel": pixel,
+        "exposure": exposure,
+        "motion": motion,
+    }
+    tables |= {
+        "correction": correction,
+        "develop": develop,
+        "display": display,
+        "scene": parameters,
+    }
+    settings = run_settings(
+        config,
+        {name: value for name, value in (tables | {"seed": seed}).items() if value is not None},
+    )
+    return measure_accuracy(
+        os.fspath(scene),
+        settings,
+        quick=quick,
+        sensor=sensor,
+        variant=variant,
+        progress=progress or no_stage,
+    )
 
 
 # The errors are those of the mean ΔE of a picture that stands still in steady light.
 NOT_TAKEN = (
-    *("metrics", "metric", "noise_budget", "tolerance_delta_e", "max_seconds", "window_mm", "motion"),
+    *(
+        "metrics",
+        "metric",
+        "noise_budget",
+        "tolerance_delta_e",
+        "max_seconds",
+        "window_mm",
+        "motion",
+    ),
     *("exposure.shutter", "exposure.line_time_us"),
     *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
 )
 
 
 def measure_accuracy(
-    source: str, settings: Run, *, quick: bool = False, sensor: str | None = None, variant: str | None = None, progress: Stage
+    source: str,
+    settings: Run,
+    *,
+    quick: bool = False,
+    sensor: str | None = None,
+    variant: str | None = None,
+    progress: Stage,
 ) -> Accuracy:
-    """Return the result of `accuracy`. Raises PixsimError if the scene cannot be rendered or captured."""
+    """Return the result of `accuracy`. Raises PixsimError if the scene cannot be rendered or
+    captured.
+    """
     start = time.perf_counter()
-    scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+    scene = loaded_scene(
+        source,
+        settings.scene,
+        settings.resolution,
+        settings.display,
+        variant=variant,
+        sensor=sensor,
+    )
     camera = scene.camera(settings.camera, settings.lens)
     given = GivenSettings.of_setting(Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN)
     warn_of_settings_without_effect({"": [given]})
-    still: dict[str, Any] = {"motion": STILL, "exposure": settings.exposure.steady, "metrics": ("delta_e",)}
+    still: dict[str, Any] = {
+        "motion": STILL,
+        "exposure": settings.exposure.steady,
+        "metrics": ("delta_e",),
+    }
     still |= dict.fromkeys(("tolerance_delta_e", "max_seconds", "window_mm"))
     request = light_request(Case(settings.model_copy(update=still), resolved=(scene, camera)))
     light, _ = rendered_light(request, progress("render"))
-    rungs, reference = climb(request, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder"))
+    rungs, reference = climb(
+        request, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder")
+    )
     progress("extreme cases")
     return Accuracy(
         name=scene.path.stem,
@@ -175,18 +247,29 @@ def measure_accuracy(
     )
 
 
-def climb(request: LightRequest, across: int, efforts: Sequence[float], progress: Progress) -> tuple[tuple[Rung, ...], Rung | None]:
-    """Return the rungs of a ladder and its reference, the same sensor with the same noise on all films.
+def climb(
+    request: LightRequest, across: int, efforts: Sequence[float], progress: Progress
+) -> tuple[tuple[Rung, ...], Rung | None]:
+    """Return the rungs of a ladder and its reference, the same sensor with the same noise on all
+    films.
 
     across : samples across the film of the default settings, whose effort is 1
     """
     camera, imaging = request.camera, request.measured[0]
     ratio = camera.height_mm / camera.die_mm
     most = largest_film(ratio, request.plan.light.planes, math.inf)
-    reference = REFERENCE_OF_CHART if request.plan.samples.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
+    reference = (
+        REFERENCE_OF_CHART
+        if request.plan.samples.exact and REFERENCE_OF_CHART * across <= most
+        else REFERENCE
+    )
     wanted = [*efforts, *([reference] if reference * across <= most else [])]
-    widths = {effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted}
-    _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
+    widths = {
+        effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted
+    }
+    _measure(
+        request, imaging, widths[efforts[0]], 1 / efforts[0], None
+    )  # what is compiled now counts for no rung
     rungs: list[Rung] = []
     noise: Array | None = None
     for done, (effort, width) in enumerate(widths.items(), 1):
@@ -200,17 +283,23 @@ def climb(request: LightRequest, across: int, efforts: Sequence[float], progress
     errors = [abs(rung.mean_delta_e - finest.mean_delta_e) for rung in rungs]
     if not finest.stated_delta_e < SURE * min(errors):
         return tuple(rungs), None
-    return tuple(replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)), finest
+    return tuple(
+        replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)
+    ), finest
 
 
-def _measure(request: LightRequest, imaging: Imaging, across: int, noise_times: float, noise: Array | None) -> tuple[Rung, Array]:
+def _measure(
+    request: LightRequest, imaging: Imaging, across: int, noise_times: float, noise: Array | None
+) -> tuple[Rung, Array]:
     """Return a rung, and the standard noise of its frame.
 
     noise_times : as much render noise as asked for
     noise : of another rung's frame; None draws it
     """
     render_noise = noise_times * request.settings.render_noise
-    asked = replace(request, settings=request.settings.model_copy(update={"render_noise": render_noise}))
+    asked = replace(
+        request, settings=request.settings.model_copy(update={"render_noise": render_noise})
+    )
     scene = request.scene.with_resolution(across)
     plan = request.plan_of(scene)
     start = time.perf_counter()

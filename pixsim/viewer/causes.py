@@ -1,7 +1,9 @@
-"""What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is believed.
+"""What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is
+believed.
 
-Light that is not computed, an ideal image without contrast, an ADC with too few codes for the picture, and pixels that are full.
-A frame tells nothing where all of its pixels are full, or where light changes no code: the one rule for all that may lead there.
+Light that is not computed, an ideal image without contrast, an ADC with too few codes for the
+picture, and pixels that are full. A frame tells nothing where all of its pixels are full, or where
+light changes no code: the one rule for all that may lead there.
 """
 
 from __future__ import annotations
@@ -55,7 +57,9 @@ def causes_of(
     readout = imaging.readout
     of_frame = white_e, integration_s, lightness[1]
     modulation = burst_modulation(imaging.exposure, integration_s)
-    full = _full(_range_e(readout, integration_s), white_e, lightness[1], saturated_fraction, modulation)
+    full = _full(
+        _range_e(readout, integration_s), white_e, lightness[1], saturated_fraction, modulation
+    )
     of_sensor = _codes(readout, *of_frame) or full
     if tells_nothing(readout, *of_frame, saturated_fraction):
         of_sensor = _nothing(of_sensor, saturated_fraction)
@@ -88,11 +92,14 @@ def luminance_of_lightness(lightness: float) -> float:
     >>> [round(float(lightness_of(np.array(luminance_of_lightness(each)))), 9) for each in (0.0, 5.0, 50.0, 100.0)]
     [0.0, 5.0, 50.0, 100.0]
     """
-    return float(((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389)
+    return float(
+        ((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389
+    )
 
 
 def codes_to_white(readout: Readout, white_e: float, integration_s: float) -> float:
-    """Return the codes of the ADC between black and display white, as far as the well and the ADC reach.
+    """Return the codes of the ADC between black and display white, as far as the well and the ADC
+    reach.
 
     readout : how the pixels are read
     white_e : mean electrons of the scene's white on axis, in this time
@@ -104,11 +111,19 @@ def _range_e(readout: Readout, integration_s: float) -> float:
     return readout.saturation_e - readout.dark_current_e_per_s * integration_s
 
 
-def tells_nothing(readout: Readout, white_e: float, integration_s: float, lightest: float, saturated_fraction: float) -> bool:
-    """Return whether a frame is the same in any light: all pixels are full, or the lightest dot moves no code out of its noise.
+def tells_nothing(
+    readout: Readout,
+    white_e: float,
+    integration_s: float,
+    lightest: float,
+    saturated_fraction: float,
+) -> bool:
+    """Return whether a frame is the same in any light: all pixels are full, or the lightest dot
+    moves no code out of its noise.
 
-    The codes of a pixel are compared with those in the dark: the difference of their means, as the well, the ADC and code 0 clip
-    them, over the standard deviation in the dark. In a burst that is a part of its frame's.
+    The codes of a pixel are compared with those in the dark: the difference of their means, as the
+    well, the ADC and code 0 clip them, over the standard deviation in the dark. In a burst that is
+    a part of its frame's.
 
     readout : how the pixels are read
     white_e, integration_s, saturated_fraction : of `causes_of`
@@ -122,35 +137,56 @@ def tells_nothing(readout: Readout, white_e: float, integration_s: float, lighte
     signal_e = white_e * luminance_of_lightness(lightest) / readout.exposures
     dark_e = exposure.dark_current_e_per_s * time_s
     charge_e = np.minimum(np.array([0.0, signal_e]) + dark_e, exposure.saturation_e)
-    level_dn = np.minimum(exposure.black_level_dn + exposure.dn_per_e * charge_e, exposure.top_code_dn)
-    sigma_dn = exposure.dn_per_e * np.sqrt(variance_e2(exposure, charge_e, light_e=charge_e - dark_e, dark_e=dark_e))
+    level_dn = np.minimum(
+        exposure.black_level_dn + exposure.dn_per_e * charge_e, exposure.top_code_dn
+    )
+    sigma_dn = exposure.dn_per_e * np.sqrt(
+        variance_e2(exposure, charge_e, light_e=charge_e - dark_e, dark_e=dark_e)
+    )
     mean_dn, variance_dn2, _ = moments_of_codes(level_dn, np.maximum(sigma_dn, NO_NOISE_DN))
     return bool(mean_dn[1] - mean_dn[0] <= LEAST_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
 
 
 def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
-    """Return a cause of the sensor as one that leaves nothing; without one, that of full pixels or of noise."""
+    """Return a cause of the sensor as one that leaves nothing; without one, that of full pixels or
+    of noise.
+    """
     if cause is None and saturated_fraction >= ALL_FULL:
         cause = Cause("all pixels are saturated", ALL, _less_light())
     elif cause is None:
-        more = f"more light or time ({setting('exposure.integration_s')}, {setting('exposure.max_integration_s')})"
+        more = (
+            f"more light or time ({setting('exposure.integration_s')},"
+            f" {setting('exposure.max_integration_s')})"
+        )
         cause = Cause("its light is lost in the noise", ALL, f"{more}, or less noise")
     return Cause(f"{NOTHING}: {cause.words}", ALL, cause.hint)
 
 
 def _less_light() -> str:
-    return f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
+    return (
+        f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}),"
+        " or a larger full well"
+    )
 
 
 def _codes(readout: Readout, white_e: float, integration_s: float, lightest: float) -> Cause | None:
-    codes, range_e = codes_to_white(readout, white_e, integration_s), _range_e(readout, integration_s)
+    codes, range_e = (
+        codes_to_white(readout, white_e, integration_s),
+        _range_e(readout, integration_s),
+    )
     signal = codes_to_white(readout, white_e * luminance_of_lightness(lightest), integration_s)
-    if codes >= FEWEST_CODES * (1 - ROUNDING) and (signal >= 1 or lightest < SEEN_LIGHTNESS):  # black has no contrast
+    if codes >= FEWEST_CODES * (1 - ROUNDING) and (
+        signal >= 1 or lightest < SEEN_LIGHTNESS
+    ):  # black has no contrast
         return None
     brighter = f"light, time or gain ({setting('exposure.gain_db')})"
-    hint = f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
+    hint = (
+        f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
+    )
     if codes >= FEWEST_CODES:
-        return Cause(f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint)
+        return Cause(
+            f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint
+        )
     words = f"only {codes:.2g} codes of the ADC between black and display white"
     if range_e <= 0:
         words = "dark charge leaves no code of the ADC for light"
@@ -168,11 +204,15 @@ def _contrast(low: float, high: float, white: str) -> Cause | None:
     if high < SEEN_LIGHTNESS:
         hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
     elif low > ALL - SEEN_LIGHTNESS:
-        hint = f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
+        hint = (
+            f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
+        )
     return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
 
 
-def _full(range_e: float, white_e: float, lightest: float, share: float, modulation: float) -> Cause | None:
+def _full(
+    range_e: float, white_e: float, lightest: float, share: float, modulation: float
+) -> Cause | None:
     """Return full pixels as a cause of ΔE.
 
     modulation : of the light of the exposures of a burst, each of which clips by itself
@@ -180,7 +220,9 @@ def _full(range_e: float, white_e: float, lightest: float, share: float, modulat
     # Where display white clips too, full pixels cost nothing.
     if share <= SATURATED_SHOWN or range_e >= white_e * (1 + modulation):
         return None
-    lost = lightest - float(lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation))))
+    lost = lightest - float(
+        lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation)))
+    )
     if lost < SEEN_LIGHTNESS:
         return None
     return Cause(f"{percent(share)} of the pixels are saturated", lost, _less_light())
@@ -189,4 +231,6 @@ def _full(range_e: float, white_e: float, lightest: float, share: float, modulat
 def _light(share: float) -> Cause | None:
     if share <= SHOWN_SHARE:
         return None
-    return Cause(outside_words(share), ALL - float(lightness_of(np.array(1 - share))), outside_hint())
+    return Cause(
+        outside_words(share), ALL - float(lightness_of(np.array(1 - share))), outside_hint()
+    )

@@ -1,4 +1,6 @@
-"""From light to frames: the mean electrons of each pixel, and the sensors and frames that are drawn from them."""
+"""From light to frames: the mean electrons of each pixel, and the sensors and frames that are drawn
+from them.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, Sensor, capture_from_rates, integration_time_s, lasting, metered_motion, sample_sensor
+from pixsim.sensor.readout import (
+    Frame,
+    Sensor,
+    capture_from_rates,
+    integration_time_s,
+    lasting,
+    metered_motion,
+    sample_sensor,
+)
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.development import Development
 from pixsim.viewer.imaging import Imaging
@@ -67,7 +77,8 @@ class ExpectedFrame:
 
 @dataclass(frozen=True)
 class ImagingChain:
-    """Everything that the frames of one pixel type share: its mean signal, its exposure, and the screen that shows them.
+    """Everything that the frames of one pixel type share: its mean signal, its exposure, and the
+    screen that shows them.
 
     imaging : settings, of the pixels at their place on the die
     readout : how the pixels are read, at the gain of the exposure
@@ -99,7 +110,11 @@ class ImagingChain:
     def development(self) -> Development:
         """How the frames become pictures."""
         display = self.screen.display
-        imaging = self.imaging if display is self.imaging.display else self.imaging.changed(display=display)
+        imaging = (
+            self.imaging
+            if display is self.imaging.display
+            else self.imaging.changed(display=display)
+        )
         return Development(
             imaging,
             self.readout,
@@ -113,7 +128,9 @@ class ImagingChain:
 
     @property
     def white_e_per_s(self) -> float:
-        """Electrons per second of the scene's white on axis, in the mean over the channels' pixels."""
+        """Electrons per second of the scene's white on axis, in the mean over the channels'
+        pixels.
+        """
         return self.development.white_e_per_s
 
     @property
@@ -122,7 +139,9 @@ class ImagingChain:
         return integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
 
     def expected(self, integration_s: float) -> ExpectedFrame:
-        """Return what is expected of a frame of this time. Only for light that metrics ask for (`Metric.needs_light`)."""
+        """Return what is expected of a frame of this time. Only for light that metrics ask for
+        (`Metric.needs_light`).
+        """
         assert self.scene is not None
         assert self.scene.facts is not None, "no metric asks for the light: needs_light"
         background = self.background_e_per_s
@@ -138,7 +157,8 @@ class ImagingChain:
     def registered(self, number: int) -> ImagingChain:
         """Return the chain of the same pixels at another of the spread registrations."""
         assert self.scene is not None
-        # What is read at other places is not shown, so the room that this chain's dots have is all that motion needs.
+        # What is read at other places is not shown, so the room that this chain's dots have is all
+        # that motion needs.
         imaging = self.imaging.spread(number).changed(exposure=self.exposure)
         return make_chain(imaging, self.scene, room_is_checked=True)
 
@@ -159,35 +179,56 @@ class ImagingChain:
 
         sensor_of : returns the sensor of a key, which may be known; None draws it
         """
-        frame_rng = stream(*key, "frame")  # before the sensor is drawn: later it would take three times as long
-        return self.capture_by((sensor_of or self.sensor)(*key), frame_rng, partial(stream, *key, "correction"))
+        frame_rng = stream(
+            *key, "frame"
+        )  # before the sensor is drawn: later it would take three times as long
+        return self.capture_by(
+            (sensor_of or self.sensor)(*key), frame_rng, partial(stream, *key, "correction")
+        )
 
     def capture_with(
-        self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
+        self,
+        sensor_rng: np.random.Generator,
+        frame_rng: np.random.Generator,
+        correction_rng: np.random.Generator,
     ) -> Frame:
-        """Return a frame whose fixed pattern, temporal noise and frames for its correction come from three generators."""
+        """Return a frame whose fixed pattern, temporal noise and frames for its correction come
+        from three generators.
+        """
         sensor = sample_sensor(self.readout, self.signal_e_per_s.shape, sensor_rng)
         return self.capture_by(sensor, frame_rng, lambda: correction_rng)
 
     def capture_by(
-        self, sensor: Sensor, frame_rng: np.random.Generator, make_correction_rng: Callable[[], np.random.Generator]
+        self,
+        sensor: Sensor,
+        frame_rng: np.random.Generator,
+        make_correction_rng: Callable[[], np.random.Generator],
     ) -> Frame:
-        """Return a frame of a sensor, whose temporal noise and frames for its correction come from two generators.
+        """Return a frame of a sensor, whose temporal noise and frames for its correction come from
+        two generators.
 
-        make_correction_rng : makes the second one; it is called only if the camera corrects its frames
+        make_correction_rng : makes the second one; it is called only if the camera corrects its
+            frames
         """
         frame, correction = self._taken(sensor, frame_rng), self.imaging.correction
         if not correction.is_on:
             return frame
         layout, whites = self.readout.physics.layout, np.array(self.whites_e_per_s)
-        levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
-        return correct(frame, sensor, correction, make_correction_rng(), self.development.flat_field, levels)
+        levels = (
+            None
+            if layout is None
+            else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
+        )
+        return correct(
+            frame, sensor, correction, make_correction_rng(), self.development.flat_field, levels
+        )
 
     def further_frames(self, count: int, *key: object) -> Iterator[Frame]:
-        """Yield frames 2, 3, … of the sensor of `capture`, whose frame is the first of `count`; they are not corrected.
+        """Yield frames 2, 3, … of the sensor of `capture`, whose frame is the first of `count`;
+        they are not corrected.
 
-        All have the fixed pattern and the exposure of the first. Each has temporal noise of its own, which depends on the key
-        and the number of the frame only.
+        All have the fixed pattern and the exposure of the first. Each has temporal noise of its
+        own, which depends on the key and the number of the frame only.
         """
         if count < 2:
             return
@@ -196,15 +237,20 @@ class ImagingChain:
             yield self._taken(sensor, stream(*key, "frame", number))
 
     def _taken(self, sensor: Sensor, rng: np.random.Generator) -> Frame:
-        return capture_from_rates(self.signal_e_per_s, sensor, self.exposure, rng, self.subexposures_e_per_s)
+        return capture_from_rates(
+            self.signal_e_per_s, sensor, self.exposure, rng, self.subexposures_e_per_s
+        )
 
 
-def make_chain(imaging: Imaging, light: SharedLight, *, room_is_checked: bool = False) -> ImagingChain:
+def make_chain(
+    imaging: Imaging, light: SharedLight, *, room_is_checked: bool = False
+) -> ImagingChain:
     """Return the imaging chain of pixels of any pitch and registration.
 
-    light : prepared for their spectral response, or not yet. Automatic exposure is metered on the picture that stands still,
-        without samples that stand alone far above all others
-    room_is_checked : nothing of this chain is shown, or another one with the same dots had room for the motion
+    light : prepared for their spectral response, or not yet. Automatic exposure is metered on the
+        picture that stands still, without samples that stand alone far above all others
+    room_is_checked : nothing of this chain is shown, or another one with the same dots had room for
+        the motion
 
     Raises PixsimError if the picture moves farther than what is scored leaves room for.
     """
@@ -212,24 +258,37 @@ def make_chain(imaging: Imaging, light: SharedLight, *, room_is_checked: bool = 
     physics, exposure = imaging.physics, imaging.exposure
     signal, collections = array_signal(scene.lights, scene.sample_pitch_um, physics, scene.array_um)
     if scene.metering_light is not None and exposure.integration_s is None:
-        metered, _ = array_signal(scene.metering_light, scene.sample_pitch_um, physics, scene.array_um)
-        exposure = lasting(exposure, integration_time_s(exposure, imaging.readout, float(metered.max())))
+        metered, _ = array_signal(
+            scene.metering_light, scene.sample_pitch_um, physics, scene.array_um
+        )
+        exposure = lasting(
+            exposure, integration_time_s(exposure, imaging.readout, float(metered.max()))
+        )
     still = _standing(imaging, scene, exposure, signal, collections)
     return _moved(still, room_is_checked) if any(imaging.um_per_s) else still
 
 
-def chain_of_frames(imaging: Imaging, scene: PreparedScene, exposure: Exposure, shape: tuple[int, int]) -> ImagingChain:
-    """Return the imaging chain for frames (rows, columns) that are known, without the light behind them.
+def chain_of_frames(
+    imaging: Imaging, scene: PreparedScene, exposure: Exposure, shape: tuple[int, int]
+) -> ImagingChain:
+    """Return the imaging chain for frames (rows, columns) that are known, without the light behind
+    them.
 
     exposure : that of the settings, with the time of the frames
     """
     pixels = centred_pixels(scene.array_um, imaging.physics)
-    collections = collections_of(imaging.physics, [channel.illumination for channel in scene.lights], pixels)
+    collections = collections_of(
+        imaging.physics, [channel.illumination for channel in scene.lights], pixels
+    )
     return _standing(imaging, scene, exposure, np.broadcast_to(0.0, shape), collections)
 
 
 def _standing(
-    imaging: Imaging, scene: PreparedScene, exposure: Exposure, signal: Array, collections: Sequence[Collection]
+    imaging: Imaging,
+    scene: PreparedScene,
+    exposure: Exposure,
+    signal: Array,
+    collections: Sequence[Collection],
 ) -> ImagingChain:
     """Return the chain of light that stands still."""
     physics, rendition = imaging.physics, scene.rendition
@@ -245,15 +304,30 @@ def _standing(
 
     background = None
     if scene.facts is not None and scene.facts.background is not None:
-        background, _ = array_signal(scene.facts.background, scene.sample_pitch_um, physics, scene.array_um)
-    return ImagingChain(imaging, imaging.readout, exposure, signal, whites, scene.screen, collection, rendition, scene, background)
+        background, _ = array_signal(
+            scene.facts.background, scene.sample_pitch_um, physics, scene.array_um
+        )
+    return ImagingChain(
+        imaging,
+        imaging.readout,
+        exposure,
+        signal,
+        whites,
+        scene.screen,
+        collection,
+        rendition,
+        scene,
+        background,
+    )
 
 
 def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     """Return the chain of light that moves, from that of the same light that stands still."""
     imaging, scene = still.imaging, still.scene
     assert scene is not None
-    moving, exposure = metered_motion(still.signal_e_per_s, still.readout, still.exposure, imaging.um_per_s)
+    moving, exposure = metered_motion(
+        still.signal_e_per_s, still.readout, still.exposure, imaging.um_per_s
+    )
     still = replace(still, exposure=exposure)
     if not room_is_checked:
         check_room(still, moving)
@@ -261,13 +335,25 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     pixels = scene.sample_pitch_um, imaging.physics, scene.array_um, moving
     signal, subexposures = moved_signals(scene.lights, *pixels, exposure.frames)
     background = None
-    if still.background_e_per_s is not None and scene.facts is not None and scene.facts.background is not None:
+    if (
+        still.background_e_per_s is not None
+        and scene.facts is not None
+        and scene.facts.background is not None
+    ):
         background, _ = array_signal(scene.facts.background, *pixels)
-    return replace(still, signal_e_per_s=signal, background_e_per_s=background, moving=moving, subexposures_e_per_s=subexposures)
+    return replace(
+        still,
+        signal_e_per_s=signal,
+        background_e_per_s=background,
+        moving=moving,
+        subexposures_e_per_s=subexposures,
+    )
 
 
 def check_room(chain: ImagingChain, moving: Moving) -> None:
-    """Raise PixsimError if light from beyond the picture moves into the part of it that is scored."""
+    """Raise PixsimError if light from beyond the picture moves into the part of it that is
+    scored.
+    """
     screen, read = chain.screen, chain.readout.physics
     assert chain.scene is not None
     is_one_to_one = screen.display.raster == "one_to_one"
@@ -277,16 +363,32 @@ def check_room(chain: ImagingChain, moving: Moving) -> None:
         needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * lines) / 2
         room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - border_um)
         if needed_um > room_um * (1 + ROUNDING):
-            got = f"a path of {2 * needed_um:.4g} µm on the sensor in {exposure_time(chain.exposure.integration_s or 0)}"
+            got = (
+                f"a path of {2 * needed_um:.4g} µm on the sensor in"
+                f" {exposure_time(chain.exposure.integration_s or 0)}"
+            )
             slower = f"slow it down ({', '.join(VELOCITIES)})"
-            hint = f"Raise {setting('motion.margin_um')}, shorten {setting('exposure.max_integration_s')}, or {slower}."
+            hint = (
+                f"Raise {setting('motion.margin_um')}, shorten"
+                f" {setting('exposure.max_integration_s')}, or {slower}."
+            )
             if is_one_to_one:
-                hint = f"With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size', or {slower}."
-            raise invalid("motion", got, f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored", hint)
+                hint = (
+                    "With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size',"
+                    f" or {slower}."
+                )
+            raise invalid(
+                "motion",
+                got,
+                f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored",
+                hint,
+            )
 
 
 def check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
-    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and with it colours."""
+    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and
+    with it colours.
+    """
     layout = physics.layout
     if layout is None:
         return

@@ -1,21 +1,26 @@
-"""The colour matrix: XYZ from the white-balanced channels of a camera, fitted over the patches of a ColorChecker.
+"""The colour matrix: XYZ from the white-balanced channels of a camera, fitted over the patches of a
+ColorChecker.
 
-Channels are balanced: the perfect white of the lamp has 1 in each. The matrix is fitted under the lamp of the scene, with that
-lamp as white, over the 18 chromatic patches (ISO 17321-1).
+Channels are balanced: the perfect white of the lamp has 1 in each. The matrix is fitted under the
+lamp of the scene, with that lamp as white, over the 18 chromatic patches (ISO 17321-1).
 
 * least_squares: the least squared error of XYZ. White is not kept.
 * least_delta_e: white is kept, and the mean ΔE*ab (CIE 1976) of the patches is the least.
-* noise_aware: white is kept, and the mean over the patches of √(|b|² + tr J M Σ Mᵀ Jᵀ) is the least: b is the colour error, Σ the
-  covariance of the balanced channels, and J the Jacobian of CIELAB at the patch. Without noise it is least_delta_e; with noise it
+* noise_aware: white is kept, and the mean over the patches of √(|b|² + tr J M Σ Mᵀ Jᵀ) is the
+  least: b is the colour error, Σ the
+  covariance of the balanced channels, and J the Jacobian of CIELAB at the patch. Without noise it
+  is least_delta_e; with noise it
   trades saturation for amplification.
 
-That a matrix which is right in colour amplifies noise is well known, and so are fits that weigh both: P. L. Vora and C. Herley,
-ICIP (1998); Y.-P. Tan and T. Acharya, US patent application 2003/0194128; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here
-both parts have one unit, that of ΔE, and no weight is free. To observers, noise had 40 % or less of the effect of a colour
-difference of the same ΔE (H. Kuniba and R. S. Berns, CIC 16 (2008) 232): the covariance should be that of what they see, of means
-over a dot.
+That a matrix which is right in colour amplifies noise is well known, and so are fits that weigh
+both: P. L. Vora and C. Herley, ICIP (1998); Y.-P. Tan and T. Acharya, US patent application
+2003/0194128; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here both parts have one unit, that of
+ΔE, and no weight is free. To observers, noise had 40 % or less of the effect of a colour difference
+of the same ΔE (H. Kuniba and R. S. Berns, CIC 16 (2008) 232): the covariance should be that of what
+they see, of means over a dot.
 
-A mean of distances is not smooth where a patch is right. It is minimised as √(d² + ε²), for ε from 1 ΔE down to 10⁻⁷ ΔE.
+A mean of distances is not smooth where a patch is right. It is minimised as √(d² + ε²), for ε from
+1 ΔE down to 10⁻⁷ ΔE.
 """
 
 from __future__ import annotations
@@ -36,7 +41,9 @@ from pixsim.viewer.scielab import delta_e, xyz_to_lab
 
 
 class AlikeChannelsError(PixsimError):
-    """Channels so nearly alike that the matrix which takes them apart amplifies noise too much; larger pixels may be possible."""
+    """Channels so nearly alike that the matrix which takes them apart amplifies noise too much;
+    larger pixels may be possible.
+    """
 
 
 Fit = Literal["least_squares", "least_delta_e", "noise_aware"]
@@ -44,8 +51,12 @@ STANDARD_NM = np.arange(380.0, 781.0, 5.0)  # of the tables of illuminants, patc
 MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
 NEEDED_NM = (400.0, 700.0)  # range of sensitivities; the observer has 99.8 % of X, Y and Z in it
 RANK_TOLERANCE = 1e-6  # smallest over largest singular value; noise gains are a million there
-NOISE_TOLERANCE = 1e-12  # in place of it with noise, which may be much larger in one channel than in the others
-MAX_NOISE_GAIN = 10.0  # of the display's linear RGB; 52 measured cameras have 1.3 to 3, stacked sensors 6 to 9
+NOISE_TOLERANCE = (
+    1e-12  # in place of it with noise, which may be much larger in one channel than in the others
+)
+MAX_NOISE_GAIN = (
+    10.0  # of the display's linear RGB; 52 measured cameras have 1.3 to 3, stacked sensors 6 to 9
+)
 SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
 SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
 CIE_LINEAR_BELOW, CIE_SLOPE = 216 / 24389, 841 / 108
@@ -59,17 +70,21 @@ def colour_matrix(
     illuminant: str = "D55",
     method: Literal["least_squares", "least_delta_e"] = "least_delta_e",
 ) -> Array:
-    """Return the matrix, (3, C), from white-balanced channels to XYZ with Y of 1 for white, fitted over the patches of ISO 17321-1.
+    """Return the matrix, (3, C), from white-balanced channels to XYZ with Y of 1 for white, fitted
+    over the patches of ISO 17321-1.
 
     Sums are over 380-780 nm in steps of 5 nm, to which the sensitivities are interpolated linearly.
 
     wavelength_nm : (B,) in increasing order, 400-700 nm or more in steps of at most 20 nm
-    sensitivities : (B, C), three channels or more, relative responses to energy; quantum efficiencies times the wavelength
+    sensitivities : (B, C), three channels or more, relative responses to energy; quantum
+        efficiencies times the wavelength
     illuminant : A, D50, D55, D65, D75, FL2, FL11 or LED-B3; D55 is the default of the standard
-    method : least_delta_e (keeps white; least mean ΔE*ab, CIE 1976) or least_squares, over patches 1-18
+    method : least_delta_e (keeps white; least mean ΔE*ab, CIE 1976) or least_squares, over patches
+        1-18
 
-    Raises PixsimError for wavelengths with gaps, for sensitivities of another shape, below 0 or not finite, for a channel that does
-    not respond, for channels that the lamp cannot tell apart, and for a matrix that amplifies noise more than 10 times.
+    Raises PixsimError for wavelengths with gaps, for sensitivities of another shape, below 0 or not
+    finite, for a channel that does not respond, for channels that the lamp cannot tell apart, and
+    for a matrix that amplifies noise more than 10 times.
 
     >>> from pixsim.sensor.camera_data import camera_sensitivities
     >>> colour_matrix(*camera_sensitivities("Nikon_D5100")).round(3)[1].tolist()
@@ -88,7 +103,8 @@ def colour_matrix(
 
 
 def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]:
-    """Return XYZ of the 24 patches, (24, 3), and of the perfect white, (3,), under a lamp; white has Y = 1. CIE 15.
+    """Return XYZ of the 24 patches, (24, 3), and of the perfect white, (3,), under a lamp; white
+    has Y = 1. CIE 15.
 
     wavelength_nm : (B,)
     power : (B,) of the lamp times the width of the bands, any unit
@@ -103,7 +119,8 @@ def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]
 
 
 def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: Array) -> Array:
-    """Return the white-balanced responses of a camera to the 24 patches, (24, C), relative to the perfect white (ISO 17321-1).
+    """Return the white-balanced responses of a camera to the 24 patches, (24, C), relative to the
+    perfect white (ISO 17321-1).
 
     wavelength_nm : (B,)
     sensitivities : (B, C) to energy, relative
@@ -115,14 +132,24 @@ def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: A
     white = weight.sum(axis=0)
     if not (white > 0).all():
         got = f"no response of channel {np.flatnonzero(~(white > 0)).tolist()} to the lamp"
-        raise invalid("sensitivities", got, "channels that respond to it", "Leave the channel out, or choose another lamp.")
+        raise invalid(
+            "sensitivities",
+            got,
+            "channels that respond to it",
+            "Leave the channel out, or choose another lamp.",
+        )
     return np.asarray(patch_reflectance(wavelength_nm) @ weight / white)
 
 
 def fit_matrix(
-    responses: Array, xyz: Array, white_xyz: ArrayLike, method: Fit = "least_delta_e", covariance: Array | None = None
+    responses: Array,
+    xyz: Array,
+    white_xyz: ArrayLike,
+    method: Fit = "least_delta_e",
+    covariance: Array | None = None,
 ) -> Array:
-    """Return the matrix, (3, C), from white-balanced responses (P, C) to XYZ (P, 3) in its unit; the sources stand at the module.
+    """Return the matrix, (3, C), from white-balanced responses (P, C) to XYZ (P, 3) in its unit;
+    the sources stand at the module.
 
     responses : (P, C), 1 in each channel for the white
     xyz : (P, 3) of the patches
@@ -141,7 +168,10 @@ def fit_matrix(
     rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
     if rank < 3:
         got = f"{responses.shape[1]} channels of rank {rank} over {len(responses)} patches"
-        hint = "The light tells too few channels apart. Choose a lamp with a broader spectrum, or other filters."
+        hint = (
+            "The light tells too few channels apart. Choose a lamp with a broader spectrum, or"
+            " other filters."
+        )
         raise invalid("responses", got, "three or more independent channels", hint)
     if method == "least_squares":
         return np.asarray(np.linalg.lstsq(responses, xyz, rcond=RANK_TOLERANCE)[0].T)
@@ -149,9 +179,12 @@ def fit_matrix(
     from scipy.optimize import minimize  # takes 0.1 s, and only colour needs it
 
     channels = responses.shape[1]
-    # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is orthogonal to (1, …, 1). Of that, the
-    # fit turns combinations that are orthonormal over the patches and their noise: both may be large in one channel only.
-    seen = responses if covariance is None else np.vstack([responses, _root(covariance.sum(axis=0))])
+    # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is
+    # orthogonal to (1, …, 1). Of that, the fit turns combinations that are orthonormal over the
+    # patches and their noise: both may be large in one channel only.
+    seen = (
+        responses if covariance is None else np.vstack([responses, _root(covariance.sum(axis=0))])
+    )
     from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
     basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
@@ -174,12 +207,15 @@ def fit_matrix(
 def _root(covariance: Array) -> Array:
     """Return a matrix (C, C) whose product of its transpose with itself is a covariance (C, C)."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    variances, directions = np.linalg.eigh(covariance / np.multiply.outer(deviation, deviation))  # of correlations
+    variances, directions = np.linalg.eigh(
+        covariance / np.multiply.outer(deviation, deviation)
+    )  # of correlations
     return np.asarray(np.sqrt(np.maximum(variances, 0.0))[:, None] * directions.T * deviation)
 
 
 class _MeanError:
-    """The mean error of the patches and its gradient, as functions of the free numbers of a matrix that keeps white.
+    """The mean error of the patches and its gradient, as functions of the free numbers of a matrix
+    that keeps white.
 
     basis : (P, k), what each free row adds to the patches
     turns : (k, C), what it adds to the matrix
@@ -188,7 +224,9 @@ class _MeanError:
     noise : (P, C, C), or None
     """
 
-    def __init__(self, basis: Array, turns: Array, from_equal: Array, target: Array, noise: Array | None) -> None:
+    def __init__(
+        self, basis: Array, turns: Array, from_equal: Array, target: Array, noise: Array | None
+    ) -> None:
         self.basis, self.turns, self.from_equal = basis, turns, from_equal
         self.lab, slope = _f_and_slope(target)
         self.noise = self.metric = None
@@ -203,7 +241,9 @@ class _MeanError:
         squares = np.square(difference).sum(axis=1) + smoothing**2
         if self.noise is not None:
             matrix = 1 / self.turns.shape[1] + rows.T @ self.turns
-            moved = self.metric @ matrix @ self.noise  # (P, 3, C), half the gradient of the variance
+            moved = (
+                self.metric @ matrix @ self.noise
+            )  # (P, 3, C), half the gradient of the variance
             squares += (moved * matrix).sum(axis=(1, 2))
         errors = np.sqrt(squares)
         gradient = self.basis.T @ ((difference / errors[:, None]) @ LAB_FROM_F * slope)
@@ -213,7 +253,9 @@ class _MeanError:
 
 
 def _f_and_slope(relative: Array) -> tuple[Array, Array]:
-    """Return CIELAB's f of X/Xn, Y/Yn and Z/Zn, and its derivative, in the same shape; CIE 15, linear also below 0."""
+    """Return CIELAB's f of X/Xn, Y/Yn and Z/Zn, and its derivative, in the same shape; CIE 15,
+    linear also below 0.
+    """
     is_linear = relative <= CIE_LINEAR_BELOW
     root = np.cbrt(np.where(is_linear, 1.0, relative))
     f = np.where(is_linear, CIE_SLOPE * relative + 16 / 116, root)
@@ -230,18 +272,21 @@ def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayL
 
 
 def metamerism_index(errors_delta_e: Array) -> float:
-    """Return the sensitivity metamerism index, 100 - 5.5 · mean ΔE*ab of patches 1-18, (18,); ISO 17321-1. A number, at most 100.
+    """Return the sensitivity metamerism index, 100 - 5.5 · mean ΔE*ab of patches 1-18, (18,); ISO
+    17321-1. A number, at most 100.
 
-    The text of the standard was not read; secondary sources agree. Under D55 it is the index of the standard's annex.
+    The text of the standard was not read; secondary sources agree. Under D55 it is the index of the
+    standard's annex.
     """
     return 100.0 - SMI_PER_DELTA_E * float(np.mean(errors_delta_e))
 
 
 def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> Array:
-    """Return the ratio by which a matrix (3, C) amplifies noise in R, G and B of the display's linear light, (3,).
+    """Return the ratio by which a matrix (3, C) amplifies noise in R, G and B of the display's
+    linear light, (3,).
 
-    It is that of independent noise of one size in the white-balanced channels: the norms of the rows of the matrix from them to
-    linear RGB, with 1 for white on both sides.
+    It is that of independent noise of one size in the white-balanced channels: the norms of the
+    rows of the matrix from them to linear RGB, with 1 for white on both sides.
 
     white_xyz : (3,) of the lamp, in the unit of the matrix
     adaptation : of the lamp's white to the display's
@@ -252,31 +297,61 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
     return np.sqrt(np.square(to_rgb).sum(axis=1))
 
 
-def check_noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> None:
-    """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times; the arguments are those of `noise_gains`."""
+def check_noise_gains(
+    matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford"
+) -> None:
+    """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times; the arguments are
+    those of `noise_gains`.
+    """
     gains = noise_gains(matrix, white_xyz, adaptation)
     if not gains.max() <= MAX_NOISE_GAIN:
         got = f"noise gains of {', '.join(f'{gain:.3g}' for gain in gains)} in R, G, B"
-        hint = "The channels are nearly alike under this lamp. Choose filters that overlap less, or a lamp with a broader spectrum."
-        raise AlikeChannelsError(str(invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint)))
+        hint = (
+            "The channels are nearly alike under this lamp. Choose filters that overlap less, or a"
+            " lamp with a broader spectrum."
+        )
+        raise AlikeChannelsError(
+            str(invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint))
+        )
 
 
 def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
-    """Sensitivities (81, C) on the grid of the tables, checked; 0 outside the range that is given."""
+    """Sensitivities (81, C) on the grid of the tables, checked; 0 outside the range that is
+    given.
+    """
     nm = wavelength_nm
     if nm.size < 2 or not (np.diff(nm) > 0).all():
-        raise invalid("wavelength_nm", f"an array of shape {nm.shape}", "wavelengths in increasing order, one axis")
+        raise invalid(
+            "wavelength_nm",
+            f"an array of shape {nm.shape}",
+            "wavelengths in increasing order, one axis",
+        )
     low, high = NEEDED_NM
     if nm[0] > low or nm[-1] < high:
-        raise invalid("wavelength_nm", f"{nm[0]:g} to {nm[-1]:g} nm", f"at least {low:g} to {high:g} nm")
+        raise invalid(
+            "wavelength_nm", f"{nm[0]:g} to {nm[-1]:g} nm", f"at least {low:g} to {high:g} nm"
+        )
     widest = int(np.diff(nm).argmax())
     if nm[widest + 1] - nm[widest] > MAX_STEP_NM:
         got = f"a gap from {nm[widest]:g} to {nm[widest + 1]:g} nm"
-        raise invalid("wavelength_nm", got, f"steps of at most {MAX_STEP_NM:g} nm", "Fill the gap, with 0 where it is dark.")
+        raise invalid(
+            "wavelength_nm",
+            got,
+            f"steps of at most {MAX_STEP_NM:g} nm",
+            "Fill the gap, with 0 where it is dark.",
+        )
     if len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
         allowed = f"({nm.size}, channels), three channels or more"
-        raise invalid("sensitivities, shape", sensitivities.shape, allowed, "Move the channels last.")
+        raise invalid(
+            "sensitivities, shape", sensitivities.shape, allowed, "Move the channels last."
+        )
     largest = sensitivities.max()
     if not largest > 0:
         raise invalid("sensitivities", "0 everywhere", "a response of each channel")
-    return np.stack([np.interp(STANDARD_NM, nm, curve, left=0.0, right=0.0) for curve in sensitivities.T / largest], axis=1)
+    return np.stack(
+        [
+            np.interp(STANDARD_NM, nm, curve, left=0.0, right=0.0)
+            for curve in sensitivities.T / largest
+        ],
+        axis=1,
+    )

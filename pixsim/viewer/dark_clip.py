@@ -17,18 +17,22 @@ from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
 from pixsim.viewer.scielab import xyz_to_lab
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
-FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
+# the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing
+# by itself
+FEW_E = 100.0
 POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
 def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[str, float]:
-    """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in score.json.
+    """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in
+    score.json.
 
-    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, with hot pixels, Poisson, never negative),
-    and normal reset noise, read noise and offsets. Of normal levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is
-    at 0 DN. Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
-    many DN.
+    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, with hot
+    pixels, Poisson, never negative), and normal reset noise, read noise and offsets. Of normal
+    levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is at 0 DN. Rounding and
+    clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ)
+    if σ is many DN.
 
     Of a burst the spread and `too_bright_e` are those of the frame, all else that of each exposure.
 
@@ -37,8 +41,8 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     spread_e, spread_dn : `dark_spread_e`
     at_zero_fraction : fraction of dark pixels at 0 DN
     too_bright_e : increase of the mean of a dark frame
-    of_display_white, lightness : that increase as luminance over display white (at most 1) and as CIE L*, before the display
-        clips and rounds; L* is the ΔE of an even black area
+    of_display_white, lightness : that increase as luminance over display white (at most 1) and as
+        CIE L*, before the display clips and rounds; L* is the ΔE of an even black area
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
     gain_db : of the exposure, without which the black level would have room
 
@@ -52,7 +56,11 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     if count > 1:
         clip = dark_clip(readout.burst(1), integration_s / count, white_e / count)
         spread_e = dark_spread_e(readout, integration_s)
-        of_frame = {"spread_e": spread_e, "spread_dn": readout.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
+        of_frame = {
+            "spread_e": spread_e,
+            "spread_dn": readout.dn_per_e * spread_e,
+            "too_bright_e": count * clip["too_bright_e"],
+        }
         return clip | of_frame
     p, dark, gain = readout, readout.dark_spread, readout.dn_per_e
     noise_dn = gain * math.sqrt(variance_e2(p))
@@ -70,12 +78,17 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     is_few = dark_e <= FEW_E
     many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(POISSON_TERMS)
-    poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(axis=0)
+    poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(
+        axis=0
+    )
     charge_e = np.concatenate([counts, many])
     weight = np.concatenate([poisson, share[~is_few]])
     sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
     level_dn, sigma_dn = p.adc.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
-    at_zero, excess_dn = ndtr((0.5 - level_dn) / sigma_dn), moments_of_codes(-level_dn, sigma_dn)[0]  # codes below 0, mirrored
+    at_zero, excess_dn = (
+        ndtr((0.5 - level_dn) / sigma_dn),
+        moments_of_codes(-level_dn, sigma_dn)[0],
+    )  # codes below 0, mirrored
     too_bright_e = float(weight @ excess_dn) / gain
     of_white = min(too_bright_e / white_e, 1.0)
     return {
@@ -95,9 +108,13 @@ TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.
 
 
 def clips_dark(dark: dict[str, float]) -> bool:
-    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the noise."""
+    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the
+    noise.
+    """
     clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
-    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+    return (
+        clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+    )
 
 
 def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> Note:
@@ -109,8 +126,18 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
     fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
     lacking = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
-    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else f"avoiding this takes {lacking}"
+    hint = (
+        f"set pixel.black_level_dn = {needed} to avoid this"
+        if fits
+        else f"avoiding this takes {lacking}"
+    )
     excess_e, lightness = rounded(dark["too_bright_e"]), rounded(dark["lightness"])
     share = 100 * dark["at_zero_fraction"]
-    values = {"black_level_dn": black, "where": where, "percent": share, "excess_e": excess_e, "lightness": lightness}
+    values = {
+        "black_level_dn": black,
+        "where": where,
+        "percent": share,
+        "excess_e": excess_e,
+        "lightness": lightness,
+    }
     return Note("black_level", hint=hint, **values)

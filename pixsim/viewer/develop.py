@@ -1,10 +1,13 @@
-"""What the channels of a colour sensor see under the scene's lamp, the matrix from it, and the picture of an ideal camera.
+"""What the channels of a colour sensor see under the scene's lamp, the matrix from it, and the
+picture of an ideal camera.
 
-One matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white (adaptation) and to its primaries.
-The matrix from the channels to XYZ is fitted to patches 1-18 of ISO 17321 under the lamp, with its course within the bands.
-It is one of the steps that make a picture of a frame, in `pixsim.viewer.develop_steps`.
+One matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white
+(adaptation) and to its primaries. The matrix from the channels to XYZ is fitted to patches 1-18 of
+ISO 17321 under the lamp, with its course within the bands. It is one of the steps that make a
+picture of a frame, in `pixsim.viewer.develop_steps`.
 
-The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same display.
+The ideal picture has the scene's own XYZ (CIE 1931, 2°), under the same adaptation and on the same
+display.
 """
 
 from __future__ import annotations
@@ -25,7 +28,13 @@ from pixsim.sensor.colour_options import BAYER
 from pixsim.sensor.integration import response_within
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.adaptation import Adaptation, adaptation_matrix
-from pixsim.viewer.colour_matrix import RANK_TOLERANCE, Fit, check_noise_gains, colour_errors, fit_matrix
+from pixsim.viewer.colour_matrix import (
+    RANK_TOLERANCE,
+    Fit,
+    check_noise_gains,
+    colour_errors,
+    fit_matrix,
+)
 from pixsim.viewer.demosaic import Method
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, white_light, white_lx
@@ -34,7 +43,8 @@ from pixsim.viewer.display_options import Display
 
 @dataclass(frozen=True)
 class Rendition:
-    """What a camera and a viewer see of the chart under the scene's lamp, from which the colour matrix follows.
+    """What a camera and a viewer see of the chart under the scene's lamp, from which the colour
+    matrix follows.
 
     responses : (P, C) electrons of the patches in each channel, relative to those of white
     xyz : (P, 3) of the patches, Y = 1 for white
@@ -54,8 +64,8 @@ class Rendition:
 
         covariance : (P, C, C) of the channels on each patch, for the noise-aware fit
 
-        Raises PixsimError, naming the lamp, if the channels do not tell the patches' colours apart, or if the matrix amplifies
-        noise more than 10 times.
+        Raises PixsimError, naming the lamp, if the channels do not tell the patches' colours apart,
+        or if the matrix amplifies noise more than 10 times.
         """
         try:
             matrix = self.fitted(develop.matrix, covariance)
@@ -65,15 +75,22 @@ class Rendition:
         return product(self.to_display, matrix)
 
     def fitted(self, method: Fit, covariance: Array | None = None) -> Array:
-        """Return the matrix from balanced channels to XYZ under the lamp, (3, C), however much it amplifies noise.
+        """Return the matrix from balanced channels to XYZ under the lamp, (3, C), however much it
+        amplifies noise.
 
         Raises PixsimError if the channels do not tell the patches' colours apart.
         """
-        key = self.responses.tobytes(), self.xyz.tobytes(), tuple(self.white_xyz.tolist()), self.responses.shape
+        key = (
+            self.responses.tobytes(),
+            self.xyz.tobytes(),
+            tuple(self.white_xyz.tolist()),
+            self.responses.shape,
+        )
         return _fitted(*key, method, covariance.tobytes() if covariance is not None else None)
 
     def mixed_by(self, mixing: Array, rates: Array) -> Rendition:
-        """Return what channels see that exchange light before they are read, (C, C), of rates (C,) of white in each.
+        """Return what channels see that exchange light before they are read, (C, C), of rates (C,)
+        of white in each.
 
         A camera's matrix is fitted to what it records, crosstalk included.
         """
@@ -82,13 +99,16 @@ class Rendition:
         return replace(self, responses=np.asarray((mixing * light[:, None, :]).sum(axis=2) / white))
 
     def errors(self, matrix: Array) -> Array:
-        """Return the ΔE*ab (CIE 1976) of the patches behind a matrix to the display's primaries, (P,), without noise."""
+        """Return the ΔE*ab (CIE 1976) of the patches behind a matrix to the display's primaries,
+        (P,), without noise.
+        """
         to_xyz = product(np.asarray(np.linalg.inv(self.to_display), float), matrix)
         return colour_errors(to_xyz, self.responses, self.xyz, self.white_xyz)
 
     @property
     def to_display(self) -> Array:
-        """Matrix from XYZ under the lamp to the light of the display's primaries, (3, 3), 1 for white.
+        """Matrix from XYZ under the lamp to the light of the display's primaries, (3, 3), 1 for
+        white.
 
         Raises PixsimError, naming the lamp, if its white is too saturated for the adaptation.
         """
@@ -101,30 +121,46 @@ class Rendition:
 
 @lru_cache(maxsize=64)
 def _fitted(
-    responses: bytes, xyz: bytes, white_xyz: tuple[float, ...], shape: tuple[int, int], method: Fit, covariance: bytes | None
+    responses: bytes,
+    xyz: bytes,
+    white_xyz: tuple[float, ...],
+    shape: tuple[int, int],
+    method: Fit,
+    covariance: bytes | None,
 ) -> Array:
     """Return the matrix from balanced channels to XYZ, (3, C)."""
     count, channels = shape
     seen, wanted = np.frombuffer(responses).reshape(shape), np.frombuffer(xyz).reshape(count, 3)
-    noise = None if covariance is None else np.frombuffer(covariance).reshape(count, channels, channels)
+    noise = (
+        None if covariance is None else np.frombuffer(covariance).reshape(count, channels, channels)
+    )
     return np.asarray(fit_matrix(seen, wanted, np.array(white_xyz), method, noise))
 
 
 def product(left: Array, right: Array) -> Array:
-    """Return the product of two small matrices; not by BLAS, whose rounding depends on the number of threads."""
+    """Return the product of two small matrices; not by BLAS, whose rounding depends on the number
+    of threads.
+    """
     return np.asarray((left[:, :, None] * right[None]).sum(axis=1))
 
 
 def xyz_weights(irradiance: SpectralImage) -> Array:
-    """Return the weights (3, B) that turn band values into XYZ, in the unit of the bands times nm."""
-    return np.array([irradiance.band_mean(partial(_observer, number)) for number in range(3)]) * irradiance.band_width_nm
+    """Return the weights (3, B) that turn band values into XYZ, in the unit of the bands times
+    nm.
+    """
+    return (
+        np.array([irradiance.band_mean(partial(_observer, number)) for number in range(3)])
+        * irradiance.band_width_nm
+    )
 
 
 def _observer(number: int, wavelength_nm: Array) -> Array:
     return np.asarray(colour_matching(wavelength_nm)[..., number])
 
 
-def rendition_of(irradiance: SpectralImage, channels: Sequence[PixelPhysics], display: Display) -> Rendition:
+def rendition_of(
+    irradiance: SpectralImage, channels: Sequence[PixelPhysics], display: Display
+) -> Rendition:
     """Return what the channels of a pixel, and a viewer, see of the chart under the scene's lamp.
 
     Raises PixsimError if a channel, or the observer, sees nothing of the lamp.
@@ -134,13 +170,21 @@ def rendition_of(irradiance: SpectralImage, channels: Sequence[PixelPhysics], di
     light = shares * (lamp * irradiance.band_width_nm)[:, None]
     parts = patch_reflectance(nodes_nm)[CHROMATIC_PATCHES]
     viewer = np.moveaxis(colour_matching(nodes_nm), 2, 0) * light
-    electrons = np.array([response_within(physics, irradiance)(nodes_nm) for physics in channels]) * light
+    electrons = (
+        np.array([response_within(physics, irradiance)(nodes_nm) for physics in channels]) * light
+    )
     white_xyz, white_e = viewer.sum(axis=(1, 2)), electrons.sum(axis=(1, 2))
     xyz = (viewer[None] * parts[:, None]).sum(axis=(2, 3)) / white_xyz[1]
-    dark = [physics.channel for physics, light in zip(channels, white_e, strict=True) if not light > 0]
+    dark = [
+        physics.channel for physics, light in zip(channels, white_e, strict=True) if not light > 0
+    ]
     if dark or not white_xyz.min() > 0:
-        got = f"channel {dark[0]} without response to it" if dark else f"XYZ of {white_xyz.tolist()}"
-        raise invalid(f"colour under {name}", got, "light that all channels, and all three cones, respond to")
+        got = (
+            f"channel {dark[0]} without response to it" if dark else f"XYZ of {white_xyz.tolist()}"
+        )
+        raise invalid(
+            f"colour under {name}", got, "light that all channels, and all three cones, respond to"
+        )
     responses = (electrons[None] * parts[:, None]).sum(axis=(2, 3)) / white_e
     check_told_apart(responses, name)
     white = white_xyz / white_xyz[1]
@@ -153,20 +197,35 @@ def check_told_apart(responses: Array, lamp: str) -> None:
     rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
     if rank < 3:
         hint = "Take a lamp of more wavelengths, or other filters."
-        raise invalid(f"colour under {lamp}", f"channels of rank {rank}", "three that tell colours apart", hint)
+        raise invalid(
+            f"colour under {lamp}",
+            f"channels of rank {rank}",
+            "three that tell colours apart",
+            hint,
+        )
 
 
 def white_y(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
-    """Return the Y on the sensor, on axis, from the scene's white, in the unit of `xyz_weights`, whose Y is luminance over 683."""
-    return white_lx(irradiance, camera, display) * float(xyz_weights(irradiance)[1].sum() / irradiance.luminous_weight().sum())
+    """Return the Y on the sensor, on axis, from the scene's white, in the unit of `xyz_weights`,
+    whose Y is luminance over 683.
+    """
+    return white_lx(irradiance, camera, display) * float(
+        xyz_weights(irradiance)[1].sum() / irradiance.luminous_weight().sum()
+    )
 
 
 def ideal_rgb(
-    irradiance: SpectralImage, camera: Camera, display: Display, to_display: Array, edges_um: tuple[Array, Array]
+    irradiance: SpectralImage,
+    camera: Camera,
+    display: Display,
+    to_display: Array,
+    edges_um: tuple[Array, Array],
 ) -> Array:
-    """Return the light of the display's primaries for an ideal camera, (3, H, W) dots, 1 for the scene's white.
+    """Return the light of the display's primaries for an ideal camera, (3, H, W) dots, 1 for the
+    scene's white.
 
-    No pixels, noise, quantisation, diffraction or colour error: the scene's XYZ, means over dots, adapted to the display's white.
+    No pixels, noise, quantisation, diffraction or colour error: the scene's XYZ, means over dots,
+    adapted to the display's white.
 
     to_display : of a `Rendition`
     edges_um : of the dots' rows and columns
@@ -177,7 +236,9 @@ def ideal_rgb(
         means = means_on_dots(rate, irradiance.pitch_um, edges_um)
         return np.maximum(means, 0.0, out=means)
 
-    if irradiance.factors and len(irradiance.factors[0]) == 1:  # one picture, in three colours of one spectrum
+    if (
+        irradiance.factors and len(irradiance.factors[0]) == 1
+    ):  # one picture, in three colours of one spectrum
         picture = on_display(irradiance.factors[1][0].astype(float))
         xyz = [float((weight * irradiance.factors[0][0]).sum()) * picture for weight in weights]
     else:
@@ -186,7 +247,9 @@ def ideal_rgb(
 
 
 def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
-    """Return the electrons by which each channel is divided, (C,), from those of the scene's white."""
+    """Return the electrons by which each channel is divided, (C,), from those of the scene's
+    white.
+    """
     if develop.white_balance == "known":
         return white_e
     gains = np.array(develop.white_balance)

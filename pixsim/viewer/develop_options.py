@@ -1,4 +1,6 @@
-"""How the camera makes a picture of a raw frame: its steps, in the order in which they stand in `pixsim.viewer.develop_steps`."""
+"""How the camera makes a picture of a raw frame: its steps, in the order in which they stand in
+`pixsim.viewer.develop_steps`.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,14 @@ def _as_gains(value: object) -> object:
     return value if value == "known" else as_list(value)
 
 
-# --- a function of the user's that denoises --------------------------------------------------------------------------------------
+# --- a function of the user's that denoises
+# --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class OwnDenoiser:
-    """A user's function of a plane, whose noise has variance 1, and of the strength, that returns the plane with less noise.
+    """A user's function of a plane, whose noise has variance 1, and of the strength, that returns
+    the plane with less noise.
 
     text : its module and name, with a hash of its code, on which results depend
     """
@@ -59,13 +63,17 @@ class OwnDenoiser:
         return OwnDenoiser, (by_value(self.function), self.text)
 
 
-_functions: dict[str, OwnDenoiser] = {}  # that this process was given, by their texts, as which settings are handed on
+_functions: dict[
+    str, OwnDenoiser
+] = {}  # that this process was given, by their texts, as which settings are handed on
 
 
 def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
     """Return the denoiser of a function, which this process knows from now on."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    denoiser = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}")
+    denoiser = OwnDenoiser(
+        function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}"
+    )
     _functions[denoiser.text] = denoiser
     return denoiser
 
@@ -92,21 +100,28 @@ Denoise = Annotated[
 ]
 
 
-# --- a tone curve in a file ------------------------------------------------------------------------------------------------------
+# --- a tone curve in a file
+# ------------------------------------------------------------------------------------------------------
 
 
 def as_tone_curve(value: object) -> object:
-    """Return the name of a tone curve, or rows of light and value, from rows or from the path of a CSV file.
+    """Return the name of a tone curve, or rows of light and value, from rows or from the path of a
+    CSV file.
 
     ValueError if it is neither, or if a value falls as the light rises.
     """
     if isinstance(value, str | Path):
         return value if value in TONE_CURVES else _read_tone_table(Path(value))
     try:
-        rows = tuple((as_float(light), as_float(out)) for light, out in cast("Iterable[tuple[object, object]]", value))
+        rows = tuple(
+            (as_float(light), as_float(out))
+            for light, out in cast("Iterable[tuple[object, object]]", value)
+        )
     except (TypeError, ValueError):
         got = "got neither a name, nor a file, nor a list of pairs"
-        raise ValueError(f"{got}; allowed: {ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]") from None
+        raise ValueError(
+            f"{got}; allowed: {ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]"
+        ) from None
     return _checked_tone(rows, "a list")
 
 
@@ -118,22 +133,35 @@ def _read_tone_table(path: Path) -> ToneTable:
         if len(found) == 2 and None not in found:
             rows.append((float(found[0] or 0), float(found[1] or 0)))
         elif place:  # the first row may have titles
-            raise ValueError(f"got no two numbers in line {number} of '{path}'; allowed: {ALLOWED_TONE}")
+            raise ValueError(
+                f"got no two numbers in line {number} of '{path}'; allowed: {ALLOWED_TONE}"
+            )
     return _checked_tone(tuple(rows), f"'{path}'")
 
 
 def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
     if not 2 <= len(rows) <= MAX_TONE_ROWS:
-        raise ValueError(f"got {source} of {len(rows)} rows; allowed: 2 to {MAX_TONE_ROWS} rows of light and value")
+        raise ValueError(
+            f"got {source} of {len(rows)} rows; allowed: 2 to {MAX_TONE_ROWS} rows of light and"
+            " value"
+        )
     for light, value in rows:
         if not (0 <= light <= MAX_TONE_LIGHT and 0 <= value <= 1):  # NaN neither
             hint = " Divide values of codes by the top code." if 1 < value < math.inf else ""
             got = f"got {source} with light {light:g} and value {value:g}"
-            raise ValueError(f"{got}; allowed: light of 0 to {MAX_TONE_LIGHT:g}, 1 for white, and values of 0 to 1.{hint}")
+            raise ValueError(
+                f"{got}; allowed: light of 0 to {MAX_TONE_LIGHT:g}, 1 for white, and values of 0 to"
+                f" 1.{hint}"
+            )
     for (low, under), (high, over) in pairwise(rows):
         if not (low < high and under <= over):
-            got = f"got {source} with {under:g} at light {low:g} and then {over:g} at light {high:g}"
-            raise ValueError(f"{got}; allowed: light that rises, and values that never fall, so that brighter stays brighter")
+            got = (
+                f"got {source} with {under:g} at light {low:g} and then {over:g} at light {high:g}"
+            )
+            raise ValueError(
+                f"{got}; allowed: light that rises, and values that never fall, so that brighter"
+                " stays brighter"
+            )
     if rows[0][1] == rows[-1][1]:
         raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: values that rise")
     return rows
@@ -147,75 +175,122 @@ ToneCurve = Annotated[
 
 
 class Develop(Record):
-    """How the camera makes a picture of a raw frame; what is about colours is for frames with colour filters only."""
+    """How the camera makes a picture of a raw frame; what is about colours is for frames with
+    colour filters only.
+    """
 
     ALTERNATIVES: ClassVar = ((("sharpen_radius_px",), ("sharpen_radius_cy_per_deg",)),)
 
     denoise: Denoise = Field(
         "none",
-        description="noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and 'wavelet', both of "
-        "scikit-image behind a transform that makes the known noise even; or 'wiener_bound', the linear shift-invariant filter of "
-        "least mean square error, which knows the picture; in Python also a function",
+        description=(
+            "noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and"
+            " 'wavelet', both of scikit-image behind a transform that makes the known noise even;"
+            " or 'wiener_bound', the linear shift-invariant filter of least mean square error,"
+            " which knows the picture; in Python also a function"
+        ),
     )
     denoise_strength: Annotated[float, Field(ge=0, le=100)] = Field(
-        1.0, description="of 'nlm', 'wavelet' and a function: the noise that is taken away, relative to the known one"
+        1.0,
+        description=(
+            "of 'nlm', 'wavelet' and a function: the noise that is taken away, relative to the"
+            " known one"
+        ),
     )
-    white_balance: Annotated[Literal["known"] | tuple[Gain, ...], BeforeValidator(_as_gains)] = Field(
-        "known",
-        description="'known': by the electrons that the scene's white gives in each channel; or a gain for each channel, in the "
-        "order R, G, B and then the other letters of the unit cell, of which only the ratios count",
+    white_balance: Annotated[Literal["known"] | tuple[Gain, ...], BeforeValidator(_as_gains)] = (
+        Field(
+            "known",
+            description=(
+                "'known': by the electrons that the scene's white gives in each channel; or a gain"
+                " for each channel, in the order R, G, B and then the other letters of the unit"
+                " cell, of which only the ratios count"
+            ),
+        )
     )
     remosaic: bool = Field(
         False,
-        description="turn the mosaic of a quad cell, as quad_rggb at full resolution, into a mosaic of single pixels, which all "
-        "methods of demosaic take",
+        description=(
+            "turn the mosaic of a quad cell, as quad_rggb at full resolution, into a mosaic of"
+            " single pixels, which all methods of demosaic take"
+        ),
     )
     demosaic: Literal["bilinear", "malvar2004", "menon2007", "interpolate"] | None = Field(
         None,
-        description="interpolation between pixels of one colour: three methods for Bayer's unit cell, and 'interpolate', a mean "
-        "weighted by distance, for any (absent: bilinear for Bayer's unit cell, else interpolate)",
+        description=(
+            "interpolation between pixels of one colour: three methods for Bayer's unit cell, and"
+            " 'interpolate', a mean weighted by distance, for any (absent: bilinear for Bayer's"
+            " unit cell, else interpolate)"
+        ),
     )
     matrix: Literal["least_squares", "least_delta_e", "noise_aware"] = Field(
         "least_delta_e",
-        description="fit of the matrix from camera to XYZ, for patches 1-18 of ISO 17321 under the scene's lamp: 'least_squares' "
-        "of XYZ; 'least_delta_e', least mean ΔE with an exact white; 'noise_aware', that with the noise of this exposure, as "
-        "linear steps leave it",
+        description=(
+            "fit of the matrix from camera to XYZ, for patches 1-18 of ISO 17321 under the scene's"
+            " lamp: 'least_squares' of XYZ; 'least_delta_e', least mean ΔE with an exact white;"
+            " 'noise_aware', that with the noise of this exposure, as linear steps leave it"
+        ),
     )
     sharpen_amount: Annotated[float, Field(ge=0, le=20)] = Field(
-        0.0, description="unsharp mask: how much of the difference from a Gaussian blur is added (0: none)"
+        0.0,
+        description=(
+            "unsharp mask: how much of the difference from a Gaussian blur is added (0: none)"
+        ),
     )
     sharpen_radius_px: Annotated[float, Field(ge=0.1, le=100)] | None = Field(
-        None, description="standard deviation of that blur in pixels of the frame (absent: 1, unless it is given in cy/deg)"
+        None,
+        description=(
+            "standard deviation of that blur in pixels of the frame (absent: 1, unless it is given"
+            " in cy/deg)"
+        ),
     )
     sharpen_radius_cy_per_deg: Annotated[float, Field(ge=1e-3, le=1e4)] | None = Field(
         None,
-        description="in place of sharpen_radius_px: the frequency on the display at which that blur passes e^(-1/2), for pixels of "
-        "any size",
+        description=(
+            "in place of sharpen_radius_px: the frequency on the display at which that blur passes"
+            " e^(-1/2), for pixels of any size"
+        ),
     )
     tone_curve: ToneCurve = Field(
         "none",
-        description="of the sensor's and the ideal picture alike: 'none', light as it is; 'gamma' and 'srgb' (IEC 61966-2-1), "
-        "values that the camera hands to the display, or a CSV file of light and value; 'reinhard', for scenes brighter than the "
-        "display: L(1 + L/w²)/(1 + L) of the luminance",
+        description=(
+            "of the sensor's and the ideal picture alike: 'none', light as it is; 'gamma' and"
+            " 'srgb' (IEC 61966-2-1), values that the camera hands to the display, or a CSV file of"
+            " light and value; 'reinhard', for scenes brighter than the display: L(1 + L/w²)/(1 +"
+            " L) of the luminance"
+        ),
     )
-    tone_gamma: Annotated[float, Field(ge=0.1, le=10)] = Field(2.2, description="of 'gamma': value = light^(1/tone_gamma)")
+    tone_gamma: Annotated[float, Field(ge=0.1, le=10)] = Field(
+        2.2, description="of 'gamma': value = light^(1/tone_gamma)"
+    )
     tone_white: Annotated[float, Field(ge=1, le=1e6)] = Field(
-        4.0, description="of 'reinhard': w, the luminance, 1 for the scene's white, that the display shows as its white"
+        4.0,
+        description=(
+            "of 'reinhard': w, the luminance, 1 for the scene's white, that the display shows as"
+            " its white"
+        ),
     )
 
     @property
     def denoiser(self) -> str:
         """Name of the noise reduction, without the hash of a function."""
-        return self.denoise.text.partition("#")[0] if isinstance(self.denoise, OwnDenoiser) else self.denoise
+        return (
+            self.denoise.text.partition("#")[0]
+            if isinstance(self.denoise, OwnDenoiser)
+            else self.denoise
+        )
 
     @property
     def denoises(self) -> bool:
         """Whether any noise is taken away."""
-        return self.denoise == "wiener_bound" or (self.denoise != "none" and self.denoise_strength > 0)
+        return self.denoise == "wiener_bound" or (
+            self.denoise != "none" and self.denoise_strength > 0
+        )
 
     @property
     def adapts(self) -> bool:
-        """Whether the noise reduction depends on the noise itself, so that its effect on noise has no closed form."""
+        """Whether the noise reduction depends on the noise itself, so that its effect on noise has
+        no closed form.
+        """
         return self.denoises and self.denoise != "wiener_bound"
 
     @property
@@ -225,15 +300,24 @@ class Develop(Record):
 
     @property
     def tone(self) -> dict[str, Any]:
-        """What the tone curve depends on, on which the ideal picture depends too; empty without one."""
+        """What the tone curve depends on, on which the ideal picture depends too; empty without
+        one.
+        """
         if self.tone_curve == "none":
             return {}
-        own = {"gamma": {"tone_gamma": self.tone_gamma}, "reinhard": {"tone_white": self.tone_white}}
-        return {"tone_curve": self.tone_curve} | (own.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {})
+        own = {
+            "gamma": {"tone_gamma": self.tone_gamma},
+            "reinhard": {"tone_white": self.tone_white},
+        }
+        return {"tone_curve": self.tone_curve} | (
+            own.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {}
+        )
 
     @property
     def words(self) -> str:
-        """What is on for frames of all kinds, for a headline; empty where they are shown as they are."""
+        """What is on for frames of all kinds, for a headline; empty where they are shown as they
+        are.
+        """
         curve = self.tone_curve if isinstance(self.tone_curve, str) else "of a table"
         parts = (
             f"denoised ({self.denoiser})" if self.denoises else "",
@@ -247,8 +331,12 @@ DEVELOP = Develop()
 
 
 def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
-    """Return what is on of the development of frames of some pixels, for a headline; empty where they are shown as they are."""
-    colours = [pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked]
+    """Return what is on of the development of frames of some pixels, for a headline; empty where
+    they are shown as they are.
+    """
+    colours = [
+        pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked
+    ]
     remosaics = develop.remosaic and any(binned_cell(colour.cell) for colour in colours)
     return ", ".join(filter(None, ("remosaiced" if remosaics else "", develop.words)))
 
@@ -267,9 +355,18 @@ def check_develop(develop: Develop, pixel: PixelOptions) -> None:
     is_bayer = not colour.is_stacked and cell in BAYER.values()
     if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not is_bayer:
         words = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(cell)}"
-        hint = "For 'quad_rggb', set pixel.colour.binning = true or develop.remosaic = true." if binned_cell(cell) else ""
-        allowed = f"'{develop.demosaic}' for the unit cells {', '.join(BAYER)}; 'interpolate' for any other"
+        hint = (
+            "For 'quad_rggb', set pixel.colour.binning = true or develop.remosaic = true."
+            if binned_cell(cell)
+            else ""
+        )
+        allowed = (
+            f"'{develop.demosaic}' for the unit cells {', '.join(BAYER)}; 'interpolate' for any"
+            " other"
+        )
         raise invalid("develop.demosaic", f"'{develop.demosaic}' for {words}", allowed, hint)
     if develop.white_balance != "known" and len(develop.white_balance) != len(channels):
         got = f"{len(develop.white_balance)} gains for {len(channels)} channels"
-        raise invalid("develop.white_balance", got, f"'known', or a gain for each of {', '.join(channels)}")
+        raise invalid(
+            "develop.white_balance", got, f"'known', or a gain for each of {', '.join(channels)}"
+        )

@@ -1,14 +1,21 @@
-"""The steps that make the picture of a raw frame, in their order: what each works on, and what it does to the noise.
+"""The steps that make the picture of a raw frame, in their order: what each works on, and what it
+does to the noise.
 
-Black level and expected dark charge are off the frame, and `[correction]` is done. Then, of a frame with colour filters or without:
+Black level and expected dark charge are off the frame, and `[correction]` is done. Then, of a frame
+with colour filters or without:
 
-* raw planes, of pixels as they are read: `denoise` (each channel at each place of the unit cell by itself), `white_balance` (each
-  channel is divided by the electrons of the scene's white, and by the shading), `remosaic`, `demosaic`;
-* developed planes, one for each channel at every pixel: `highlights` (what a saturated pixel tells is shown as white), `sharpen`;
-* the shown picture, on the display's dots (`pixsim.viewer.display.on_dots`): `matrix`, to the display's primaries, and
+* raw planes, of pixels as they are read: `denoise` (each channel at each place of the unit cell by
+  itself), `white_balance` (each
+  channel is divided by the electrons of the scene's white, and by the shading), `remosaic`,
+  `demosaic`;
+* developed planes, one for each channel at every pixel: `highlights` (what a saturated pixel tells
+  is shown as white), `sharpen`;
+* the shown picture, on the display's dots (`pixsim.viewer.display.on_dots`): `matrix`, to the
+  display's primaries, and
   `tone_curve`, which the ideal picture has too.
 
-A step that is off, or means nothing for the frame, costs nothing. A new one is a function and its entry in `STEPS`.
+A step that is off, or means nothing for the frame, costs nothing. A new one is a function and its
+entry in `STEPS`.
 """
 
 from __future__ import annotations
@@ -58,7 +65,8 @@ class Developing:
 
     imaging : settings of the frame, with the display that shows it
     readout : how its pixels are read
-    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each channel; (1,) without filters
+    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each
+        channel; (1,) without filters
     shading : by which each value of the frame is divided; None for none
     single : compute in float32 from white balance on, except by menon2007, if `fits_single`
     expected_e : mean photo-electrons of each value of the frame, for 'wiener_bound'
@@ -90,7 +98,9 @@ class Developing:
 
     @property
     def mosaic(self) -> Layout | None:
-        """The layout of what is demosaiced; None if every pixel has every channel, or there is but one."""
+        """The layout of what is demosaiced; None if every pixel has every channel, or there is but
+        one.
+        """
         layout = self.layout
         if layout is None or layout.is_stacked:
             return None
@@ -102,13 +112,20 @@ class Developing:
         return None if self.mosaic is None else demosaic_method(self.develop, self.mosaic)
 
     def parts(self, picture: Array) -> list[Array]:
-        """Return views of a raw frame: the pixels of a channel at each place of the unit cell, or of each plane."""
+        """Return views of a raw frame: the pixels of a channel at each place of the unit cell, or
+        of each plane.
+        """
         return [picture] if self.layout is None else list(self.layout.parts(picture))
 
 
 def is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
     """Return whether the mosaic of a frame becomes one of single pixels."""
-    return develop.remosaic and layout is not None and not layout.is_stacked and bool(binned_cell(layout.cell))
+    return (
+        develop.remosaic
+        and layout is not None
+        and not layout.is_stacked
+        and bool(binned_cell(layout.cell))
+    )
 
 
 @dataclass(frozen=True)
@@ -121,8 +138,9 @@ class PixelNoise:
     method : of the interpolation; None before it, and without one
     remosaiced : whether a quad pattern becomes one of single pixels before
     products : autocorrelation of filters of the developed planes
-    correlations : of the pixels of a channel at each place of the unit cell, or of each plane, as a filter of the raw planes leaves
-        them, (2m + 1, 2n + 1) with the middle at the distance 0; None where pixels are independent
+    correlations : of the pixels of a channel at each place of the unit cell, or of each plane, as a
+        filter of the raw planes leaves them, (2m + 1, 2n + 1) with the middle at the distance 0;
+        None where pixels are independent
     matrix : (3, C) that the channels are multiplied with; None for none
     """
 
@@ -136,39 +154,66 @@ class PixelNoise:
     correlations: tuple[Array, ...] | None = None
     matrix: Array | None = None
 
-    def covariance(self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]) -> Array:
-        """Return the covariance of the channels, (P, C, C), or (P, 3, 3) behind the matrix, as means over a dot of the display.
+    def covariance(
+        self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
+    ) -> Array:
+        """Return the covariance of the channels, (P, C, C), or (P, 3, 3) behind the matrix, as
+        means over a dot of the display.
 
         dot_px : side of a dot in pixels; None: dots are pixels
         interpolation : between pixel centres
         """
-        found = self._of_planes(dot_px, interpolation) if self.method is None else self._of_mosaic(dot_px, interpolation)
+        found = (
+            self._of_planes(dot_px, interpolation)
+            if self.method is None
+            else self._of_mosaic(dot_px, interpolation)
+        )
         if self.matrix is None:
             return found
-        return np.asarray(np.einsum("ic,pcd,jd->pij", self.matrix, found, self.matrix, optimize=False))
+        return np.asarray(
+            np.einsum("ic,pcd,jd->pij", self.matrix, found, self.matrix, optimize=False)
+        )
 
-    def _of_planes(self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]) -> Array:
+    def _of_planes(
+        self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
+    ) -> Array:
         """Every pixel has every channel; the layers of a pixel are read by one column."""
         own: tuple[Any, ...] = ["R"], "interpolate", np.ones(1), dot_px, interpolation
         of_columns = float(demosaic_column_covariance(*own, products=self.products)[0, 0])
         if self.correlations is None:
-            of_pixels = np.full(self.columns.size, float(demosaic_covariance(*own, products=self.products)[0, 0]))
+            of_pixels = np.full(
+                self.columns.size, float(demosaic_covariance(*own, products=self.products)[0, 0])
+            )
         else:
-            each = (demosaic_covariance(*own, products=self.products, correlations=(one,)) for one in self.correlations)
+            each = (
+                demosaic_covariance(*own, products=self.products, correlations=(one,))
+                for one in self.correlations
+            )
             of_pixels = np.array([float(one[0, 0]) for one in each])
         # A line of columns averages as one of rows; the rows of each layer are read by themselves.
-        alone = (of_pixels * self.variance)[:, :, None] * np.eye(self.columns.size) + of_columns * np.diag(self.rows**2)
+        alone = (of_pixels * self.variance)[:, :, None] * np.eye(
+            self.columns.size
+        ) + of_columns * np.diag(self.rows**2)
         return np.asarray(alone + of_columns * np.multiply.outer(self.columns, self.columns))
 
-    def _of_mosaic(self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]) -> Array:
+    def _of_mosaic(
+        self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
+    ) -> Array:
         """Each channel is interpolated; the weights of menon2007 depend on the picture."""
         linear: Any = "malvar2004" if self.method == "menon2007" else self.method
         filters: dict[str, Any] = {"remosaiced": self.remosaiced, "products": self.products}
         own = dot_px, interpolation
-        independent = demosaic_covariance(self.cell, linear, self.variance, *own, **filters, correlations=self.correlations)
+        independent = demosaic_covariance(
+            self.cell, linear, self.variance, *own, **filters, correlations=self.correlations
+        )
         if self.rows.any():
-            independent = independent + demosaic_row_covariance(self.cell, linear, self.rows, *own, **filters)
-        return np.asarray(independent + demosaic_column_covariance(self.cell, linear, self.columns, *own, **filters))
+            independent = independent + demosaic_row_covariance(
+                self.cell, linear, self.rows, *own, **filters
+            )
+        return np.asarray(
+            independent
+            + demosaic_column_covariance(self.cell, linear, self.columns, *own, **filters)
+        )
 
 
 def _unchanged(noise: PixelNoise, _: Developing) -> PixelNoise:
@@ -185,8 +230,8 @@ class Step:
 
     name : as settings have it
     works_on : what it takes; the last one of a kind may make the next kind of it
-    apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over dots, or light of the dots, (H, W)
-        or (3, H, W); it may write to it
+    apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over
+        dots, or light of the dots, (H, W) or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
     of_noise : what it makes of noise; None if that has no closed form, so that frames tell it
     """
@@ -195,31 +240,42 @@ class Step:
     works_on: str
     apply: Callable[[Any, Developing], Any] = field(repr=False)
     is_on: Callable[[Developing], bool] = field(default=_always, repr=False)
-    of_noise: Callable[[PixelNoise, Developing], PixelNoise] | None = field(default=None, repr=False)
+    of_noise: Callable[[PixelNoise, Developing], PixelNoise] | None = field(
+        default=None, repr=False
+    )
 
 
-# --- raw planes ------------------------------------------------------------------------------------------------------------------
+# --- raw planes
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def white_noise_e2(readout: Readout, integration_s: float, correction: Correction) -> float:
-    """Return the variance of a raw pixel's noise that does not grow with the light, and is another in each pixel and each frame.
+    """Return the variance of a raw pixel's noise that does not grow with the light, and is another
+    in each pixel and each frame.
 
-    Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of theirs. Row noise and fixed patterns
-    are none of it: they are not white, or not known.
+    Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of
+    theirs. Row noise and fixed patterns are none of it: they are not white, or not known.
     """
-    own_e2 = float(variance_e2(readout, is_temporal=True, along="pixel")) + readout.rounding_variance_dn2 / readout.dn_per_e**2
+    own_e2 = (
+        float(variance_e2(readout, is_temporal=True, along="pixel"))
+        + readout.rounding_variance_dn2 / readout.dn_per_e**2
+    )
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     of_dark = (own_e2 + readout.dark_current_e_per_s * integration_s) * (1 + rows)
-    return own_e2 * (1 + rows) + (of_dark / correction.dark_frames if correction.dark_frames else 0.0)
+    return own_e2 * (1 + rows) + (
+        of_dark / correction.dark_frames if correction.dark_frames else 0.0
+    )
 
 
 def noise_of_expected_e2(
     signal_e: Array, readout: Readout, integration_s: float, correction: Correction
 ) -> tuple[Array, float, float]:
-    """Return the variance of each pixel by itself of an expected frame (rows, columns), and of what columns and rows share.
+    """Return the variance of each pixel by itself of an expected frame (rows, columns), and of what
+    columns and rows share.
 
-    With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a column loses, is shared by it, and
-    so are the offsets that rows have in dark and flat frames by the rows.
+    With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a
+    column loses, is shared by it, and so are the offsets that rows have in dark and flat frames by
+    the rows.
     """
     row = float(variance_e2(readout, is_temporal=True, along="row"))
     column = float(variance_e2(readout, is_temporal=False, along="column"))
@@ -228,8 +284,14 @@ def noise_of_expected_e2(
         return np.maximum(total - row - column, 0.0), column, row
     total = np.asarray(residual_variance_e2(signal_e, integration_s, readout, correction).total)
     frames, rows = correction.dark_frames, correction.column_clamp
-    level = signal_e / flat_light_e(readout, correction, integration_s) if correction.flat_frames else np.zeros(1)
-    pattern_left = float(np.mean((1 - level) ** 2))  # of what picture and flat frames have in common
+    level = (
+        signal_e / flat_light_e(readout, correction, integration_s)
+        if correction.flat_frames
+        else np.zeros(1)
+    )
+    pattern_left = float(
+        np.mean((1 - level) ** 2)
+    )  # of what picture and flat frames have in common
     temporal = 1.0 + (pattern_left / frames if frames else 0.0)
     if correction.flat_frames:
         temporal += float(np.mean(level**2)) / correction.flat_frames
@@ -245,10 +307,14 @@ def noise_of_expected_e2(
 
 
 def wiener_responses(c: Developing) -> list[Array]:
-    """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that 'wiener_bound' has."""
+    """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that
+    'wiener_bound' has.
+    """
     assert c.expected_e is not None
     expected_e = np.minimum(c.expected_e, c.readout.saturation_e)
-    variance, column_e2, row_e2 = noise_of_expected_e2(expected_e, c.readout, c.frame.integration_s, c.imaging.correction)
+    variance, column_e2, row_e2 = noise_of_expected_e2(
+        expected_e, c.readout, c.frame.integration_s, c.imaging.correction
+    )
     found = []
     for expected, own in zip(c.parts(expected_e), c.parts(variance), strict=True):
         noise = wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
@@ -257,9 +323,11 @@ def wiener_responses(c: Developing) -> list[Array]:
 
 
 def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
-    """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose in the mean.
+    """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose
+    in the mean.
 
-    What filters take away that adapt to the picture has no closed form: the noise is that before them.
+    What filters take away that adapt to the picture has no closed form: the noise is that before
+    them.
     """
     if c.develop.adapts:
         return noise
@@ -267,17 +335,25 @@ def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
     layout = c.layout
     letters = "R" if layout is None else "".join(layout.cell)
     channels = ("R",) if layout is None else layout.channels
-    of_channels = [[one for one, letter in zip(responses, letters, strict=True) if letter == channel] for channel in channels]
+    of_channels = [
+        [one for one, letter in zip(responses, letters, strict=True) if letter == channel]
+        for channel in channels
+    ]
     columns, rows = (
-        np.array([np.sqrt(np.mean([np.mean(one[lines] ** 2) for one in each])) for each in of_channels])
+        np.array(
+            [np.sqrt(np.mean([np.mean(one[lines] ** 2) for one in each])) for each in of_channels]
+        )
         for lines in (np.s_[0], np.s_[:, 0])
     )
     left = tuple(map(autocorrelation, responses))
-    return replace(noise, columns=noise.columns * columns, rows=noise.rows * rows, correlations=left)
+    return replace(
+        noise, columns=noise.columns * columns, rows=noise.rows * rows, correlations=left
+    )
 
 
 def autocorrelation(factors: Array) -> Array:
-    """Return the covariance of white noise of variance 1 behind factors of its DCT-II coefficients, (2m + 1, 2n + 1).
+    """Return the covariance of white noise of variance 1 behind factors of its DCT-II coefficients,
+    (2m + 1, 2n + 1).
 
     In the mean over the picture, exactly; of pixels -m … m apart along y, and -n … n along x.
 
@@ -292,12 +368,16 @@ def autocorrelation(factors: Array) -> Array:
 
 
 def _lag_products(count: int) -> Array:
-    """Return the mean products of each orthonormal function of the DCT-II with itself, 0, 1, … samples apart, (lags, count).
+    """Return the mean products of each orthonormal function of the DCT-II with itself, 0, 1, …
+    samples apart, (lags, count).
 
-    The mean of cos θ(x + ½) cos θ(x + d + ½) over n - d places is ½ (cos dθ - sin dθ/((n - d) sin θ)), with θ = πk/n.
+    The mean of cos θ(x + ½) cos θ(x + d + ½) over n - d places is ½ (cos dθ - sin dθ/((n - d) sin
+    θ)), with θ = πk/n.
     """
     lags, theta = np.arange(min(count, MAX_LAGS))[:, None], np.pi * np.arange(1, count) / count
-    products = (np.cos(lags * theta) - np.sin(lags * theta) / ((count - lags) * np.sin(theta))) / count
+    products = (
+        np.cos(lags * theta) - np.sin(lags * theta) / ((count - lags) * np.sin(theta))
+    ) / count
     return np.concatenate([np.full((len(lags), 1), 1 / count), products], axis=1)
 
 
@@ -310,7 +390,12 @@ def _denoise(picture: Array, c: Developing) -> Array:
     assert develop.denoise != "none"
     variance_e2_of_frame = white_noise_e2(c.readout, frame.integration_s, c.imaging.correction)
     for part in c.parts(picture):
-        filtered = denoised_plane(part + frame.mean_dark_e, variance_e2_of_frame, develop.denoise, develop.denoise_strength)
+        filtered = denoised_plane(
+            part + frame.mean_dark_e,
+            variance_e2_of_frame,
+            develop.denoise,
+            develop.denoise_strength,
+        )
         part[...] = filtered - frame.mean_dark_e
     return picture
 
@@ -336,7 +421,12 @@ def _white_balance(picture: Array, c: Developing) -> Array:
 
 def _balanced_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
     by_channel = c.white_e if c.layout is None else balance(c.develop, c.layout, c.white_e)
-    return replace(noise, variance=noise.variance / by_channel**2, columns=noise.columns / by_channel, rows=noise.rows / by_channel)
+    return replace(
+        noise,
+        variance=noise.variance / by_channel**2,
+        columns=noise.columns / by_channel,
+        rows=noise.rows / by_channel,
+    )
 
 
 def _remosaic(picture: Array, c: Developing) -> Array:
@@ -351,18 +441,22 @@ def _demosaic(picture: Array, c: Developing) -> list[Array]:
     return [channels[:, :, channel] for channel in range(channels.shape[2])]
 
 
-# --- developed planes ------------------------------------------------------------------------------------------------------------
+# --- developed planes
+# ------------------------------------------------------------------------------------------------------------
 
 
 def whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
-    """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as their brightest channel.
+    """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as
+    their brightest channel.
 
     Nothing is known of their colour.
     """
     if layout.is_stacked:
         near = np.any(np.split(full, layout.planes), axis=0)
     else:
-        near = scipy.ndimage.maximum_filter(full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])])
+        near = scipy.ndimage.maximum_filter(
+            full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])]
+        )
     brightest = np.max([plane[near] for plane in planes], axis=0)
     for plane in planes:
         plane[near] = brightest
@@ -383,20 +477,28 @@ def _sharpened_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
     return replace(noise, products=unsharp_products(c.develop.sharpen_amount, c.sharpen_px))
 
 
-# --- the shown picture -----------------------------------------------------------------------------------------------------------
+# --- the shown picture
+# -----------------------------------------------------------------------------------------------------------
 
 
 def _matrix(dots: list[Array], c: Developing) -> Array:
     return dots[0] if c.matrix is None else mixed(c.matrix, dots)
 
 
-# --- the registry ----------------------------------------------------------------------------------------------------------------
+# --- the registry
+# ----------------------------------------------------------------------------------------------------------------
 
 RAW, PLANES, SHOWN = "raw planes", "developed planes", "shown picture"
 STEPS: Mapping[str, Step] = {
     step.name: step
     for step in (
-        Step(name="denoise", works_on=RAW, is_on=lambda c: c.develop.denoises, apply=_denoise, of_noise=_denoised_noise),
+        Step(
+            name="denoise",
+            works_on=RAW,
+            is_on=lambda c: c.develop.denoises,
+            apply=_denoise,
+            of_noise=_denoised_noise,
+        ),
         Step(name="white_balance", works_on=RAW, apply=_white_balance, of_noise=_balanced_noise),
         Step(
             name="remosaic",
@@ -409,7 +511,9 @@ STEPS: Mapping[str, Step] = {
             name="demosaic",
             works_on=RAW,
             apply=_demosaic,
-            of_noise=lambda noise, c: replace(noise, method=c.method),  # of menon2007 that of malvar2004
+            of_noise=lambda noise, c: replace(
+                noise, method=c.method
+            ),  # of menon2007 that of malvar2004
         ),
         Step(
             name="highlights",
@@ -418,8 +522,19 @@ STEPS: Mapping[str, Step] = {
             apply=_highlights,
             of_noise=_unchanged,
         ),
-        Step(name="sharpen", works_on=PLANES, is_on=lambda c: c.develop.sharpens, apply=_sharpen, of_noise=_sharpened_noise),
-        Step(name="matrix", works_on=SHOWN, apply=_matrix, of_noise=lambda noise, c: replace(noise, matrix=c.matrix)),
+        Step(
+            name="sharpen",
+            works_on=PLANES,
+            is_on=lambda c: c.develop.sharpens,
+            apply=_sharpen,
+            of_noise=_sharpened_noise,
+        ),
+        Step(
+            name="matrix",
+            works_on=SHOWN,
+            apply=_matrix,
+            of_noise=lambda noise, c: replace(noise, matrix=c.matrix),
+        ),
         Step(
             name="tone_curve",
             works_on=SHOWN,
@@ -447,30 +562,40 @@ def developed(planes: list[Array], c: Developing) -> list[Array]:
 
 
 def light_of_dots(means: list[Array], c: Developing) -> Array:
-    """Return the light of the display's primaries, (H, W) or (3, H, W), before the tone curve, of means over dots of each plane."""
+    """Return the light of the display's primaries, (H, W) or (3, H, W), before the tone curve, of
+    means over dots of each plane.
+    """
     return cast("Array", _through_steps(means, c, SHOWN, but=("tone_curve",)))
 
 
 def developed_planes(c: Developing) -> list[Array]:
-    """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
+    """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the
+    scene's white in every one.
 
-    Raises PixsimError if a filter's window does not fit into the frame, or what it needs is not installed.
+    Raises PixsimError if a filter's window does not fit into the frame, or what it needs is not
+    installed.
     """
     raw_e = c.frame.estimate_e
     if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
         full = np.asarray(raw_e >= SATURATED * c.readout.saturation_e - c.frame.mean_dark_e)
-        if c.frame.exposures > 1 and c.frame.saturated is not None:  # the sum hides that some of its exposures are full
+        if (
+            c.frame.exposures > 1 and c.frame.saturated is not None
+        ):  # the sum hides that some of its exposures are full
             full |= c.frame.saturated
         c = replace(c, full=full)
     return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
 
 
-def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)) -> Array:
-    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps of some kinds.
+def noise_covariance(
+    c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)
+) -> Array:
+    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind
+    the linear steps of some kinds.
 
-    It is that of the pixels over frames and sensors in closed form, through the weights of each step; for menon2007, whose
-    weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows. Fixed pattern
-    counts as in a frame without correction. Only the exposure of the frame counts, and its expected light with 'wiener_bound'.
+    It is that of the pixels over frames and sensors in closed form, through the weights of each
+    step; for menon2007, whose weights depend on the picture, through those of malvar2004. The
+    offsets of columns are the same in all rows. Fixed pattern counts as in a frame without
+    correction. Only the exposure of the frame counts, and its expected light with 'wiener_bound'.
 
     levels : (P, C) light of the patches in each channel, 1 for white
     dot_um : side of a dot on the sensor; None: dots are pixels
@@ -478,11 +603,17 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
     readout, integration_s, layout = c.readout, c.frame.integration_s, c.layout
     electrons = np.maximum(levels, 0.0) * c.white_e
     of_columns_e, of_rows_e = (constant_e(readout, along=along) for along in ("column", "row"))
-    pixels = frame_variance_dn2(electrons, integration_s, readout) / readout.dn_per_e**2 - of_columns_e**2 - of_rows_e**2
+    pixels = (
+        frame_variance_dn2(electrons, integration_s, readout) / readout.dn_per_e**2
+        - of_columns_e**2
+        - of_rows_e**2
+    )
     count = len(c.white_e)
     lines = np.full(count, of_columns_e), np.full(count, of_rows_e)
     is_mosaic = layout is not None and not layout.is_stacked
-    noise = PixelNoise(layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines)
+    noise = PixelNoise(
+        layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines
+    )
     for step in STEPS.values():
         if step.works_on in works_on and step.is_on(c):
             assert step.of_noise is not None  # of a linear step

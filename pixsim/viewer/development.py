@@ -1,4 +1,6 @@
-"""From a frame to its score: development, the dots of a screen, and the difference from the ideal picture."""
+"""From a frame to its score: development, the dots of a screen, and the difference from the ideal
+picture.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ from pixsim.sensor.readout import Frame, integration_time_s, lasting, make_frame
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition
-from pixsim.viewer.develop_steps import Developing, developed_planes, light_of_dots, noise_covariance
+from pixsim.viewer.develop_steps import (
+    Developing,
+    developed_planes,
+    light_of_dots,
+    noise_covariance,
+)
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import FrameScore
 from pixsim.viewer.screen import Screen, display_image, is_coloured
@@ -52,32 +59,49 @@ class Development:
 
     @property
     def white_e_per_s(self) -> float:
-        """Electrons per second of the scene's white on axis, in the mean over the channels' pixels."""
+        """Electrons per second of the scene's white on axis, in the mean over the channels'
+        pixels.
+        """
         layout, whites = self.readout.physics.layout, self.whites_e_per_s
         return whites[0] if layout is None else float((layout.shares * np.array(whites)).sum())
 
     @cached_property
     def flat_field(self) -> Array | None:
-        """What each pixel collects of uniform light, relative to one on axis, (rows, columns); None without a stack."""
-        return None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)
+        """What each pixel collects of uniform light, relative to one on axis, (rows, columns); None
+        without a stack.
+        """
+        return (
+            None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)
+        )
 
     @cached_property
     def shading(self) -> Array | None:
         """By what the display divides a frame, (rows, columns); None for nothing."""
         corrects = self.screen.display.shading_correction
-        return shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction) if corrects else None
+        return (
+            shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction)
+            if corrects
+            else None
+        )
 
     @cached_property
     def matrix(self) -> Array:
-        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for colour sensors.
+        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for
+        colour sensors.
 
         Raises PixsimError as `Rendition.matrix` does, with the pixel's pitch.
         """
         try:
             return self._fitted_matrix()
         except PixsimError as error:
-            hint = "" if self.collection is None else " Light between neighbours counts: larger pixels mix the channels less."
-            raise type(error)(f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}{hint}") from None
+            hint = (
+                ""
+                if self.collection is None
+                else " Light between neighbours counts: larger pixels mix the channels less."
+            )
+            raise type(error)(
+                f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}{hint}"
+            ) from None
 
     def _fitted_matrix(self) -> Array:
         assert self.rendition is not None
@@ -88,17 +112,24 @@ class Development:
         return self.rendition.matrix(develop, self.channel_covariance(time_s))
 
     def channel_covariance(self, integration_s: float) -> Array:
-        """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as means over a dot.
+        """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as
+        means over a dot.
 
         In closed form, without what noise reduction that adapts to the picture takes away.
         """
         assert self.rendition is not None
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
-        frame = make_frame(empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s))
-        return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
+        frame = make_frame(
+            empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s)
+        )
+        return noise_covariance(
+            self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um
+        )
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
-        """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""
+        """Return what score.json has of a colour sensor: its channels, matrix and noise in an
+        exposure.
+        """
         layout = self.readout.physics.layout
         assert self.rendition is not None
         assert layout is not None
@@ -119,20 +150,34 @@ class Development:
 
     @property
     def sharpen_px(self) -> float:
-        """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that is too wide."""
+        """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that
+        is too wide.
+        """
         develop, pitch_um = self.imaging.develop, self.readout.physics.read_pitch_um
         if develop.sharpen_radius_cy_per_deg is None:
             return develop.sharpen_radius_px or 1.0
-        dots = self.screen.display.samples_per_deg / (2 * math.pi * develop.sharpen_radius_cy_per_deg)
+        dots = self.screen.display.samples_per_deg / (
+            2 * math.pi * develop.sharpen_radius_cy_per_deg
+        )
         pixels = dots * (self.screen.dot_um or pitch_um) / pitch_um
         if not pixels <= MAX_RADIUS_PX:
-            got = f"{develop.sharpen_radius_cy_per_deg:g}, a blur of {pixels:.3g} pixels of {pitch_um:g} µm"
-            raise invalid("develop.sharpen_radius_cy_per_deg", got, f"up to {MAX_RADIUS_PX:g} pixels", "Raise it.")
+            got = (
+                f"{develop.sharpen_radius_cy_per_deg:g}, a blur of {pixels:.3g} pixels of"
+                f" {pitch_um:g} µm"
+            )
+            raise invalid(
+                "develop.sharpen_radius_cy_per_deg",
+                got,
+                f"up to {MAX_RADIUS_PX:g} pixels",
+                "Raise it.",
+            )
         return max(pixels, MIN_RADIUS_PX)
 
     @property
     def sharpening_noise_gain(self) -> float:
-        """By how much sharpening amplifies the standard deviation of noise that is independent from pixel to pixel."""
+        """By how much sharpening amplifies the standard deviation of noise that is independent from
+        pixel to pixel.
+        """
         return noise_gain(self.imaging.develop.sharpen_amount, self.sharpen_px)
 
     def developing(self, frame: Frame, matrix: Array | None) -> Developing:
@@ -154,7 +199,8 @@ class Development:
         )
 
     def light(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
-        """Return what a frame asks of the display's dots: luminance (H, W), or light of the primaries (3, H, W), 1 for white.
+        """Return what a frame asks of the display's dots: luminance (H, W), or light of the
+        primaries (3, H, W), 1 for white.
 
         window : selects a part of the dots; None takes all
         """
@@ -164,13 +210,18 @@ class Development:
         """Return light behind the tone curve."""
         return toned(light, self.imaging.develop, self.screen.display)
 
-    def light_before_tone(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
+    def light_before_tone(
+        self, frame: Frame, window: Callable[[Array], Array] | None = None
+    ) -> Array:
         """Return `light` without the tone curve."""
         developing = self.developing(frame, None if self.rendition is None else self.matrix)
         return self.mixed_on_dots(developed_planes(developing), developing, window)
 
     def mixed_on_dots(
-        self, planes: Sequence[Array], developing: Developing, window: Callable[[Array], Array] | None = None
+        self,
+        planes: Sequence[Array],
+        developing: Developing,
+        window: Callable[[Array], Array] | None = None,
     ) -> Array:
         """Return the light of developed planes on the dots, before the tone curve.
 
@@ -189,11 +240,17 @@ class Development:
         screen = self.screen
         light, gamut = self.light_before_tone(frame), None
         if light.ndim == 3:
-            gamut = screen.ideal_out_of_gamut, displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+            gamut = (
+                screen.ideal_out_of_gamut,
+                displays.out_of_gamut_share(np.moveaxis(light, 0, -1)),
+            )
         image = display_image(self.toned(light), screen.display, in_place=True)
 
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
-        border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
+        border_um = (
+            max(0.0, float(screen.dot_edges_um[0][0])),
+            max(0.0, float(screen.dot_edges_um[1][0])),
+        )
         return FrameScore(
             screen.delta_e_of(image),
             screen.ideal,

@@ -1,7 +1,7 @@
 """The display: electrons → relative luminance on the display's dots → digital counts → light → XYZ.
 
-Relative luminance is electrons over the mean electrons of the scene's white on axis: 1 for white, and never scaled to a
-measured maximum.
+Relative luminance is electrons over the mean electrons of the scene's white on axis: 1 for white,
+and never scaled to a measured maximum.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, PositiveArray, Row, strips, transposed
+from pixsim.base.arrays import (
+    STRIP_DOTS,
+    Array,
+    Finites,
+    NumberArray,
+    Picture,
+    PositiveArray,
+    Row,
+    strips,
+    transposed,
+)
 from pixsim.base.bounds import Bounds, Count, NotNegative, Positive
 from pixsim.base.caller import setting
 from pixsim.base.digits import amount
@@ -53,22 +63,45 @@ Electrons = Annotated[float, FAINTEST]
 AxisNumber = Annotated[int, Bounds(0, 1)]
 Degree = Annotated[int, Bounds(0, 5)]
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
-# Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is its white.
+# Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is
+# its white.
 PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in PRIMARIES_XY]).T
 XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
-GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = 1e-9, 1e-6  # of a primary's largest light, for rounding; of float32
-WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
-MAX_SINGLE = 1e30  # of white, in float32: shading, corrections and matrices leave it within its range
-SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
-B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
-BINS_OF_CODE, MAX_BINS = 128, 1 << 18  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
+GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = (
+    1e-9,
+    1e-6,
+)  # of a primary's largest light, for rounding; of float32
+WHITE_E_PER_S_UM2 = (
+    1e-200,
+    1e200,
+)  # pictures divided by white stay within float64 for any sensor and exposure
+MAX_SINGLE = (
+    1e30  # of white, in float32: shading, corrections and matrices leave it within its range
+)
+SPLINE_DEGREE = {
+    "nearest": 0,
+    "linear": 1,
+    "cubic": 3,
+    "quintic": 5,
+}  # quintic is only the reference for cubic displays
+B_SPLINE_SAMPLES = {
+    0: (1.0,),
+    1: (1.0,),
+    3: (4 / 6, 1 / 6),
+    5: (66 / 120, 26 / 120, 1 / 120),
+}  # degree -> at 0, ±1, ±2
+BINS_OF_CODE, MAX_BINS = (
+    128,
+    1 << 18,
+)  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
 CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
-    """Return the scene luminance shown as display white: `display.white_cd_per_m2`, else the luminance of the scene's chart.
+    """Return the scene luminance shown as display white: `display.white_cd_per_m2`, else the
+    luminance of the scene's chart.
 
     Raises PixsimError if neither is known.
     """
@@ -76,12 +109,15 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     if not white:
         got = "no value, and the scene has no emissive chart that defines it"
         allowed = "the scene luminance in cd/m² that the display shows as white"
-        raise invalid("display.white_cd_per_m2", got, allowed, f"Set {setting('display.white_cd_per_m2')}.")
+        raise invalid(
+            "display.white_cd_per_m2", got, allowed, f"Set {setting('display.white_cd_per_m2')}."
+        )
     return float(white)
 
 
 def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
-    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown.
+    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name:
+    that of D65 if it is unknown.
 
     Where D65 has no light either, as in the infrared, it is the mean of the picture.
     """
@@ -98,24 +134,34 @@ def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
 
 
 def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
-    """Return the illuminance on the sensor, on axis, from the scene's white. Raises PixsimError as `white_cd_per_m2` does."""
+    """Return the illuminance on the sensor, on axis, from the scene's white. Raises PixsimError as
+    `white_cd_per_m2` does.
+    """
     return white_cd_per_m2(irradiance, display) * on_axis_sr(camera)
 
 
 def on_axis_sr(camera: Camera) -> float:
     """Return the irradiance on the sensor, on axis, over the radiance of the scene, in sr."""
-    return float(irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance)
+    return float(
+        irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
+    )
 
 
 def has_luminance(irradiance: SpectralImage) -> bool:
-    """Whether the eye sees the light of the scene's white well enough for a luminance to say how much there is of it."""
+    """Whether the eye sees the light of the scene's white well enough for a luminance to say how
+    much there is of it.
+    """
     spectrum, _ = white_light(irradiance)
-    lumens, watts = ((weight * spectrum).sum() for weight in (irradiance.luminous_weight(), irradiance.band_width_nm))
+    lumens, watts = (
+        (weight * spectrum).sum()
+        for weight in (irradiance.luminous_weight(), irradiance.band_width_nm)
+    )
     return bool(lumens > LEAST_LM_PER_W * watts)
 
 
 def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:
-    """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's, else that of light nobody sees.
+    """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's,
+    else that of light nobody sees.
 
     None if a luminance says what white is.
     """
@@ -134,26 +180,32 @@ def _white_radiance(header: Mapping[str, Any], display: Display) -> float | None
 def setting_of_white(header: Mapping[str, Any], display: Display) -> str:
     """Return the setting that states the white of light with a header, as the caller writes it.
 
-    In light that nobody sees it is a radiance. It stands in place of a white plate, if there is one.
+    In light that nobody sees it is a radiance. It stands in place of a white plate, if there is
+    one.
     """
     name = "white_cd_per_m2" if _white_radiance(header, display) is None else "white_w_per_m2_sr"
     instead = f", in place of {setting('display.white')}" if DIFFUSER in header else ""
     return f"{setting(f'display.{name}')}{instead}"
 
 
-def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysics | None = None) -> float:
+def white_rate(
+    imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysics | None = None
+) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
     Its spectrum is that of `white_light`.
 
     imaging : camera, pixel, and the display that states the white
-    channel : whose electrons these are; None: of the pixel, of a colour sensor the mean over its channels
+    channel : whose electrons these are; None: of the pixel, of a colour sensor the mean over its
+        channels
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
     spectrum, _ = white_light(irradiance)
     camera, display = imaging.camera, imaging.display
-    electrons = float((electrons_per_joule(channel or imaging.physics, irradiance) * spectrum).sum())
+    electrons = float(
+        (electrons_per_joule(channel or imaging.physics, irradiance) * spectrum).sum()
+    )
     lux = float((irradiance.luminous_weight() * spectrum).sum())
     radiance = white_w_per_m2_sr(irradiance, display)
     if radiance is not None:
@@ -164,10 +216,16 @@ def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysic
         rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
     low, high = WHITE_E_PER_S_UM2
     if not low < rate < high:
-        got = f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)"
+        got = (
+            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx"
+            " from its light in all bands)"
+        )
         allowed = f"light to which both the sensor and the eye respond, {low:g} to {high:g}"
         hint = "Choose a lamp within the sensor's response, or another technology or infrared cut. "
-        hint += f"The white of light that nobody sees is a radiance ({setting('display.white_w_per_m2_sr')})."
+        hint += (
+            "The white of light that nobody sees is a radiance"
+            f" ({setting('display.white_w_per_m2_sr')})."
+        )
         raise invalid("the scene's white", got, allowed, hint)
     return rate
 
@@ -180,51 +238,75 @@ def dot_edges_um(
     array_um: tuple[float, float] | None = None,
     registration: Registration = CENTRED,
 ) -> tuple[Array, Array]:
-    """Return the edges of the dots that are shown and scored, rows and columns, measured from the picture's top left corner.
+    """Return the edges of the dots that are shown and scored, rows and columns, measured from the
+    picture's top left corner.
 
-    `fixed_size`: `dots` span the width of the die; a border of `border_um` on each side, rounded up to whole dots, is left out.
-    `one_to_one`: each dot is one pixel of the array.
+    `fixed_size`: `dots` span the width of the die; a border of `border_um` on each side, rounded up
+    to whole dots, is left out. `one_to_one`: each dot is one pixel of the array.
 
     size_um : (height, width) of the picture on the sensor
     pitch_um : of the pixels; used by `one_to_one` only
-    border_um : of the largest pixels scored on the same dots, `PixelPhysics.border_um`: the strip that whole pixels do not fill,
-        and the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+    border_um : of the largest pixels scored on the same dots, `PixelPhysics.border_um`: the strip
+        that whole pixels do not fill, and the outermost half pixels, which interpolation continues
+        as constants; used by `fixed_size` only
     array_um : (height, width) that the pixels fill, if it is not the picture
     registration : of the pixels, as of `PixelPhysics`
 
-    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot is left, or there are more
-    than 2^26 dots.
+    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot
+    is left, or there are more than 2^26 dots.
     """
     pixels = pixels_on(array_um or size_um, pitch_um, registration)
     if display.raster == "one_to_one":
         lines = zip(size_um, pixels, registration, strict=True)
         rows, columns = (pixel_edges_um(um, count, pitch_um, own) for um, count, own in lines)
         return rows, columns
-    # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same field then have the same dots.
-    counts = [max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um]
+    # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same
+    # field then have the same dots.
+    counts = [
+        max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um
+    ]
     if math.prod(counts) > MAX_PIXELS:
-        got = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {amount(math.prod(counts))} dots"
+        got = (
+            f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm:"
+            f" {amount(math.prod(counts))} dots"
+        )
         raise invalid("display.dots", got, f"at most {amount(MAX_PIXELS)} dots in all")
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
-            dot_um, hint = length_um / count, "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
-            got = f"pixels whose border of {border_um:g} µm on each side leaves none of the {count} dots of {dot_um:.3g} µm"
+            dot_um, hint = (
+                length_um / count,
+                "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'.",
+            )
+            got = (
+                f"pixels whose border of {border_um:g} µm on each side leaves none of the {count}"
+                f" dots of {dot_um:.3g} µm"
+            )
             width = f"{BORDER_PIXELS:g} of the largest pixels wide"
-            raise invalid("pixel.pitch_um", got, f"a border ({width}) below {(count - 1) // 2 * dot_um:.4g} µm on this die", hint)
+            raise invalid(
+                "pixel.pitch_um",
+                got,
+                f"a border ({width}) below {(count - 1) // 2 * dot_um:.4g} µm on this die",
+                hint,
+            )
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 
 
-def pixel_edges_um(length_um: Positive, count: Count, pitch_um: Positive, registration: float | None = None) -> Array:
+def pixel_edges_um(
+    length_um: Positive, count: Count, pitch_um: Positive, registration: float | None = None
+) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
-    registration : of the pixels along this axis, as of `PixelPhysics`: a fraction of the pitch; None for a centred line
+    registration : of the pixels along this axis, as of `PixelPhysics`: a fraction of the pitch;
+        None for a centred line
     """
     if registration is None:
         return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
-    return first_edge_um(length_um, count, pitch_um, registration) + np.arange(count + 1.0) * pitch_um
+    return (
+        first_edge_um(length_um, count, pitch_um, registration) + np.arange(count + 1.0) * pitch_um
+    )
 
 
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
@@ -233,12 +315,20 @@ def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
 
-def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row, degree: Degree, axis: AxisNumber) -> Array:
+def average_axis(
+    values: Array,
+    pitch_um: Positive,
+    low_um: float,
+    edges_um: Row,
+    degree: Degree,
+    axis: AxisNumber,
+) -> Array:
     """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
     The cells start at `low_um`; beyond the outermost centres the interpolation is constant.
 
-    values : (n, ...) or (..., n), any unit; n becomes the number of intervals. Means of float32 are float32 up to degree 1
+    values : (n, ...) or (..., n), any unit; n becomes the number of intervals. Means of float32 are
+        float32 up to degree 1
     pitch_um : of the cells
     edges_um : (intervals + 1,) increasing
     degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
@@ -247,47 +337,69 @@ def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row
     Raises PixsimError if the edges do not increase, or the values have not that axis.
     """
     if values.ndim <= axis:
-        raise invalid("values", f"an array of shape {values.shape}", f"an array with an axis {axis}")
+        raise invalid(
+            "values", f"an array of shape {values.shape}", f"an array with an axis {axis}"
+        )
     lines = values.swapaxes(0, axis)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
         edges_bytes = np.asarray(edges_um, float).tobytes()
-        weights = _mean_weights(len(lines), pitch_um, low_um, edges_bytes, degree, values.dtype == np.float32)
+        weights = _mean_weights(
+            len(lines), pitch_um, low_um, edges_bytes, degree, values.dtype == np.float32
+        )
         if axis == 1 and values.ndim == 2:
             return transposed(weights @ transposed(values))
         means = weights @ np.ascontiguousarray(lines)
     else:
-        from scipy.interpolate import make_interp_spline  # takes 0.3 s, needed for cubic displays only
+        from scipy.interpolate import (
+            make_interp_spline,
+        )  # takes 0.3 s, needed for cubic displays only
 
         edges = _edges_in_cells(edges_um, pitch_um, low_um)
         running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
         column = edges.reshape(-1, *[1] * (lines.ndim - 1))
-        beyond = np.minimum(column, 0.0) * lines[0] + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
-        means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(column, axis=0)
+        beyond = (
+            np.minimum(column, 0.0) * lines[0]
+            + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
+        )
+        means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(
+            column, axis=0
+        )
     return np.ascontiguousarray(means.swapaxes(0, axis))
 
 
 def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
-    """Return edges in units of cells, 0 in the centre of the first one. Raises PixsimError if they do not increase."""
+    """Return edges in units of cells, 0 in the centre of the first one. Raises PixsimError if they
+    do not increase.
+    """
     edges = (edges_um - low_um) / pitch_um - 0.5
     if edges.size < 2 or not np.all(np.diff(edges) > 0):
-        got = f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um = {low_um:g}"
+        got = (
+            f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um ="
+            f" {low_um:g}"
+        )
         raise invalid("edges_um", got, "increasing edges")
     return edges
 
 
 @lru_cache(maxsize=4)  # the frames of a pitch share them
-def _mean_weights(n: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool) -> csr_array:
+def _mean_weights(
+    n: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool
+) -> csr_array:
     """Return the weights of n cells in the means between neighbouring edges, sparse (edges - 1, n).
 
     pitch_um, low_um : as of `average_axis`
     edges_bytes : of the array of edges (µm), float64
     single : return them in float32
 
-    The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the outermost ones extend to
-    infinity. Their integral up to an edge has a closed form, and few of them overlap an interval.
+    The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the
+    outermost ones extend to infinity. Their integral up to an edge has a closed form, and few of
+    them overlap an interval.
     """
-    edges, reach = _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um), 0.5 if degree == 0 else 1.0
+    edges, reach = (
+        _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um),
+        0.5 if degree == 0 else 1.0,
+    )
     first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
     last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
     value = first[:, None] + np.arange((last - first).max() + 1)
@@ -301,18 +413,23 @@ def _mean_weights(n: int, pitch_um: float, low_um: float, edges_bytes: bytes, de
     weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
     used = (value <= last[:, None]) & (weight != 0)
     rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array((weight[used].astype(np.float32 if single else float), value[used], rows), shape=(edges.size - 1, n))
+    return csr_array(
+        (weight[used].astype(np.float32 if single else float), value[used], rows),
+        shape=(edges.size - 1, n),
+    )
 
 
-def interpolation_mtf(frequency_cy_per_mm: Finites, pitch_um: Positive, interpolation: str) -> Array:
+def interpolation_mtf(
+    frequency_cy_per_mm: Finites, pitch_um: Positive, interpolation: str
+) -> Array:
     """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
-    With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
-    general it is the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans.
-    Signal Process. 41 (1993) 821.
+    With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline
+    sinc⁴ x · 3/(2 + cos 2πx). In general it is the transform of the B-spline over that of its
+    samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821.
 
-    A component below the Nyquist frequency of the pixels is shown with this contrast. Its images around each multiple of
-    1/pitch are shown with the contrast at their own frequencies.
+    A component below the Nyquist frequency of the pixels is shown with this contrast. Its images
+    around each multiple of 1/pitch are shown with the contrast at their own frequencies.
 
     pitch_um : of the pixels
     interpolation : nearest, linear, cubic or quintic
@@ -327,7 +444,9 @@ def interpolation_mtf(frequency_cy_per_mm: Finites, pitch_um: Positive, interpol
     degree = SPLINE_DEGREE[interpolation]
     x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
     middle, *others = B_SPLINE_SAMPLES[degree]
-    samples = middle + sum(2 * sample * np.cos(2 * np.pi * k * x) for k, sample in enumerate(others, 1))
+    samples = middle + sum(
+        2 * sample * np.cos(2 * np.pi * k * x) for k, sample in enumerate(others, 1)
+    )
     return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
 
 
@@ -348,10 +467,14 @@ def means_on_dots(picture: Picture, pitch_um: Positive, edges_um: tuple[Row, Row
     return picture
 
 
-def ideal_luminance(imaging: Imaging, irradiance: SpectralImage, edges_um: tuple[Row, Row]) -> Array:
-    """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or quantisation, and no diffraction.
+def ideal_luminance(
+    imaging: Imaging, irradiance: SpectralImage, edges_um: tuple[Row, Row]
+) -> Array:
+    """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or
+    quantisation, and no diffraction.
 
-    A dot shows the mean of the light over its area: the limit of the image as pixels become smaller.
+    A dot shows the mean of the light over its area: the limit of the image as pixels become
+    smaller.
 
     imaging : camera, pixel, and the display that states the white
     edges_um : of the dots' rows and columns, from `dot_edges_um`
@@ -375,15 +498,18 @@ def frame_luminance(
     *,
     single: bool = False,
 ) -> Array:
-    """Return the relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
+    """Return the relative luminance of a frame on the display's dots, (H, W), mapped by position on
+    the die.
 
-    A dot shows the mean, over its area, of the picture interpolated between pixel centres. (Sampling at the dots' centres
-    would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
+    A dot shows the mean, over its area, of the picture interpolated between pixel centres.
+    (Sampling at the dots' centres would make noise depend on how pixels and dots register: mean ΔE
+    jumps by a quarter where the pitches agree.)
 
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
-    shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative to one on axis; None for none
+    shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative
+        to one on axis; None for none
     single : compute the means in float32, if `fits_single`
 
     Raises PixsimError if the edges do not increase, and as `relative_to_white` does.
@@ -393,9 +519,15 @@ def frame_luminance(
 
 
 def relative_to_white(
-    picture: Picture, frame: Frame, white_e: Electrons, shading: PositiveArray | None = None, *, single: bool = False
+    picture: Picture,
+    frame: Frame,
+    white_e: Electrons,
+    shading: PositiveArray | None = None,
+    *,
+    single: bool = False,
 ) -> Array:
-    """Return electrons over those of white, without shading, (rows, columns), in which the given ones are overwritten.
+    """Return electrons over those of white, without shading, (rows, columns), in which the given
+    ones are overwritten.
 
     picture : (rows, columns) electrons of a frame's pixels
     frame : of which they are
@@ -406,13 +538,19 @@ def relative_to_white(
     picture /= white_e
     if shading is not None:
         if shading.shape != picture.shape:
-            raise invalid("shading", f"an array {shading.shape}", f"a value for each of the {picture.shape} pixels")
+            raise invalid(
+                "shading",
+                f"an array {shading.shape}",
+                f"a value for each of the {picture.shape} pixels",
+            )
         picture /= shading
     return picture.astype(np.float32) if single and fits_single(frame, white_e) else picture
 
 
 def fits_single(frame: Frame, white_e: Electrons) -> bool:
-    """Return whether all codes of a frame, in units of white (electrons), are far within the range of float32."""
+    """Return whether all codes of a frame, in units of white (electrons), are far within the range
+    of float32.
+    """
     return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
 
 
@@ -424,7 +562,8 @@ def on_dots(
     edges_um: tuple[Row, Row],
     registration: Registration = CENTRED,
 ) -> Array:
-    """Return the means of a picture over the display's dots, (H, W), in its unit, as `frame_luminance` takes them.
+    """Return the means of a picture over the display's dots, (H, W), in its unit, as
+    `frame_luminance` takes them.
 
     picture : (rows, columns) of pixels, in any unit; float32 stays float32, as of `average_axis`
     pitch_um : of the pixels
@@ -444,12 +583,16 @@ def on_dots(
     return picture
 
 
-def shown_luminance(relative_luminance: NumberArray, display: Display, *, in_place: bool = False) -> Array:
-    """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
+def shown_luminance(
+    relative_luminance: NumberArray, display: Display, *, in_place: bool = False
+) -> Array:
+    """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same
+    shape, 1 for white.
 
     That of float32 is float32. Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
 
-    in_place : overwrite `relative_luminance`, if it is a contiguous, writeable array of float64 or float32
+    in_place : overwrite `relative_luminance`, if it is a contiguous, writeable array of float64 or
+        float32
 
     >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
     [0.0, 0.0, 1.0]
@@ -457,7 +600,9 @@ def shown_luminance(relative_luminance: NumberArray, display: Display, *, in_pla
     top = 2**display.bits - 1
     single = relative_luminance.dtype == np.float32
     table, borders = _light_of_bins(display.gamma, top, single), _code_borders(display.gamma, top)
-    in_place = in_place and relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
+    in_place = (
+        in_place and relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
+    )
     shown = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
     values, out = relative_luminance.reshape(-1), shown.reshape(-1)
     for part in strips(values.size, 1, STRIP_DOTS):
@@ -465,7 +610,9 @@ def shown_luminance(relative_luminance: NumberArray, display: Display, *, in_pla
         bins = (luminance * (table.size - 1)).astype(np.int32)
         np.take(table, bins, out=result, mode="clip")  # checks of indices take as long again
         several = np.flatnonzero(np.isnan(result))
-        result[several] = _light_of_codes(display.gamma, top)[np.searchsorted(borders, luminance[several], "right")]
+        result[several] = _light_of_codes(display.gamma, top)[
+            np.searchsorted(borders, luminance[several], "right")
+        ]
     return shown
 
 
@@ -477,9 +624,11 @@ def _light_of_codes(gamma: float, top: int) -> Array:
 
 @lru_cache(maxsize=4)
 def _code_borders(gamma: float, top: int) -> Array:
-    """Return the least luminance of each code from 1 on, (top,): where round(top · luminance^(1/γ)) reaches it in float64.
+    """Return the least luminance of each code from 1 on, (top,): where round(top · luminance^(1/γ))
+    reaches it in float64.
 
-    It is within a few roundings of ((code - 1/2)/top)^γ, among numbers whose bits, read as integers, increase with them.
+    It is within a few roundings of ((code - 1/2)/top)^γ, among numbers whose bits, read as
+    integers, increase with them.
     """
     codes = np.arange(1.0, top + 1)
     near = ((codes - 0.5) / top) ** gamma
@@ -494,26 +643,34 @@ def _code_borders(gamma: float, top: int) -> Array:
 
 @lru_cache(maxsize=4)
 def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
-    """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n + 1,); NaN for several codes.
+    """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n
+    + 1,); NaN for several codes.
 
     single : return it in float32
     """
     count = min(BINS_OF_CODE * (top + 1), MAX_BINS)
     edges, borders = np.arange(count + 1) / count, _code_borders(gamma, top)
-    first, last = np.searchsorted(borders, edges[:-1], "right"), np.searchsorted(borders, edges[1:], "left")
+    first, last = (
+        np.searchsorted(borders, edges[:-1], "right"),
+        np.searchsorted(borders, edges[1:], "left"),
+    )
     light = np.append(np.where(first == last, _light_of_codes(gamma, top)[first], np.nan), 1.0)
     return light.astype(np.float32) if single else light
 
 
 def to_xyz(luminance: Picture) -> Array:
-    """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
+    """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative
+    luminance (H, W). CIE 15.
+    """
     return luminance[:, :, None] * WHITE_XYZ
 
 
 def rgb_to_xyz(rgb: Array) -> Array:
-    """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R, G, B (..., 3), 1 for white.
+    """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R,
+    G, B (..., 3), 1 for white.
 
-    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance. XYZ of float32 are float32.
+    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance.
+    XYZ of float32 are float32.
 
     rgb : light of the primaries, relative
 
@@ -523,15 +680,22 @@ def rgb_to_xyz(rgb: Array) -> Array:
     dtype = np.float32 if rgb.dtype == np.float32 else float
     result: Array = np.empty_like(rgb, dtype=dtype)  # planes stay planes in memory
     # Not by BLAS, whose rounding depends on the number of threads.
-    np.einsum("ij,j...->i...", XYZ_FROM_RGB.astype(dtype), planes, out=np.moveaxis(result, -1, 0), optimize=False)
+    np.einsum(
+        "ij,j...->i...",
+        XYZ_FROM_RGB.astype(dtype),
+        planes,
+        out=np.moveaxis(result, -1, 0),
+        optimize=False,
+    )
     return result
 
 
 def out_of_gamut_share(rgb: Array) -> float:
-    """Return the share of dots, 0 to 1, whose colour the display cannot show, for the light of its primaries (..., 3), 1 for white.
+    """Return the share of dots, 0 to 1, whose colour the display cannot show, for the light of its
+    primaries (..., 3), 1 for white.
 
-    Such a dot needs a primary below 0, or one above 1 in light that is not brighter than white. What is brighter is no matter of
-    the gamut. Raises PixsimError for another shape.
+    Such a dot needs a primary below 0, or one above 1 in light that is not brighter than white.
+    What is brighter is no matter of the gamut. Raises PixsimError for another shape.
 
     rgb : light of the primaries, relative
     """

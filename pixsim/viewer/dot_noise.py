@@ -1,7 +1,9 @@
-"""The expected spectrum of a picture's noise on the display's dots: raw noise → sharpening → means over dots, all of them linear.
+"""The expected spectrum of a picture's noise on the display's dots: raw noise → sharpening → means
+over dots, all of them linear.
 
-A linear map from pixels to dots that acts along the rows and along the columns by itself turns independent pixels into a picture
-whose expected periodogram is a product of two factors, one for each axis. Sharpening is a sum of two such maps.
+A linear map from pixels to dots that acts along the rows and along the columns by itself turns
+independent pixels into a picture whose expected periodogram is a product of two factors, one for
+each axis. Sharpening is a sum of two such maps.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ class RawNoise(NamedTuple):
 
 
 class AxisPower(NamedTuple):
-    """What one axis does to noise: cross-spectra on its dots, (n, n, dots), of n pictures with each other.
+    """What one axis does to noise: cross-spectra on its dots, (n, n, dots), of n pictures with each
+    other.
 
     They are the plain picture, and of sharpening the blurred one.
 
@@ -47,15 +50,19 @@ class AxisPower(NamedTuple):
 
 
 def expected_noise_power(development: Development, noise: RawNoise) -> Array:
-    """Return the expected power of the noise of a picture before its tone curve, (H, W), in relative luminance² deg².
+    """Return the expected power of the noise of a picture before its tone curve, (H, W), in
+    relative luminance² deg².
 
-    It is at the frequencies of `np.fft.fftfreq` on the display's dots, as `pixsim.viewer.judges.npwe` takes it. The variance of
-    pixels counts by its mean over those that the dots show. Where it differs from place to place, the expected periodogram of the
-    whole picture has that mean too, but for differences that repeat with the dots.
+    It is at the frequencies of `np.fft.fftfreq` on the display's dots, as
+    `pixsim.viewer.judges.npwe` takes it. The variance of pixels counts by its mean over those that
+    the dots show. Where it differs from place to place, the expected periodogram of the whole
+    picture has that mean too, but for differences that repeat with the dots.
 
     noise : of the frame, behind its corrections
     """
-    down, across = (_axis_power(development, axis, count) for axis, count in enumerate(noise.pixel.shape))
+    down, across = (
+        _axis_power(development, axis, count) for axis, count in enumerate(noise.pixel.shape)
+    )
     # Not by BLAS, whose rounding depends on the number of threads.
     mean = float(np.einsum("y,yx,x->", down.share, noise.pixel, across.share, optimize=False))
     develop = development.imaging.develop
@@ -66,7 +73,9 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
         """Return the real part of the sum over both pictures twice; its imaginary part cancels."""
         weighted = weights[:, None, None] * weights[:, None] * of_rows
         in_phase = np.einsum("ijk,ijl->kl", weighted.real, of_columns.real, optimize=False)
-        return np.asarray(in_phase - np.einsum("ijk,ijl->kl", weighted.imag, of_columns.imag, optimize=False))
+        return np.asarray(
+            in_phase - np.einsum("ijk,ijl->kl", weighted.imag, of_columns.imag, optimize=False)
+        )
 
     total = mean * power(down.independent, across.independent)
     if noise.column:
@@ -82,26 +91,48 @@ def _axis_power(development: Development, axis: int, count: int) -> AxisPower:
     sigma_px = development.sharpen_px if development.imaging.develop.sharpens else None
     if screen.display.raster == "one_to_one":
         return _power_of_dots(count, 1.0, 0.0, None, 0, sigma_px)
-    low_um = first_edge_um(screen.size_um[axis], count, readout.physics.read_pitch_um, readout.physics.registration[axis])
+    low_um = first_edge_um(
+        screen.size_um[axis],
+        count,
+        readout.physics.read_pitch_um,
+        readout.physics.registration[axis],
+    )
     degree = SPLINE_DEGREE[screen.display.interpolation]
-    return _power_of_dots(count, readout.physics.read_pitch_um, low_um, screen.dot_edges_um[axis].tobytes(), degree, sigma_px)
+    return _power_of_dots(
+        count,
+        readout.physics.read_pitch_um,
+        low_um,
+        screen.dot_edges_um[axis].tobytes(),
+        degree,
+        sigma_px,
+    )
 
 
 @lru_cache(maxsize=4)  # the frames of a registration share them, and both axes of a square picture
 def _power_of_dots(
-    count: int, pitch_um: float, low_um: float, edges_bytes: bytes | None, degree: int, sigma_px: float | None
+    count: int,
+    pitch_um: float,
+    low_um: float,
+    edges_bytes: bytes | None,
+    degree: int,
+    sigma_px: float | None,
 ) -> AxisPower:
-    """Return the factor of an axis of `count` pixels; the other arguments are those of `average_axis`.
+    """Return the factor of an axis of `count` pixels; the other arguments are those of
+    `average_axis`.
 
     edges_bytes : of the dots; None: dots are pixels
     sigma_px : standard deviation of the blur of sharpening; None without it
     """
     pictures = [np.eye(count)]
     if sigma_px is not None:
-        pictures.append(scipy.ndimage.correlate1d(pictures[0], gaussian_taps(sigma_px), axis=0, mode="mirror"))
+        pictures.append(
+            scipy.ndimage.correlate1d(pictures[0], gaussian_taps(sigma_px), axis=0, mode="mirror")
+        )
     if edges_bytes is not None:
         edges_um = np.frombuffer(edges_bytes)
-        pictures = [average_axis(picture, pitch_um, low_um, edges_um, degree, 0) for picture in pictures]
+        pictures = [
+            average_axis(picture, pitch_um, low_um, edges_um, degree, 0) for picture in pictures
+        ]
 
     spectra = [np.fft.rfft(picture, axis=0) for picture in pictures]
     size = len(pictures), len(pictures), len(spectra[0])
@@ -118,6 +149,8 @@ def _power_of_dots(
 
 
 def _both_halves(half: Array, dots: int) -> Array:
-    """Return the spectrum of real pictures at all frequencies, (..., dots), of that at those of `np.fft.rfftfreq`."""
+    """Return the spectrum of real pictures at all frequencies, (..., dots), of that at those of
+    `np.fft.rfftfreq`.
+    """
     below = half[..., 1 : (dots + 1) // 2].conj()
     return np.concatenate([half, below[..., ::-1]], axis=-1)

@@ -1,4 +1,6 @@
-"""From settings and light to a score: `evaluate`, and the steps of it that commands take by themselves."""
+"""From settings and light to a score: `evaluate`, and the steps of it that commands take by
+themselves.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,13 @@ from pixsim.viewer.frame_under_test import FrameUnderTest, numbers_of
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import Metric, MetricContext, MetricRequest, NoNumberError, columns_with_numbers
+from pixsim.viewer.metrics import (
+    Metric,
+    MetricContext,
+    MetricRequest,
+    NoNumberError,
+    columns_with_numbers,
+)
 from pixsim.viewer.review import review
 from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.score import FrameScore, Score, noise_error_and_limit
@@ -34,31 +42,45 @@ from pixsim.viewer.without_effect import warn_of_records
 S = TypeVar("S", bound=Score)
 MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
 MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
-_recent_chains: dict[str, tuple[ImagingChain, float]] = {}  # the last one last; with `PreparedScene.beyond_white`
+_recent_chains: dict[
+    str, tuple[ImagingChain, float]
+] = {}  # the last one last; with `PreparedScene.beyond_white`
 
 
 def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:
-    """Return settings that were not checked yet, with the white that the light says; warns for each note of their review.
+    """Return settings that were not checked yet, with the white that the light says; warns for each
+    note of their review.
 
     Warns, too, if the scene's white is estimated (`white_header`).
     """
     check_develop(imaging.develop, imaging.pixel)
     for note in review(imaging, light):
         warn(note)
-    imaging = imaging.changed(display=with_white(imaging.display, white_header([(imaging, light.irradiance)])))
-    imaging.metrics.check(MetricContext(imaging.physics.layout is not None, light.background is not None))
+    imaging = imaging.changed(
+        display=with_white(imaging.display, white_header([(imaging, light.irradiance)]))
+    )
+    imaging.metrics.check(
+        MetricContext(imaging.physics.layout is not None, light.background is not None)
+    )
     return imaging
 
 
 def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = False) -> ImagingChain:
-    """Return the imaging chain of settings that were not checked yet, with a warning for each note of their review.
+    """Return the imaging chain of settings that were not checked yet, with a warning for each note
+    of their review.
 
-    is_recent : whether the chain stays in memory, with the last few others, for the same light and settings
+    is_recent : whether the chain stays in memory, with the last few others, for the same light and
+        settings
 
-    Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the scene.
+    Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the
+    scene.
     """
     imaging, irradiance = reviewed(imaging, light), light.irradiance
-    key = _key_of_chain(imaging, irradiance) if is_recent and not imaging.metrics.needs_light else None
+    key = (
+        _key_of_chain(imaging, irradiance)
+        if is_recent and not imaging.metrics.needs_light
+        else None
+    )
     if key is not None and key in _recent_chains:
         chain, beyond_white = _recent_chains.pop(key)
         if chain.imaging.metrics != imaging.metrics:  # which decide nothing of the chain
@@ -75,7 +97,9 @@ def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = Fal
 
 
 def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
-    """Return a key for all that a chain depends on; None for light that takes long to read, and angles that a file has."""
+    """Return a key for all that a chain depends on; None for light that takes long to read, and
+    angles that a file has.
+    """
     samples = irradiance.data if irradiance.factors is None else irradiance.factors[1]
     if samples.nbytes > MAX_DIGESTED_BYTES or imaging.camera.chief_ray_angle is not None:
         return None
@@ -84,34 +108,56 @@ def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
     charge = physics.charge.content_hash if physics.charge else ""
     names = "camera", "exposure", "display", "correction", "develop", "motion"
     records = [getattr(imaging, name).model_dump(mode="json") for name in names]
-    pixel = [imaging.pixel.model_dump(mode="json"), imaging.technology.content, repr(physics), responses, charge]
-    return content_hash([irradiance.digest(), records, *pixel, imaging.border_um, imaging.single, imaging.full])
+    pixel = [
+        imaging.pixel.model_dump(mode="json"),
+        imaging.technology.content,
+        repr(physics),
+        responses,
+        charge,
+    ]
+    return content_hash(
+        [irradiance.digest(), records, *pixel, imaging.border_um, imaging.single, imaging.full]
+    )
 
 
 def _add_recent(key: str, chain: ImagingChain, beyond_white: float) -> None:
     """Add a chain as the last one, and drop the first ones if they are too many or too large."""
     _recent_chains[key] = chain, beyond_white
-    sizes = [other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes for other, _ in _recent_chains.values()]
+    sizes = [
+        other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes
+        for other, _ in _recent_chains.values()
+    ]
     while len(sizes) > MAX_CHAINS or sum(sizes) > MAX_CHAIN_BYTES:
         _recent_chains.pop(next(iter(_recent_chains)), None)
         sizes.pop(0)
 
 
-def evaluate_frame(chain: ImagingChain, key: tuple[object, ...], missing: dict[str, str] | None = None) -> FrameScore:
+def evaluate_frame(
+    chain: ImagingChain, key: tuple[object, ...], missing: dict[str, str] | None = None
+) -> FrameScore:
     """Return the score of a new sensor and a new frame for a key, with the numbers of the metrics.
 
-    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None raises a NoNumberError
+    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None
+        raises a NoNumberError
 
     Raises NoNumberError if no metric has a number.
     """
-    judged, metrics = FrameUnderTest.of(chain, chain.capture(*key), stream=key), chain.imaging.metrics.chosen
+    judged, metrics = (
+        FrameUnderTest.of(chain, chain.capture(*key), stream=key),
+        chain.imaging.metrics.chosen,
+    )
     score = with_numbers(judged.score, metrics, judged, missing)
     if missing and len(missing) == len(metrics):
         raise NoNumberError(next(iter(missing.values())))
     return score
 
 
-def with_numbers(score: S, metrics: Sequence[Metric], judged: FrameUnderTest | Score, missing: dict[str, str] | None = None) -> S:
+def with_numbers(
+    score: S,
+    metrics: Sequence[Metric],
+    judged: FrameUnderTest | Score,
+    missing: dict[str, str] | None = None,
+) -> S:
     """Return a score with the numbers of metrics.
 
     judged : the frame of the score, or the score alone for metrics that need no frame
@@ -140,7 +186,8 @@ def evaluate(
     metric: MetricOptions | None = None,
     without: SpectralImage | None = None,
 ) -> FrameScore:
-    """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.
+    """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image
+    by S-CIELAB.
 
     camera : the one that the irradiance was rendered with
     exposure, display : None means the defaults
@@ -149,15 +196,18 @@ def evaluate(
     motion : of the scene; None means that it stands still
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
-    metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`. One that has
-        no number for this frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why
+    metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the
+        score's `metrics`. One that has no number for this frame, as NIIRS for one that is
+        overexposed, is NaN, with a warning that says why
     metric : settings of the metrics; None means the defaults
     without : irradiance of the scene without its target, for the metric detectability
 
-    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What the frames
-    of one sensor and one light share stays in memory for the next calls.
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in
+    `pixsim run`. What the frames of one sensor and one light share stays in memory for the next
+    calls.
 
-    Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
+    Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance,
+    or the sensor no response to it.
 
     >>> import numpy as np
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})

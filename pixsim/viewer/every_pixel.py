@@ -1,4 +1,6 @@
-"""The mean light on every pixel as each channel would see it there: what pixels record without a mosaic."""
+"""The mean light on every pixel as each channel would see it there: what pixels record without a
+mosaic.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ def at_every_pixel(
     *,
     shares: bool = True,
 ) -> Array:
-    """Return the mean light on every pixel, (rows, columns), as one channel would see it everywhere, without shading.
+    """Return the mean light on every pixel, (rows, columns), as one channel would see it
+    everywhere, without shading.
 
     moving : how it moves over the pixels
     shares : whether pixels around collect light of each other
@@ -32,33 +35,54 @@ def at_every_pixel(
     mean = aperture_means(rate, light, physics, side_um, moving)
     if collection is not None and shares:
         rows, columns = mean.shape
-        mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
+        mean = (
+            share_with_neighbours(mean, collection.shares)
+            / collection.on_axis
+            / collection.relative((rows, columns))
+        )
     side = physics.pixel.bin_side
     return read_as_one(mean, side) / side**2
 
 
-def aperture_means(rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float, moving: Moving) -> Array:
+def aperture_means(
+    rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float, moving: Moving
+) -> Array:
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
     picture_um = [count * light.sample_pitch_um for count in light.rate_e_per_s_um2.shape]
     _, size_um, first_um = array_on(picture_um, light.array_um, physics)
     moves = Moves(LightSpectrum(rate), moving, physics.pixel.bin_side) if moving.is_on else None
     total = integrate_pixels(
-        rate, light.sample_pitch_um, physics.pitch_um, side_um, size_um=size_um, first_um=first_um, moves=moves
+        rate,
+        light.sample_pitch_um,
+        physics.pitch_um,
+        side_um,
+        size_um=size_um,
+        first_um=first_um,
+        moves=moves,
     )
     return total / side_um**2
 
 
 def mixed_at_every_pixel(
-    light: PreparedScene, physics: PixelPhysics, collection: ColourCollection, moving: Moving, *, is_shaded: bool
+    light: PreparedScene,
+    physics: PixelPhysics,
+    collection: ColourCollection,
+    moving: Moving,
+    *,
+    is_shaded: bool,
 ) -> list[Array]:
-    """Return what each channel records at every pixel, 1 for white, with the light of neighbours through their filters.
+    """Return what each channel records at every pixel, 1 for white, with the light of neighbours
+    through their filters.
 
     The neighbours are those of the channel's pixels in the unit cell, in the mean over them.
 
-    is_shaded : whether the frame's shading is taken out, place by place; else white is that of the middle
+    is_shaded : whether the frame's shading is taken out, place by place; else white is that of the
+        middle
     """
     means = [
-        aperture_means(channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, moving)
+        aperture_means(
+            channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, moving
+        )
         for channel_light, channel in zip(light.lights, collection.each, strict=True)
     ]
     flat_fields = [np.full(means[0].shape, rate) for rate in collection.rates]
@@ -68,20 +92,29 @@ def mixed_at_every_pixel(
         recorded, white = (
             sum(
                 share_with_neighbours(values, channel.shares * weight)
-                for values, channel, weight in zip(channel_values, collection.each, weights, strict=True)
+                for values, channel, weight in zip(
+                    channel_values, collection.each, weights, strict=True
+                )
                 if weight.any()
             )
             for channel_values in (means, flat_fields)
         )
-        recorded, white = read_as_one(np.asarray(recorded), side), read_as_one(np.asarray(white), side)
-        planes.append(recorded / (white if is_shaded else white[white.shape[0] // 2, white.shape[1] // 2]))
+        recorded, white = (
+            read_as_one(np.asarray(recorded), side),
+            read_as_one(np.asarray(white), side),
+        )
+        planes.append(
+            recorded / (white if is_shaded else white[white.shape[0] // 2, white.shape[1] // 2])
+        )
     return planes
 
 
 def neighbours(layout: Layout) -> Array:
-    """Return how often the pixels around one of each channel have each channel, (C, C, 5, 5): the pixel's, its neighbour's, where.
+    """Return how often the pixels around one of each channel have each channel, (C, C, 5, 5): the
+    pixel's, its neighbour's, where.
 
-    The places are those of `share_with_neighbours`: [dy + 2, dx + 2] is dy rows above and dx columns to the left.
+    The places are those of `share_with_neighbours`: [dy + 2, dx + 2] is dy rows above and dx
+    columns to the left.
     """
     count = len(layout.channels)
     if layout.is_stacked:

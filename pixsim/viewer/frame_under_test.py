@@ -21,8 +21,9 @@ class FrameUnderTest:
     """A frame that metrics judge.
 
     development : how the frame becomes a picture
-    registrations : yields what is expected of frames of this pixel size, of this frame first, at so many registrations under all
-        frames of the size together; where dots are pixels, of this frame alone. Only for light that metrics ask for
+    registrations : yields what is expected of frames of this pixel size, of this frame first, at so
+        many registrations under all frames of the size together; where dots are pixels, of this
+        frame alone. Only for light that metrics ask for
     stream : key of random streams for metrics that draw frames of their own
     """
 
@@ -32,7 +33,9 @@ class FrameUnderTest:
     stream: tuple[object, ...] = ()
 
     @classmethod
-    def of(cls, chain: ImagingChain, frame: Frame, number: int = 0, stream: tuple[object, ...] = ()) -> FrameUnderTest:
+    def of(
+        cls, chain: ImagingChain, frame: Frame, number: int = 0, stream: tuple[object, ...] = ()
+    ) -> FrameUnderTest:
         """Return the record of a frame of a chain.
 
         number : of the frame among those of its pixel size
@@ -42,7 +45,9 @@ class FrameUnderTest:
         def registrations(count: int) -> Iterator[ExpectedFrame]:
             yield chain.expected(frame.integration_s)
             repeats = chain.imaging.metrics.repeats
-            others = math.ceil(count / repeats) if chain.screen.display.raster == "fixed_size" else 1
+            others = (
+                math.ceil(count / repeats) if chain.screen.display.raster == "fixed_size" else 1
+            )
             for step in range(1, others):
                 other = chain.registered(number + step * repeats)
                 yield other.expected(other.integration_s)
@@ -66,25 +71,34 @@ class FrameUnderTest:
 
     @cached_property
     def score(self) -> FrameScore:
-        """The picture of the frame, and its S-CIELAB difference; computed if a metric asks for it."""
+        """The picture of the frame, and its S-CIELAB difference; computed if a metric asks for
+        it.
+        """
         return self.development.score(self.frame)
 
     def statistics(self, missing: dict[str, str] | None = None) -> dict[str, float]:
-        """Return the numbers of a row: of the pixel, of the frame, and of each metric by its columns.
+        """Return the numbers of a row: of the pixel, of the frame, and of each metric by its
+        columns.
 
         missing : gets the reason, by the metric's name, why one has no number
         """
         metrics = self.imaging.metrics.chosen
-        numbers = frame_statistics(self.development.readout, self.frame) | numbers_of(metrics, self, missing)
-        return numbers | self.score.gamut if any(metric.is_delta_e for metric in metrics) else numbers
+        numbers = frame_statistics(self.development.readout, self.frame) | numbers_of(
+            metrics, self, missing
+        )
+        return (
+            numbers | self.score.gamut if any(metric.is_delta_e for metric in metrics) else numbers
+        )
 
 
 def numbers_of(
     metrics: Sequence[Metric], judged: FrameUnderTest | Score, missing: dict[str, str] | None = None
 ) -> dict[str, float]:
-    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that need no frame.
+    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that
+    need no frame.
 
-    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None raises a NoNumberError
+    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None
+        raises a NoNumberError
     """
     numbers: dict[str, float] = {}
     for metric in metrics:

@@ -1,4 +1,5 @@
-"""All settings between the light on a sensor and a score, in one record: what every function of `viewer` takes.
+"""All settings between the light on a sensor and a score, in one record: what every function of
+`viewer` takes.
 
 The way of one frame, each step in the module of its name:
 
@@ -41,11 +42,13 @@ class Imaging:
     """The settings of a frame and its score, beside the light and the random numbers.
 
     technology : of the pixel, with all its numbers
-    border_um : width on each side of the die that is not scored, of all that is scored on the same dots; None: as wide as this
-        pixel alone needs
-    single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
+    border_um : width on each side of the die that is not scored, of all that is scored on the same
+        dots; None: as wide as this pixel alone needs
+    single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not
+        with `full`
     full : use no shortcut for grey images, and leave out nothing of the pixels' stack
-    is_run : whether repeats are the sensors of a run: the first one is centred, and its random streams have no number
+    is_run : whether repeats are the sensors of a run: the first one is centred, and its random
+        streams have no number
     """
 
     camera: Camera
@@ -88,7 +91,9 @@ class Imaging:
         motion: Motion | None = None,
         metrics: MetricRequest = DELTA_E_ONLY,
     ) -> Imaging:
-        """Return the settings of records, with the technology that the pixel names; None means the defaults."""
+        """Return the settings of records, with the technology that the pixel names; None means the
+        defaults.
+        """
         return cls(
             camera,
             pixel,
@@ -118,7 +123,9 @@ class Imaging:
 
     @property
     def scored_border_um(self) -> float:
-        """Width on each side of the die that is not scored: `border_um`, or that of this pixel, with room for what moves."""
+        """Width on each side of the die that is not scored: `border_um`, or that of this pixel,
+        with room for what moves.
+        """
         if self.border_um is not None:
             return self.border_um
         border_um, pixels = self.physics.border_um, (self.pixel.pitch_um, self.pixel.bin_side)
@@ -133,7 +140,9 @@ class Imaging:
         return pixel.content_hash, content_hash(self.physics.technology.content)
 
     def changed(self, **settings: Any) -> Imaging:
-        """Return the same with other settings; the pixel is not derived again where none of them changes it."""
+        """Return the same with other settings; the pixel is not derived again where none of them
+        changes it.
+        """
         other = replace(self, **settings)
         if "physics" in self.__dict__ and not settings.keys() & set(OF_PHYSICS):
             other.__dict__["physics"] = self.physics
@@ -146,10 +155,12 @@ class Imaging:
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
     def registered(self, repeat: int, array_um: tuple[float, float] | None = None) -> Imaging:
-        """Return the pixels of one repeat, with its registration. Where dots are pixels, all arrays are centred.
+        """Return the pixels of one repeat, with its registration. Where dots are pixels, all arrays
+        are centred.
 
-        The first repeat of a run is centred: its registration is 0 along an axis with an even number of pixels, and 0.5 with an
-        odd one. The further ones are spread from there as those of a study are from 0.
+        The first repeat of a run is centred: its registration is 0 along an axis with an even
+        number of pixels, and 0.5 with an odd one. The further ones are spread from there as those
+        of a study are from 0.
 
         array_um : (height, width) that the pixels of a run fill
         """
@@ -163,7 +174,9 @@ class Imaging:
         return self._with_physics(self.physics.registered(repeat, first=first))
 
     def spread(self, number: int) -> Imaging:
-        """Return the same pixels at a registration of the spread ones (`PixelPhysics.registered`), whatever theirs is."""
+        """Return the same pixels at a registration of the spread ones (`PixelPhysics.registered`),
+        whatever theirs is.
+        """
         centred = replace(self.physics, pixel=self.pixel.model_copy(update={"registration": None}))
         return self._with_physics(centred.registered(number))
 

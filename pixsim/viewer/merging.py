@@ -27,7 +27,8 @@ RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
 
 
 def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them.
+    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word
+    the base states them.
 
     A real lens replaces the focal length and the chief rays of `base` too.
     """
@@ -36,13 +37,19 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Tables without what others restate in other words."""
-    gone = {key: words(over[key]) for key, words in RESTATED.items() if isinstance(over.get(key), dict)}
+    gone = {
+        key: words(over[key]) for key, words in RESTATED.items() if isinstance(over.get(key), dict)
+    }
     gone["camera"] = {*replaced_by_lens(base, over)}
     return {key: _without(table, gone.get(key, ())) for key, table in base.items()}
 
 
 def _without(table: object, names: Iterable[str]) -> object:
-    return {name: value for name, value in table.items() if name not in names} if isinstance(table, dict) else table
+    return (
+        {name: value for name, value in table.items() if name not in names}
+        if isinstance(table, dict)
+        else table
+    )
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:

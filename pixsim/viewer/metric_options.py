@@ -13,7 +13,9 @@ from pixsim.light.quantities import Fraction
 
 Illuminance = Annotated[float, Field(ge=1e-9, le=1e9)]
 Length = Annotated[float, Field(ge=1e-6, le=1e9)]
-MetricNames = Annotated[tuple[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)], ...], Field(min_length=1)]
+MetricNames = Annotated[
+    tuple[Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)], ...], Field(min_length=1)
+]
 
 
 NO_CONTRAST: dict[str, NumberOrText] = {"contrast": 0.0}
@@ -24,7 +26,10 @@ def _as_table(value: object) -> object:
     """Take the text name=value,… of a command line as the table that it stands for."""
     if not (isinstance(value, str) and PAIRS.fullmatch(value)):
         return value
-    return {name.strip(): text.strip() for name, _, text in (pair.partition("=") for pair in value.split(","))}
+    return {
+        name.strip(): text.strip()
+        for name, _, text in (pair.partition("=") for pair in value.split(","))
+    }
 
 
 class Detectability(Record):
@@ -32,19 +37,28 @@ class Detectability(Record):
 
     without: Annotated[str | dict[str, NumberOrText], BeforeValidator(_as_table)] = Field(
         NO_CONTRAST,
-        description="the scene without the target: values of the scene's parameters, as contrast=0; or another scene, a file or a "
-        "packaged name; of light that is given in a file, a file of light",
+        description=(
+            "the scene without the target: values of the scene's parameters, as contrast=0; or"
+            " another scene, a file or a packaged name; of light that is given in a file, a file of"
+            " light"
+        ),
     )
     registrations: Annotated[int, Field(ge=1, le=1000)] = Field(
-        16, description="least number of positions of the pixels under the target, over all frames of a pixel size"
+        16,
+        description=(
+            "least number of positions of the pixels under the target, over all frames of a pixel"
+            " size"
+        ),
     )
     threshold: Annotated[float, Field(ge=1e-3, le=1e3)] = Field(
         5.0, description="d′ at which a target counts as seen; Rose (1948) has 5"
     )
     solve_for: Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$", max_length=60)] | None = Field(
         None,
-        description="parameter of the scene, as contrast, size_mm or lux, whose value at this threshold a run looks for, from its "
-        "own on (absent: none)",
+        description=(
+            "parameter of the scene, as contrast, size_mm or lux, whose value at this threshold a"
+            " run looks for, from its own on (absent: none)"
+        ),
     )
 
 
@@ -53,10 +67,14 @@ class Information(Record):
 
     spectrum: Literal["natural", "scene"] = Field(
         "natural",
-        description="'natural': power C/(f² + f₀²), of natural scenes; 'scene': that of the scene's own light, radially averaged",
+        description=(
+            "'natural': power C/(f² + f₀²), of natural scenes; 'scene': that of the scene's own"
+            " light, radially averaged"
+        ),
     )
     contrast: Annotated[float, Field(ge=1e-6, le=10)] = Field(
-        0.15, description="of a natural spectrum: rms contrast in an octave of frequencies far above f₀"
+        0.15,
+        description="of a natural spectrum: rms contrast in an octave of frequencies far above f₀",
     )
     corner_cy_per_mm: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
         None, description="of a natural spectrum: f₀ on the sensor (absent: a cycle across the die)"
@@ -64,7 +82,9 @@ class Information(Record):
 
     @property
     def other_contrasts(self) -> tuple[float, float] | None:
-        """A third of the contrast, and three times it but at most 1, or itself if it is more; None for a scene's own spectrum."""
+        """A third of the contrast, and three times it but at most 1, or itself if it is more; None
+        for a scene's own spectrum.
+        """
         if self.spectrum == "scene":
             return None
         return self.contrast / 3, max(self.contrast, min(3 * self.contrast, 1.0))
@@ -73,15 +93,21 @@ class Information(Record):
 class SnrIlluminance(Record):
     """Settings of the metric snr10_lx."""
 
-    snr: Annotated[float, Field(ge=0.1, le=1e6)] = Field(10.0, description="signal to noise ratio of a dot of the display")
+    snr: Annotated[float, Field(ge=0.1, le=1e6)] = Field(
+        10.0, description="signal to noise ratio of a dot of the display"
+    )
     reflectance: Fraction = Field(0.18, description="of the wall")
-    integration_s: Annotated[float, Field(ge=1e-9, le=1e6)] = Field(1 / 30, description="integration time")
+    integration_s: Annotated[float, Field(ge=1e-9, le=1e6)] = Field(
+        1 / 30, description="integration time"
+    )
 
 
 class Niirs(Record):
     """Settings of the metric niirs."""
 
-    ground_distance_m: Length | None = Field(None, description="of the ground from the lens (absent: that of the plane in focus)")
+    ground_distance_m: Length | None = Field(
+        None, description="of the ground from the lens (absent: that of the plane in focus)"
+    )
     reflectances: Annotated[tuple[UnitInterval, UnitInterval], BeforeValidator(as_list)] = Field(
         (0.07, 0.15), description="of two surfaces whose difference is the signal of SNR"
     )
@@ -89,7 +115,10 @@ class Niirs(Record):
     @model_validator(mode="after")
     def _surfaces_differ(self) -> Self:
         if self.reflectances[0] == self.reflectances[1]:
-            raise ValueError(f"reflectances = {list(self.reflectances)}, which are equal; give those of two surfaces that differ")
+            raise ValueError(
+                f"reflectances = {list(self.reflectances)}, which are equal; give those of two"
+                " surfaces that differ"
+            )
         return self
 
 
@@ -104,9 +133,14 @@ class MetricOptions(Record):
 
 METRIC_OPTIONS = MetricOptions()
 
-OF_TARGETS = "detectability", "npwe"  # metrics that ask for the light of the scene without its target
+OF_TARGETS = (
+    "detectability",
+    "npwe",
+)  # metrics that ask for the light of the scene without its target
 
 
 def has_target(metrics: Sequence[str]) -> bool:
-    """Return whether some metrics, by their names, ask for the light of the scene without its target."""
+    """Return whether some metrics, by their names, ask for the light of the scene without its
+    target.
+    """
     return any(name in metrics for name in OF_TARGETS)

@@ -17,18 +17,34 @@ NamedOrOwn = str | Callable[[Score], float]
 GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
 OF_FRAMES = DETECTABILITY, INFORMATION, MTF50, NIIRS
 OF_PICTURES = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
-METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (DELTA_E, *OF_FRAMES, *OF_PICTURES)}
+METRICS: Mapping[str, Metric] = {
+    metric.name: metric for metric in (DELTA_E, *OF_FRAMES, *OF_PICTURES)
+}
 
 
 # No metric of a user's may have the name of a column, or of a metric.
-TAKEN = {KEY, *OF_PIXEL, "condition", "pair", "pixel", *METRICS, *columns_of_metrics(tuple(METRICS.values()))}
+TAKEN = {
+    KEY,
+    *OF_PIXEL,
+    "condition",
+    "pair",
+    "pixel",
+    *METRICS,
+    *columns_of_metrics(tuple(METRICS.values())),
+}
 
 _functions: dict[str, Metric] = {}  # of the user's, that a call of this process named last
 
 
 def installed_metrics() -> dict[str, metadata.EntryPoint]:
-    """Return the metrics of installed packages, by the names of their entry points in the group `pixsim.metrics`."""
-    return {entry.name: entry for entry in metadata.entry_points(group=GROUP) if entry.name not in METRICS}
+    """Return the metrics of installed packages, by the names of their entry points in the group
+    `pixsim.metrics`.
+    """
+    return {
+        entry.name: entry
+        for entry in metadata.entry_points(group=GROUP)
+        if entry.name not in METRICS
+    }
 
 
 @cache
@@ -38,12 +54,16 @@ def installed_metric(entry: metadata.EntryPoint) -> Metric:
         return own_metric(entry.load(), entry.name)
     except Exception as error:  # whatever its package raises
         package = entry.dist.name if entry.dist else entry.module
-        got = f"'{entry.name}' of the package {package}, which fails ({type(error).__name__}: {one_line(str(error), 200)})"
+        got = (
+            f"'{entry.name}' of the package {package}, which fails ({type(error).__name__}:"
+            f" {one_line(str(error), 200)})"
+        )
         raise invalid("metrics", got, "an entry point that is a function of a Score") from None
 
 
 def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
-    """Return metrics by their names, and those of functions. Raises PixsimError for an unknown name, or one that is there twice.
+    """Return metrics by their names, and those of functions. Raises PixsimError for an unknown
+    name, or one that is there twice.
 
     names : of metrics, or functions of a `pixsim.Score`
     """
@@ -60,15 +80,23 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
         else:
             own = "A function of your own is given in Python: metrics=[…, my_metric]."
             hint = f"{did_you_mean(name, [*METRICS, *installed])} {own}".strip()
-            raise invalid("metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint)
+            raise invalid(
+                "metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint
+            )
         if metric.code and metric.name in TAKEN:
-            raise invalid("metrics", f"a function '{metric.name}', which is a name of pixsim's", "another name for the function")
+            raise invalid(
+                "metrics",
+                f"a function '{metric.name}', which is a name of pixsim's",
+                "another name for the function",
+            )
         if metric.name in found:
             raise invalid("metrics", f"'{metric.name}' twice", "metrics of different names")
         found[metric.name] = metric
     if not found:
         raise invalid("metrics", "none", f"at least one of {', '.join(METRICS)}")
-    _functions.update({name: metric for name, metric in found.items() if metric.code and name not in names})
+    _functions.update(
+        {name: metric for name, metric in found.items() if metric.code and name not in names}
+    )
     return tuple(found.values())
 
 

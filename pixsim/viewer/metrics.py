@@ -1,4 +1,6 @@
-"""Metrics: what judges a picture, each in one record; the columns of results and their bounds follow from it."""
+"""Metrics: what judges a picture, each in one record; the columns of results and their bounds
+follow from it.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,23 @@ from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.score import Score
 
 # Columns of rows beside those of metrics.
-PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+PIXEL_STATISTICS = (
+    "fill_factor",
+    "full_well_e",
+    "integration_s",
+    "saturated_fraction",
+    "mean_electrons_e",
+)
 OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
-OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
+OF_FRAMES = (
+    "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
+)
 
 
 class NoNumberError(PixsimError):
-    """A metric has no number for a pixel that is possible otherwise: a study goes on with the others."""
+    """A metric has no number for a pixel that is possible otherwise: a study goes on with the
+    others.
+    """
 
 
 def _lacks_nothing(asked: MetricContext) -> str:
@@ -41,15 +53,19 @@ class Metric:
     judges : the picture that it is of
     source : where it is defined
     unseen : what it does not see
-    columns : names of its numbers, in results and in this order; the first one is what a study optimises
+    columns : names of its numbers, in results and in this order; the first one is what a study
+        optimises
     bounds : least and largest value that a number may have
-    compute : numbers of a frame under test (`FrameUnderTest`), or of a `Score` where `needs_frame` is false, as `columns`
+    compute : numbers of a frame under test (`FrameUnderTest`), or of a `Score` where `needs_frame`
+        is false, as `columns`
     lacks : what a configuration would need for the metric to mean something; empty if it has all
     has_optimum : whether a best pixel size may be told from it
-    needs_light : whether it asks for the light of the scene beside the picture, as `FrameUnderTest.expected` has it
+    needs_light : whether it asks for the light of the scene beside the picture, as
+        `FrameUnderTest.expected` has it
     needs_frame : whether it asks for the frame and the sensor behind the picture
     worst : columns of which the least value of all frames counts, not their mean
-    variants : columns of the same number under other assumptions, each of which tells a best size; NaN where they mean nothing
+    variants : columns of the same number under other assumptions, each of which tells a best size;
+        NaN where they mean nothing
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -92,11 +108,15 @@ class Metric:
         return f"{'least' if self.better == 'less' else 'greatest'} {self.words}"
 
     def worse_by(self, difference: Array | float) -> Array:
-        """Return by how much a difference from another value is for the worse, in the metric's unit, (...)."""
+        """Return by how much a difference from another value is for the worse, in the metric's
+        unit, (...).
+        """
         return np.asarray(difference if self.better == "less" else np.negative(difference))
 
     def loss(self, values: Array) -> Array:
-        """Return what is least at the best size, (...): values where less is better, else reciprocals; NaN of 0 or less."""
+        """Return what is least at the best size, (...): values where less is better, else
+        reciprocals; NaN of 0 or less.
+        """
         if self.better == "less":
             return values
         return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=values > 0)
@@ -106,11 +126,15 @@ class Metric:
         return loss if self.better == "less" else 1 / loss
 
     def digest(self) -> str:
-        """Return what tells the metric from others, in a report's key; the code is pixsim's, or hashed."""
+        """Return what tells the metric from others, in a report's key; the code is pixsim's, or
+        hashed.
+        """
         return f"{self.name} {self.columns} {self.code}"
 
     def lacking(self, asked: MetricContext) -> str:
-        """Return what a configuration would need for the metric to mean something; empty if it has all."""
+        """Return what a configuration would need for the metric to mean something; empty if it has
+        all.
+        """
         return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
 
     def may_lack(self, column: str, value: float) -> bool:
@@ -126,7 +150,11 @@ class Metric:
         low, high = self.bounds
         for name, value in numbers.items():
             if not low <= value <= high and not self.may_lack(name, value):
-                raise invalid(f"the metric {self.name}", f"{name} = {value:g}", f"a number from {low:g} to {high:g}")
+                raise invalid(
+                    f"the metric {self.name}",
+                    f"{name} = {value:g}",
+                    f"a number from {low:g} to {high:g}",
+                )
         return numbers
 
 
@@ -157,7 +185,11 @@ class OwnFunction:
 
     def __call__(self, score: Score) -> tuple[float]:
         value = self.function(score)
-        if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not math.isfinite(value):
+        if (
+            not isinstance(value, int | float | np.number)
+            or isinstance(value, bool)
+            or not math.isfinite(value)
+        ):
             got = f"{value!r:.80} of {self.function.__name__}"
             raise invalid("metrics", got, "a function that returns one finite number of a Score")
         return (float(value),)
@@ -166,14 +198,19 @@ class OwnFunction:
 def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
     """Return the metric of a user's function, which takes a `pixsim.Score` and returns a number.
 
-    The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the function are the metric's.
-    Results depend on the function's code, and on the functions and values to which it refers.
+    The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the
+    function are the metric's. Results depend on the function's code, and on the functions and
+    values to which it refers.
 
     name : of the metric and its column; that of the function if it is empty
     """
     name = name or getattr(function, "__name__", "")
     if not callable(function) or not name.isidentifier():
-        raise invalid("metrics", f"{function!r:.80}", "a function with a name, which is that of its column: not a lambda")
+        raise invalid(
+            "metrics",
+            f"{function!r:.80}",
+            "a function with a name, which is that of its column: not a lambda",
+        )
     better: Literal["less", "more"] = getattr(function, "better", "less")
     if better not in ("less", "more"):
         raise invalid("metrics", f"{name}.better = {better!r}", "'less' or 'more'")
@@ -198,13 +235,20 @@ def columns_of_metrics(metrics: Sequence[Metric]) -> tuple[str, ...]:
     return tuple(column for metric in metrics for column in metric.columns)
 
 
-def columns_with_numbers(metrics: Sequence[Metric], values: Mapping[str, Array | float]) -> tuple[str, ...]:
-    """Return the columns of some metrics, in their order, without the variants that have no number among the values.
+def columns_with_numbers(
+    metrics: Sequence[Metric], values: Mapping[str, Array | float]
+) -> tuple[str, ...]:
+    """Return the columns of some metrics, in their order, without the variants that have no number
+    among the values.
 
     values : (...) of each column
     """
     variants = {name for metric in metrics for name in metric.variants}
-    return tuple(name for name in columns_of_metrics(metrics) if name not in variants or np.isfinite(values[name]).any())
+    return tuple(
+        name
+        for name in columns_of_metrics(metrics)
+        if name not in variants or np.isfinite(values[name]).any()
+    )
 
 
 def _delta_e(score: Score) -> tuple[float, ...]:
@@ -218,9 +262,15 @@ DELTA_E = Metric(
     better="less",
     judges="shown picture",
     source="Zhang and Wandell, SID Journal 5 (1997) 61; Chen et al., Proc. SPIE 3965 (2000) 451",
-    unseen="what nobody sees at the display's distance: detail for machine vision, and light outside 360-830 nm",
+    unseen=(
+        "what nobody sees at the display's distance: detail for machine vision, and light outside"
+        " 360-830 nm"
+    ),
     columns=COLUMNS,
-    bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
+    bounds=(
+        0.0,
+        1e3,
+    ),  # of any two colours: black and white differ by 100, the most saturated ones by 260
     compute=_delta_e,
     needs_frame=False,
 )
@@ -251,16 +301,27 @@ class MetricRequest:
 
     @property
     def content(self) -> tuple[object, ...]:
-        """What the numbers depend on: the settings of those metrics that have some, and the code of the user's functions."""
+        """What the numbers depend on: the settings of those metrics that have some, and the code of
+        the user's functions.
+        """
         options = {metric.name: getattr(self.options, metric.name, None) for metric in self.chosen}
-        tables = {name: None if table is None else table.model_dump(mode="json") for name, table in options.items()}
-        return tables, [metric.code for metric in self.chosen], self.repeats if self.needs_light else 0
+        tables = {
+            name: None if table is None else table.model_dump(mode="json")
+            for name, table in options.items()
+        }
+        return (
+            tables,
+            [metric.code for metric in self.chosen],
+            self.repeats if self.needs_light else 0,
+        )
 
     def check(self, context: MetricContext) -> None:
         """Raise PixsimError for a metric that means nothing in a configuration."""
         for metric in self.chosen:
             if lacking := metric.lacking(context):
-                others = ", ".join(other.name for other in self.chosen if not other.lacking(context))
+                others = ", ".join(
+                    other.name for other in self.chosen if not other.lacking(context)
+                )
                 allowed = f"{lacking}; or other metrics" + (f", as {others}" if others else "")
                 raise invalid("metrics", f"'{metric.name}'", allowed)
 

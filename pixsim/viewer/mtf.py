@@ -24,15 +24,20 @@ OF_DISPLAY = ("interpolation", "dot")
 
 
 def mtf_terms(
-    imaging: Imaging, irradiance: SpectralImage, frequency_cy_per_mm: Array, dot_um: float | None = None, path_um: float = 0.0
+    imaging: Imaging,
+    irradiance: SpectralImage,
+    frequency_cy_per_mm: Array,
+    dot_um: float | None = None,
+    path_um: float = 0.0,
 ) -> dict[str, Array]:
-    """Return the MTF of each term along an axis: lens, motion, photodiode, interpolation, dot, (...) as the frequencies, 0 to 1.
+    """Return the MTF of each term along an axis: lens, motion, photodiode, interpolation, dot,
+    (...) as the frequencies, 0 to 1.
 
-    The lens term is white-light diffraction, weighted by the scene's light and the pixel's response; of a real lens, in its
-    place, `real lens`: the rms of its MTF over the die. Lens and photodiode are
-    those of Chen et al. (2000), section 2.2. The last two belong to the display: its interpolation between pixel centres, and
-    the mean over a dot. A `one_to_one` display has neither. In the place of the photodiode, pixels with a stack have that of
-    `stack_mtf_terms`.
+    The lens term is white-light diffraction, weighted by the scene's light and the pixel's
+    response; of a real lens, in its place, `real lens`: the rms of its MTF over the die. Lens and
+    photodiode are those of Chen et al. (2000), section 2.2. The last two belong to the display: its
+    interpolation between pixel centres, and the mean over a dot. A `one_to_one` display has
+    neither. In the place of the photodiode, pixels with a stack have that of `stack_mtf_terms`.
 
     dot_um : side of a dot on the sensor; None means that of the whole picture
     path_um : of light that moves in an exposure, along the axis
@@ -47,7 +52,11 @@ def mtf_terms(
     if traced is not None:
         terms = {"real lens": traced}
     else:
-        terms = {"lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number)}
+        terms = {
+            "lens": white_otf(
+                frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number
+            )
+        }
     if path_um:
         terms["motion"] = np.abs(np.sinc(1e-3 * path_um * frequency_cy_per_mm))
     if physics.stack is None:
@@ -55,36 +64,55 @@ def mtf_terms(
     else:
         terms |= stack_mtf_terms(irradiance, camera, physics, frequency_cy_per_mm)
     if display.raster == "fixed_size":
-        terms["interpolation"] = interpolation_mtf(frequency_cy_per_mm, physics.pitch_um, display.interpolation)
-        terms["dot"] = square_aperture_mtf(frequency_cy_per_mm, dot_um or picture_size_um(irradiance)[1] / display.dots)
+        terms["interpolation"] = interpolation_mtf(
+            frequency_cy_per_mm, physics.pitch_um, display.interpolation
+        )
+        terms["dot"] = square_aperture_mtf(
+            frequency_cy_per_mm, dot_um or picture_size_um(irradiance)[1] / display.dots
+        )
     return terms
 
 
 def stack_mtf_terms(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, frequency_cy_per_mm: Array
 ) -> dict[str, Array]:
-    """Return the MTF of each term of a pixel's stack along an axis, for light on the axis of the lens, (...) as the frequencies.
+    """Return the MTF of each term of a pixel's stack along an axis, for light on the axis of the
+    lens, (...) as the frequencies.
 
-    microlens, or opening : of the aperture, the pitch under a microlens, else the opening where it meets the photodiode
-    crosstalk : of the shares that the pixels around collect
-    diffusion : of charge between bare pixels; it changes with the wavelength, as the lens, and so is a ratio to the lens's term
+    microlens, or opening : of the aperture, the pitch under a microlens, else the opening where it
+    meets the photodiode crosstalk : of the shares that the pixels around collect diffusion : of
+    charge between bare pixels; it changes with the wavelength, as the lens, and so is a ratio to
+    the lens's term
     """
     stack, light = physics.stack, illumination_of(irradiance, camera, physics)
     assert stack is not None
     frequency = np.asarray(frequency_cy_per_mm, float)
-    aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel()).reshape(frequency.shape)
+    aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel()).reshape(
+        frequency.shape
+    )
     along = kernel_on_axis(physics, light).sum(axis=0)
-    phase = 2e-3j * np.pi * physics.pitch_um * frequency[..., None] * (np.arange(along.size) - along.size // 2)
+    phase = (
+        2e-3j
+        * np.pi
+        * physics.pitch_um
+        * frequency[..., None]
+        * (np.arange(along.size) - along.size // 2)
+    )
     crosstalk = np.minimum(np.abs(np.exp(phase) @ along) / along.sum(), 1.0)  # but for rounding
     terms = {"microlens" if stack.microlens else "opening": aperture, "crosstalk": crosstalk}
     if (blur := diffusion_of(physics)) is not None:
         weight = np.array(light.weight) / np.sum(light.weight)
-        lens = [diffraction_otf(frequency, nm, camera.effective_f_number) for nm in light.wavelength_nm]
+        lens = [
+            diffraction_otf(frequency, nm, camera.effective_f_number) for nm in light.wavelength_nm
+        ]
         blurred = sum(
-            part * otf * blur(np.abs(frequency), nm) for part, otf, nm in zip(weight, lens, light.wavelength_nm, strict=True)
+            part * otf * blur(np.abs(frequency), nm)
+            for part, otf, nm in zip(weight, lens, light.wavelength_nm, strict=True)
         )
         alone = sum(part * otf for part, otf in zip(weight, lens, strict=True))
-        terms["diffusion"] = np.divide(blurred, alone, out=np.zeros(frequency.shape), where=np.asarray(alone) > 0)
+        terms["diffusion"] = np.divide(
+            blurred, alone, out=np.zeros(frequency.shape), where=np.asarray(alone) > 0
+        )
     return terms
 
 

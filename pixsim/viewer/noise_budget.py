@@ -1,20 +1,23 @@
-"""What a frame's noise and its mean ΔE are made of, cause by cause: each is switched off in turn, and stays off.
+"""What a frame's noise and its mean ΔE are made of, cause by cause: each is switched off in turn,
+and stays off.
 
-Light that flickers first, which is steady for all else. Then noise, from the codes back to the light: rounding by the ADC, each
-source of `pixsim.sensor.noise` from the last to the first, shot noise of dark charge, and that of light; then noise reduction, for
-what it blurs.
+Light that flickers first, which is steady for all else. Then noise, from the codes back to the
+light: rounding by the ADC, each source of `pixsim.sensor.noise` from the last to the first, shot
+noise of dark charge, and that of light; then noise reduction, for what it blurs.
 
-Then colour. Without the mosaic, every pixel knows each channel as that channel's pixels would record it there. Without crosstalk
-and shading, no light of neighbours has passed other filters. Without colour error, the channels are those of the observer. The
-matrix takes crosstalk of colours apart. That amplifies noise, which belongs to noise, and it sharpens, so that the part of
-crosstalk is small and may be below 0.
+Then colour. Without the mosaic, every pixel knows each channel as that channel's pixels would
+record it there. Without crosstalk and shading, no light of neighbours has passed other filters.
+Without colour error, the channels are those of the observer. The matrix takes crosstalk of colours
+apart. That amplifies noise, which belongs to noise, and it sharpens, so that the part of crosstalk
+is small and may be below 0.
 
-Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of neighbours, sampling and the display's
-interpolation, and the pixel's aperture. What is left is the remainder.
+Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of
+neighbours, sampling and the display's interpolation, and the pixel's aperture. What is left is the
+remainder.
 
-Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where several faults hide one
-another, a cause takes off more the later it is switched off, and one that is nearly nothing may take off a little less than 0, by
-the random numbers of another draw.
+Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where
+several faults hide one another, a cause takes off more the later it is switched off, and one that
+is nearly nothing may take off a little less than 0, by the random numbers of another draw.
 """
 
 from __future__ import annotations
@@ -61,14 +64,17 @@ SHADING, MOTION, VEIL, LENS, NEIGHBOURS = "shading", "motion", "veiling glare", 
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
 NOISE, BLUR = "noise", "blur"
 MORE_BITS = 8  # of an ADC that rounds 256 times finer
-Steps = Iterator[tuple[str, float]]  # each cause with the mean ΔE that is left without it and those before it
+Steps = Iterator[
+    tuple[str, float]
+]  # each cause with the mean ΔE that is left without it and those before it
 
 
 @dataclass(frozen=True)
 class NoiseBudget:
     """Noise in electrons, and mean ΔE, by cause.
 
-    electrons_e : cause -> standard deviation, the root of the mean square over the values of a frame
+    electrons_e : cause -> standard deviation, the root of the mean square over the values of a
+        frame
     total_e : of all of them, by the closed forms
     measured_e : of the frame: its difference from the mean electrons
     render_e : of the light by its render, which the ideal picture has too; no part of the others
@@ -91,7 +97,9 @@ class NoiseBudget:
 
     @property
     def parts(self) -> dict[str, float]:
-        """The mean ΔE by kinds of causes, which add up to it: noise, what colours cost, and blur with the remainder."""
+        """The mean ΔE by kinds of causes, which add up to it: noise, what colours cost, and blur
+        with the remainder.
+        """
         sums = dict.fromkeys((NOISE, MOSAIC, CROSSTALK, COLOUR_ERROR, BLUR), 0.0)
         for cause, delta_e in self.delta_e.items():
             sums[self.part_of(cause)] += delta_e
@@ -140,13 +148,18 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
         measured_e=float(np.sqrt(np.mean(np.square(measured)))),
         render_e=render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
         mean_delta_e=mean_delta_e,
-        delta_e={cause: before - after for (cause, _), (before, after) in zip(steps, pairwise(left), strict=True)},
+        delta_e={
+            cause: before - after
+            for (cause, _), (before, after) in zip(steps, pairwise(left), strict=True)
+        },
         remainder_delta_e=left[-1],
     )
 
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
-    """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
+    """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a
+    well without end.
+    """
     exposure = lasting(chain.exposure, integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
     frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.readout, exposure)
@@ -158,7 +171,9 @@ def undenoised(chain: ImagingChain) -> ImagingChain:
     develop = chain.imaging.develop
     if not develop.denoises:
         return chain
-    return replace(chain, imaging=chain.imaging.changed(develop=develop.model_copy(update={"denoise": "none"})))
+    return replace(
+        chain, imaging=chain.imaging.changed(develop=develop.model_copy(update={"denoise": "none"}))
+    )
 
 
 def render_noise_of(irradiance: SpectralImage) -> float:
@@ -169,28 +184,42 @@ def render_noise_of(irradiance: SpectralImage) -> float:
 
 
 def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
-    """Return the variance of a frame by each cause of noise, the mean over its values in electrons squared, in their order.
+    """Return the variance of a frame by each cause of noise, the mean over its values in electrons
+    squared, in their order.
 
     Valid where nothing clips: at 0 DN and at the well a frame varies less.
     """
     p, light_e = chain.readout, chain.signal_e_per_s * integration_s
     dark_e = p.dark_current_e_per_s * integration_s
-    of_sources = {name: float(np.mean(value)) for name, value in variances_e2(p, light_e=light_e, dark_e=dark_e).items()}
+    of_sources = {
+        name: float(np.mean(value))
+        for name, value in variances_e2(p, light_e=light_e, dark_e=dark_e).items()
+    }
     of_dark = {DARK: dark_e} if dark_e > 0 else {}
     found = {name: value for name, value in reversed(of_sources.items()) if value > 0} | of_dark
-    return {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2} | found | {SHOT: float(np.mean(light_e))}
+    return (
+        {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2}
+        | found
+        | {SHOT: float(np.mean(light_e))}
+    )
 
 
 def finer_adc(readout: Readout) -> Readout:
-    """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes have the bits."""
+    """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes
+    have the bits.
+    """
     adc, more = readout.adc, min(MORE_BITS, MAX_CODE_BITS - readout.code_bits)
     gain_e_per_dn = readout.amplification / readout.dn_per_e / 2**more
     finer = Adc(adc.bits + more, adc.black_level_dn * 2**more, gain_e_per_dn=gain_e_per_dn)
     return replace(readout, adc=finer)
 
 
-def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]) -> Steps:
-    """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE that is left."""
+def noise_steps(
+    chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]
+) -> Steps:
+    """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE
+    that is left.
+    """
     exposure = lasting(chain.exposure, noiseless.integration_s)
     readout = chain.readout
     for name in variances:
@@ -208,8 +237,12 @@ def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str],
         yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
 
 
-def delta_e_of_planes(planes: Sequence[Array], matrix: Array | None, chain: ImagingChain, noiseless: Frame) -> float:
-    """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for white."""
+def delta_e_of_planes(
+    planes: Sequence[Array], matrix: Array | None, chain: ImagingChain, noiseless: Frame
+) -> float:
+    """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for
+    white.
+    """
     developing = chain.development.developing(noiseless, matrix)
     dots = chain.development.mixed_on_dots(developed(list(planes), developing), developing)
     return delta_e_of_dots(dots, chain)
@@ -222,7 +255,9 @@ def delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
 
 
 def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
-    """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left; nothing for grey sensors."""
+    """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left;
+    nothing for grey sensors.
+    """
     imaging, scene = chain.imaging, chain.scene
     physics = imaging.physics
     assert scene is not None
@@ -232,9 +267,13 @@ def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fram
     unmixed = replace(chain, collection=None, rendition=scene.rendition, whites_e_per_s=whites)
     pixels = centred_pixels(scene.array_um, physics)
     channels = []
-    for light, channel, white in zip(scene.lights, physics.channels, scene.whites_e_per_s_um2, strict=True):
+    for light, channel, white in zip(
+        scene.lights, physics.channels, scene.whites_e_per_s_um2, strict=True
+    ):
         collection = collection_of(channel, light.illumination, pixels)
-        channels.append(at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving) / white)
+        channels.append(
+            at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving) / white
+        )
 
     # Without a stack, channels record their own light only.
     if chain.collection is None:
@@ -242,28 +281,40 @@ def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fram
     else:
         assert isinstance(chain.collection, ColourCollection)
         is_shaded = chain.development.shading is not None
-        recorded = mixed_at_every_pixel(scene, physics, chain.collection, chain.moving, is_shaded=is_shaded)
+        recorded = mixed_at_every_pixel(
+            scene, physics, chain.collection, chain.moving, is_shaded=is_shaded
+        )
         matrix = chain.development.matrix
     yield MOSAIC, delta_e_of_planes(recorded, matrix, unmixed, noiseless)
     yield CROSSTALK, delta_e_of_planes(channels, unmixed.development.matrix, unmixed, noiseless)
 
     weights, white = observer(chain.development.imaging, irradiance)
-    collection = collection_of(physics, illumination_of(irradiance, imaging.camera, physics), pixels)
+    collection = collection_of(
+        physics, illumination_of(irradiance, imaging.camera, physics), pixels
+    )
     rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
-    observed = [at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates]
+    observed = [
+        at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates
+    ]
     yield COLOUR_ERROR, delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
 
 
 def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
-    """Return what weighs the light's bands, X, Y and Z or a grey sensor's electrons, and the rate of display white per µm²."""
+    """Return what weighs the light's bands, X, Y and Z or a grey sensor's electrons, and the rate
+    of display white per µm².
+    """
     physics = imaging.physics
     if physics.layout is None:
         return [electrons_per_joule(physics, irradiance)], white_rate(imaging, irradiance)
-    return list(xyz_weights(irradiance)), white_y(irradiance, imaging.camera, imaging.display) * M2_PER_UM2
+    return list(xyz_weights(irradiance)), white_y(
+        irradiance, imaging.camera, imaging.display
+    ) * M2_PER_UM2
 
 
 def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
-    """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour error."""
+    """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour
+    error.
+    """
     scene, camera, physics = chain.scene, chain.imaging.camera, chain.imaging.physics
     assert scene is not None
     weights, white = observer(chain.development.imaging, irradiance)
@@ -271,19 +322,29 @@ def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame)
     blur, pixels = diffusion_of(physics), centred_pixels(scene.array_um, physics)
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
 
-    def delta_e_of_pixels(rates: list[Array], *, shares: bool = True, moving: Moving = STANDING) -> float:
-        planes = [at_every_pixel(rate, scene, physics, collection, moving, shares=shares) / white for rate in rates]
+    def delta_e_of_pixels(
+        rates: list[Array], *, shares: bool = True, moving: Moving = STANDING
+    ) -> float:
+        planes = [
+            at_every_pixel(rate, scene, physics, collection, moving, shares=shares) / white
+            for rate in rates
+        ]
         return delta_e_of_planes(planes, matrix, chain, noiseless)
 
     if scene.rendition is None and collection is not None:
-        yield SHADING, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur), moving=chain.moving)
+        yield (
+            SHADING,
+            delta_e_of_pixels(diffracted(irradiance, camera, weights, blur), moving=chain.moving),
+        )
     if chain.moving.is_on:
         yield MOTION, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur))
     if camera.veiling_glare:
         yield VEIL, delta_e_of_pixels(diffracted(irradiance, camera.without_veil, weights, blur))
 
     sharp = ideal_light(irradiance, camera)
-    header = {name: value for name, value in sharp.header.items() if name != LENS_HEADER} | {"diffraction": False}
+    header = {name: value for name, value in sharp.header.items() if name != LENS_HEADER} | {
+        "diffraction": False
+    }
     sharp = sharp.with_planes(sharp.whole.planes, header=header, margin=sharp.margin)
     sharp_camera = without_lens(camera).without_veil
     rates = diffracted(sharp, sharp_camera, weights, blur)
@@ -294,15 +355,29 @@ def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame)
 
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     if chain.screen.display.raster == "fixed_size":
-        averaged = [integrate_pixels(rate, scene.sample_pitch_um, scene.sample_pitch_um, side_um) / side_um**2 for rate in rates]
+        averaged = [
+            integrate_pixels(rate, scene.sample_pitch_um, scene.sample_pitch_um, side_um)
+            / side_um**2
+            for rate in rates
+        ]
         yield SAMPLING, delta_e_of_dots(on_dots(averaged, scene, chain, matrix, white), chain)
     yield APERTURE, delta_e_of_dots(on_dots(rates, scene, chain, matrix, white), chain)
 
 
-def on_dots(rates: list[Array], scene: PreparedScene, chain: ImagingChain, matrix: Array | None, white: float) -> Array:
-    """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel samples, 1 for white.
+def on_dots(
+    rates: list[Array],
+    scene: PreparedScene,
+    chain: ImagingChain,
+    matrix: Array | None,
+    white: float,
+) -> Array:
+    """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel
+    samples, 1 for white.
 
     matrix : from X, Y and Z to the display's primaries; None for a grey sensor
     """
-    means = [means_on_dots(rate, scene.sample_pitch_um, chain.screen.dot_edges_um) / white for rate in rates]
+    means = [
+        means_on_dots(rate, scene.sample_pitch_um, chain.screen.dot_edges_um) / white
+        for rate in rates
+    ]
     return means[0] if matrix is None else mixed(matrix, means)

@@ -26,19 +26,22 @@ def score_pictures(
     *,
     metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
 ) -> Score:
-    """Show two pictures on a display, and compare them by S-CIELAB: pictures that somebody else processed or made.
+    """Show two pictures on a display, and compare them by S-CIELAB: pictures that somebody else
+    processed or made.
 
-    Both are rounded to the codes of the display and clipped to its range, as those of `pixsim.evaluate` are. What a score of
-    `evaluate` holds is shown already, and codes of codes are the same: its pictures give its ΔE again, bit for bit.
+    Both are rounded to the codes of the display and clipped to its range, as those of
+    `pixsim.evaluate` are. What a score of `evaluate` holds is shown already, and codes of codes are
+    the same: its pictures give its ΔE again, bit for bit.
 
-    ideal, image : light of the dots, linear, 1 for white: (H, W), or (H, W, 3) of the display's primaries, those of sRGB
-    display : its codes (gamma, bits), its viewer (samples_per_deg), filters and delta_e; a value is a dot, so that raster,
-        dots and white are not used. None means the default
-    metrics : names of metrics of the shown picture that need no sensor, or functions of the Score that return a number; theirs
-        are the score's `metrics`
+    ideal, image : light of the dots, linear, 1 for white: (H, W), or (H, W, 3) of the display's
+        primaries, those of sRGB
+    display : its codes (gamma, bits), its viewer (samples_per_deg), filters and delta_e; a value is
+        a dot, so that raster, dots and white are not used. None means the default
+    metrics : names of metrics of the shown picture that need no sensor, or functions of the Score
+        that return a number; theirs are the score's `metrics`
 
-    Raises PixsimError for pictures of other shapes, for values that are not finite or are codes, and for a metric that needs a
-    sensor's frame.
+    Raises PixsimError for pictures of other shapes, for values that are not finite or are codes,
+    and for a metric that needs a sensor's frame.
 
     >>> even = np.full((64, 64), 0.5)
     >>> score_pictures(even, even).mean_delta_e
@@ -56,13 +59,23 @@ def score_pictures(
             allowed = "(H, W), or (H, W, 3) of the display's primaries, not empty"
             raise invalid(name, f"an array of shape {picture.shape}", allowed)
         if picture.dtype.kind in "iu" and picture.max() > 1:
-            hint = "Codes of sRGB become light by colour.eotf(codes / 255, 'sRGB'), of colour-science."
-            raise invalid(name, f"whole numbers up to {picture.max()}, which are codes", "linear light, 1 for white", hint)
+            hint = (
+                "Codes of sRGB become light by colour.eotf(codes / 255, 'sRGB'), of colour-science."
+            )
+            raise invalid(
+                name,
+                f"whole numbers up to {picture.max()}, which are codes",
+                "linear light, 1 for white",
+                hint,
+            )
     if ideal.shape != image.shape:
         got = f"arrays of shapes {ideal.shape} and {image.shape}"
         hint = "Resample one to the dots of the other."
         if ideal.ndim != image.ndim:
-            hint = "Grey light is that of three equal primaries: np.repeat(grey[..., None], 3, axis=2)."
+            hint = (
+                "Grey light is that of three equal primaries: np.repeat(grey[..., None], 3,"
+                " axis=2)."
+            )
         raise invalid("ideal and image", got, "equal shapes", hint)
     request.check(MetricContext(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
     ideal, image = ideal.astype(float), image.astype(float)
@@ -72,6 +85,8 @@ def score_pictures(
     ideal, image = shown_luminance(ideal, display), shown_luminance(image, display)
     rows, columns = ideal.shape[:2]
     edges = np.arange(rows + 1.0), np.arange(columns + 1.0)  # a dot is a unit of length
-    screen = Screen(display, (float(rows), float(columns)), edges, ideal, perceived_lab(ideal, display))
+    screen = Screen(
+        display, (float(rows), float(columns)), edges, ideal, perceived_lab(ideal, display)
+    )
     score = Score(screen.delta_e_of(image), ideal, image, display)
     return with_numbers(score, request.chosen, score)

@@ -1,4 +1,6 @@
-"""Metrics of the raw frame, from its expected signal and its closed-form variance: none of them needs a drawn frame."""
+"""Metrics of the raw frame, from its expected signal and its closed-form variance: none of them
+needs a drawn frame.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,12 @@ from pixsim.sensor.reading import Readout
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.frame_under_test import FrameUnderTest
-from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum, neq
+from pixsim.viewer.judges.information_density import (
+    folded_spectrum,
+    information_bits_per_mm2,
+    natural_spectrum,
+    neq,
+)
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
@@ -36,8 +43,13 @@ FARTHEST = 1e12  # of d′, and of the factor of a contrast that none makes visi
 RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
 CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
 START_POINTS = 4097  # signals up to the end of the well, among which a table begins
-MOST_WELLS, WIDER = 64.0, 1.25  # largest signal of a table; by what it is made longer until pixels are full for sure
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # of a panel of up to 12 deviations: errors of 1e-7
+MOST_WELLS, WIDER = (
+    64.0,
+    1.25,
+)  # largest signal of a table; by what it is made longer until pixels are full for sure
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(
+    24
+)  # of a panel of up to 12 deviations: errors of 1e-7
 LEAST = 1e-9  # of deviations, in DN
 POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
@@ -48,7 +60,9 @@ HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second ali
 
 
 def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
-    """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in the shape of the signal."""
+    """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in
+    the shape of the signal.
+    """
     p = readout
     dark_e = p.dark_current_e_per_s * time_s
     alone = variance_e2(p, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel")
@@ -56,7 +70,9 @@ def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: flo
 
 
 def full_e(readout: Readout, time_s: float) -> float:
-    """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark charge alone does it."""
+    """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark
+    charge alone does it.
+    """
     p = readout
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
@@ -69,7 +85,8 @@ def clips(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]
 
 
 class CodeTable(NamedTuple):
-    """Mean and variance of a frame's codes where the well, or an end of the codes, cuts off their noise, against the signal.
+    """Mean and variance of a frame's codes where the well, or an end of the codes, cuts off their
+    noise, against the signal.
 
     Electrons, (n,) each.
 
@@ -102,7 +119,8 @@ class CodeMoments(NamedTuple):
 class ClippedExposure:
     """One exposure of a frame, of pixels that all have the same mean signal.
 
-    It takes the noise of the charge, before the well, and that behind it as normal. Each exposure of a burst clips by itself.
+    It takes the noise of the charge, before the well, and that behind it as normal. Each exposure
+    of a burst clips by itself.
     """
 
     def __init__(self, readout: Readout, time_s: float) -> None:
@@ -111,19 +129,27 @@ class ClippedExposure:
         self.count = readout.exposures
         self.time_s = time_s / self.count
         self.readout = p
-        if not responds_linearly(p.physics):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
-            self.readout = p.with_physics(pixel=p.physics.pixel.model_copy(update={"conversion": "linear"}))
+        if not responds_linearly(
+            p.physics
+        ):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
+            self.readout = p.with_physics(
+                pixel=p.physics.pixel.model_copy(update={"conversion": "linear"})
+            )
         self.dark_e = p.dark_current_e_per_s * self.time_s
         self.black_e = p.black_level_dn / p.dn_per_e
         self.top_e = p.top_code_dn / p.dn_per_e - self.black_e  # charge at the top code
         self.well_e = saturation_level_e(self.time_s, p)
-        self.clip_e = math.inf if is_soft else p.full_well_e  # charge above which all charge is lost
+        self.clip_e = (
+            math.inf if is_soft else p.full_well_e
+        )  # charge above which all charge is lost
         self.offset_fpn_e2 = constant_e(p, is_temporal=False, along="pixel") ** 2
         self.read_e2 = constant_e(p, is_temporal=True, along="pixel") ** 2 + self.offset_fpn_e2
 
     def gains_e2(self, signal_e: Array | float) -> Array:
         """Return the variance of the charge by PRNU and DSNU, which all exposures share."""
-        fixed_e2 = variance_e2(self.readout, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False)
+        fixed_e2 = variance_e2(
+            self.readout, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False
+        )
         return np.maximum(fixed_e2 - self.offset_fpn_e2, 0.0)
 
     def charge_e2(self, signal_e: Array | float) -> Array:
@@ -139,16 +165,23 @@ class ClippedExposure:
         """Return whether the well or the top code cuts off noise."""
         charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
         of_well = charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2) >= self.well_e
-        return np.asarray(of_well | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e))
+        return np.asarray(
+            of_well | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e)
+        )
 
     def is_certain(self, signal_e: float) -> bool:
         """Return whether the well, or the ADC, is full for sure."""
         charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
         of_well = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
-        return of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
+        return (
+            of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
+        )
 
-    def moments(self, signal_e: Array, *, with_gains: bool = True) -> tuple[Array, Array, Array, Array]:
-        """Return the mean of the codes as charge, their variance in e-², and its slopes for the signal and an offset, (n,) each.
+    def moments(
+        self, signal_e: Array, *, with_gains: bool = True
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the mean of the codes as charge, their variance in e-², and its slopes for the
+        signal and an offset, (n,) each.
 
         with_gains : whether PRNU and DSNU are among the noise
         """
@@ -157,23 +190,36 @@ class ClippedExposure:
         charge_e2 = self.charge_e2(signal_e) if with_gains else charge_e
         is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
         if is_filled and self.well_e < self.top_e + FARTHEST_SIGMAS * math.sqrt(self.read_e2):
-            mean_dn, variance_dn2, signal_slope, slope = self._moments_of_well(charge_e, np.sqrt(charge_e2))
+            mean_dn, variance_dn2, signal_slope, slope = self._moments_of_well(
+                charge_e, np.sqrt(charge_e2)
+            )
         else:
             sigma_dn = np.maximum(p.dn_per_e * np.sqrt(charge_e2 + self.read_e2), LEAST)
             level_dn = p.dn_per_e * (self.black_e + charge_e)
             mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn, p.top_code_dn)
             signal_slope = slope
-        return mean_dn / p.dn_per_e - self.black_e, variance_dn2 / p.dn_per_e**2, signal_slope, slope
+        return (
+            mean_dn / p.dn_per_e - self.black_e,
+            variance_dn2 / p.dn_per_e**2,
+            signal_slope,
+            slope,
+        )
 
-    def _moments_of_well(self, charge_e: Array, sigma_e: Array) -> tuple[Array, Array, Array, Array]:
-        """Return `moments` in DN of charges, (n,), with their deviation, by integrals over the charge before the well.
+    def _moments_of_well(
+        self, charge_e: Array, sigma_e: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return `moments` in DN of charges, (n,), with their deviation, by integrals over the
+        charge before the well.
 
-        Full wells have one charge. Below it, panels end where the read noise begins to reach the top code.
+        Full wells have one charge. Below it, panels end where the read noise begins to reach the
+        top code.
         """
         p, read_e = self.readout, math.sqrt(self.read_e2)
         sigma_e = np.maximum(sigma_e, LEAST)  # of no charge, too
         full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
-        ends_e = np.array([self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e])
+        ends_e = np.array(
+            [self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e]
+        )
         ends_e = ends_e[ends_e < self.clip_e]
         inner = np.clip((ends_e[:, None] - charge_e) / sigma_e, -FARTHEST_SIGMAS, full_at)
         edges = np.stack([np.full(charge_e.shape, -FARTHEST_SIGMAS), *inner, full_at])
@@ -182,29 +228,40 @@ class ClippedExposure:
         z = edges[:-1, :, None] + half * (1 + NODES)
         weight = half * WEIGHTS * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
         generated_e = np.maximum(charge_e[:, None] + sigma_e[:, None] * z, 0.0)
-        mean, variance, slope = self._read(stored_signal_e(generated_e, self.time_s, p).ravel(), coarse_dn=0.0)
+        mean, variance, slope = self._read(
+            stored_signal_e(generated_e, self.time_s, p).ravel(), coarse_dn=0.0
+        )
         mean, variance, slope = (values.reshape(z.shape) for values in (mean, variance, slope))
 
         full = np.zeros(charge_e.shape) if math.isinf(self.clip_e) else ndtr(-full_at)
-        full_mean, full_variance, full_slope = self._read(np.array([min(self.clip_e, p.full_well_e)]), coarse_dn=COARSE_DN)
+        full_mean, full_variance, full_slope = self._read(
+            np.array([min(self.clip_e, p.full_well_e)]), coarse_dn=COARSE_DN
+        )
         total = weight.sum(axis=(0, 2)) + full
         mean_dn = ((weight * mean).sum(axis=(0, 2)) + full * full_mean) / total
         mean, full_mean = mean - mean_dn[:, None], full_mean - mean_dn
-        variance_dn2 = ((weight * (variance + mean**2)).sum(axis=(0, 2)) + full * (full_variance + full_mean**2)) / total
+        variance_dn2 = (
+            (weight * (variance + mean**2)).sum(axis=(0, 2)) + full * (full_variance + full_mean**2)
+        ) / total
         offset_slope = ((weight * slope).sum(axis=(0, 2)) + full * full_slope) / total
         # d/dµ of ∫ f(n) φ((n - µ)/σ) dn is ∫ f z φ dz / σ, and σ φ(z) of the full wells.
         of_full = np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi) * full_mean * (full > 0)
-        signal_slope = ((weight * z * mean).sum(axis=(0, 2)) + of_full) / total / (p.dn_per_e * sigma_e)
+        signal_slope = (
+            ((weight * z * mean).sum(axis=(0, 2)) + of_full) / total / (p.dn_per_e * sigma_e)
+        )
         return mean_dn, variance_dn2, np.maximum(signal_slope, 0.0), offset_slope
 
     def _read(self, stored_e: Array, coarse_dn: float) -> tuple[Array, Array, Array]:
         """Return `moments_of_codes` of stored charges, (n,)."""
         p = self.readout
         sigma_dn = np.full(stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), LEAST))
-        return moments_of_codes(p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn)
+        return moments_of_codes(
+            p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn
+        )
 
     def shared_e2(self, signal_e: Array, offset_slope: Array) -> Array:
-        """Return the covariance of two exposures of a pixel, (n,): the variance over its gain of the mean, and offset FPN.
+        """Return the covariance of two exposures of a pixel, (n,): the variance over its gain of
+        the mean, and offset FPN.
 
         Offset FPN counts to first order.
         """
@@ -222,13 +279,23 @@ class ClippedExposure:
         return np.asarray((weight * away_e**2).sum(axis=1) + offset_slope**2 * self.offset_fpn_e2)
 
     def table(self, signal_e: Array, low_e: float, high_e: float) -> CodeTable:
-        """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to `high_e` of an exposure."""
+        """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to
+        `high_e` of an exposure.
+        """
         mean_e, alone_e2, signal_slope, offset_slope = self.moments(signal_e)
         count = self.count
         shared_e2 = self.shared_e2(signal_e, offset_slope) if count > 1 else 0.0
         variance_e2 = count * (alone_e2 + (count - 1) * shared_e2)
         mean_e = count * (mean_e - self.dark_e)
-        return CodeTable(count * signal_e, mean_e, variance_e2, signal_slope, offset_slope, count * low_e, count * high_e)
+        return CodeTable(
+            count * signal_e,
+            mean_e,
+            variance_e2,
+            signal_slope,
+            offset_slope,
+            count * low_e,
+            count * high_e,
+        )
 
 
 def cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], CodeTable]) -> CodeTable:
@@ -239,13 +306,16 @@ def cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], CodeTabl
 
 
 def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
-    """Return the table of signals near code 0; None if the noise of the darkest one does not reach it."""
+    """Return the table of signals near code 0; None if the noise of the darkest one does not reach
+    it.
+    """
     exposure = ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_0(darkest_e / exposure.count):
         return None
 
     def compute() -> CodeTable:
-        # Shot noise and PRNU grow with the signal: twice as far until the noise no longer reaches code 0.
+        # Shot noise and PRNU grow with the signal: twice as far until the noise no longer reaches
+        # code 0.
         end_e = FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2) or 1.0
         while exposure.reaches_0(end_e) and end_e < min(exposure.well_e, exposure.top_e):
             end_e *= 2
@@ -255,7 +325,9 @@ def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
 
 
 def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
-    """Return the table of signals near the full well or the top code; None if the noise of the brightest does not reach either."""
+    """Return the table of signals near the full well or the top code; None if the noise of the
+    brightest does not reach either.
+    """
     exposure = ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_top(brightest_e / exposure.count):
         return None
@@ -280,16 +352,27 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
 
 
 def code_tables(frame: ExpectedFrame, *signals_e: Array) -> list[CodeTable]:
-    """Return the tables of both ends that the noise of pictures reaches; none of them far from both."""
+    """Return the tables of both ends that the noise of pictures reaches; none of them far from
+    both.
+    """
     darkest_e = min(float(signal_e.min()) for signal_e in signals_e)
     brightest_e = max(float(signal_e.max()) for signal_e in signals_e)
     tables = bottom_table(frame, darkest_e), top_table(frame, brightest_e)
     return [table for table in tables if table is not None]
 
 
-def code_moments(tables: Sequence[CodeTable], signal_e: Array, variance_e2: Array | float) -> CodeMoments:
-    """Return the moments of codes at signals (...); where no table holds, they are the signal, `variance_e2`, 1 and 1."""
-    moments = [signal_e, np.broadcast_to(variance_e2, signal_e.shape), np.ones(signal_e.shape), np.ones(signal_e.shape)]
+def code_moments(
+    tables: Sequence[CodeTable], signal_e: Array, variance_e2: Array | float
+) -> CodeMoments:
+    """Return the moments of codes at signals (...); where no table holds, they are the signal,
+    `variance_e2`, 1 and 1.
+    """
+    moments = [
+        signal_e,
+        np.broadcast_to(variance_e2, signal_e.shape),
+        np.ones(signal_e.shape),
+        np.ones(signal_e.shape),
+    ]
     for table in tables:
         holds = (signal_e >= table.low_e) & (signal_e < table.high_e)
         columns = table.mean_e, table.variance_e2, table.signal_slope, table.offset_slope
@@ -301,35 +384,56 @@ def code_moments(tables: Sequence[CodeTable], signal_e: Array, variance_e2: Arra
 
 
 def expected_e(frame: ExpectedFrame, signal_e: Array) -> Array:
-    """Return the expected electrons of a signal, as the well and the codes clip it; none in a well that dark charge fills."""
+    """Return the expected electrons of a signal, as the well and the codes clip it; none in a well
+    that dark charge fills.
+    """
     tables = code_tables(frame, signal_e)
     return np.maximum(code_moments(tables, signal_e, 0.0).mean_e, 0.0) if tables else signal_e
 
 
 def _d_prime(frame: ExpectedFrame) -> float:
-    """Return d′ of the ideal linear observer in such frames: a signal-to-noise ratio, also where pixels clip."""
+    """Return d′ of the ideal linear observer in such frames: a signal-to-noise ratio, also where
+    pixels clip.
+    """
     assert frame.background_e is not None
     p, with_e, without_e = frame.readout, frame.signal_e, frame.background_e
     difference = with_e - without_e
-    # The mean variance of both: that of the mean signal, and of what grows with the square of it half of the difference squared.
-    spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
+    # The mean variance of both: that of the mean signal, and of what grows with the square of it
+    # half of the difference squared.
+    spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(
+        np.mean(variance_e2(p, along="pixel"))
+    )
     variance = variance_of_pixels_e2(p, (with_e + without_e) / 2, frame.integration_s)
     variance += spread / 4 * difference**2
     unrounded_dn2 = p.dn_per_e**2 * float(variance.min()) - p.rounding_variance_dn2
-    sigma_dn = math.sqrt(max(unrounded_dn2, 0.0) / p.exposures)  # of an exposure, before it is rounded
+    sigma_dn = math.sqrt(
+        max(unrounded_dn2, 0.0) / p.exposures
+    )  # of an exposure, before it is rounded
     if sigma_dn < LEAST_SIGMA_DN:
-        got = f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC rounds away"
+        got = (
+            f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC"
+            " rounds away"
+        )
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
-    column_variance, row_variance = (float(np.mean(variance_e2(p, along=along))) for along in ("column", "row"))
+    column_variance, row_variance = (
+        float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")
+    )
     tables = code_tables(frame, with_e, without_e)
     if not tables:
-        return detectability(difference, variance, column_variance=column_variance, row_variance=row_variance)
+        return detectability(
+            difference, variance, column_variance=column_variance, row_variance=row_variance
+        )
 
-    with_target, background = (code_moments(tables, signal_e, variance) for signal_e in (with_e, without_e))
-    # A pixel with the same certain code in both pictures has no difference and no slope: it counts nothing.
-    variance = np.maximum((with_target.variance_e2 + background.variance_e2) / 2, (LEAST / p.dn_per_e) ** 2)
+    with_target, background = (
+        code_moments(tables, signal_e, variance) for signal_e in (with_e, without_e)
+    )
+    # A pixel with the same certain code in both pictures has no difference and no slope: it counts
+    # nothing.
+    variance = np.maximum(
+        (with_target.variance_e2 + background.variance_e2) / 2, (LEAST / p.dn_per_e) ** 2
+    )
     d_prime = detectability(
         with_target.mean_e - background.mean_e,
         variance,
@@ -341,12 +445,18 @@ def _d_prime(frame: ExpectedFrame) -> float:
 
 
 def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
-    """Return by what a target's contrast is multiplied for d′ to reach the threshold, and why there is no such factor.
+    """Return by what a target's contrast is multiplied for d′ to reach the threshold, and why there
+    is no such factor.
 
-    d′ is proportional to a small contrast, where no picture clips. Without a factor it is `FARTHEST`; with one the reason is empty.
+    d′ is proportional to a small contrast, where no picture clips. Without a factor it is
+    `FARTHEST`; with one the reason is empty.
     """
     assert frame.background_e is not None
-    options, readout, time_s = frame.imaging.metrics.options.detectability, frame.readout, frame.integration_s
+    options, readout, time_s = (
+        frame.imaging.metrics.options.detectability,
+        frame.readout,
+        frame.integration_s,
+    )
     background_e = frame.background_e
     difference_e = frame.signal_e - background_e
     if not difference_e.any():
@@ -362,12 +472,17 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
 
     # A target that is full now has a d′ from which no factor follows.
     if clips(readout, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
-        return FARTHEST, f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}"
+        return (
+            FARTHEST,
+            f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}",
+        )
     return factor, ""
 
 
 def stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
-    """Return the contrast of a target that its scene states, where the light without it is that of no contrast; else 0."""
+    """Return the contrast of a target that its scene states, where the light without it is that of
+    no contrast; else 0.
+    """
     stated = frame.light.mean.header.get("parameters", {}).get("contrast")
     if stated is None or options.without != NO_CONTRAST:
         return 0.0
@@ -375,7 +490,10 @@ def stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
 
 
 def _detectability(judged: FrameUnderTest) -> tuple[float, float, float]:
-    values = [_d_prime(frame) for frame in judged.registrations(judged.options.detectability.registrations)]
+    values = [
+        _d_prime(frame)
+        for frame in judged.registrations(judged.options.detectability.registrations)
+    ]
     mean = float(np.mean(values))
     factor, _ = contrast_factor(judged.expected, mean)
     return mean, min(values), factor
@@ -386,7 +504,10 @@ def needs_target(asked: MetricContext) -> str:
     if asked.has_without:
         return ""
     stated = setting("metric.detectability.without")
-    return f"light of the scene without its target: {stated}, or without=… of evaluate, sweep and study"
+    return (
+        f"light of the scene without its target: {stated}, or without=… of evaluate, sweep and"
+        " study"
+    )
 
 
 DETECTABILITY = Metric(
@@ -395,7 +516,10 @@ DETECTABILITY = Metric(
     unit="",
     better="more",
     judges="raw frame",
-    source="Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt. Soc. Am. 38 (1948) 196",
+    source=(
+        "Barrett & Myers, Foundations of Image Science (2004), 13.2.12; seen at 5: Rose, J. Opt."
+        " Soc. Am. 38 (1948) 196"
+    ),
     unseen="unknown positions of the target, clutter, corrections of the frame, and the display",
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
     bounds=(0.0, FARTHEST),
@@ -413,23 +537,33 @@ def grey(asked: MetricContext) -> str:
 
 def grey_at_a_distance(asked: MetricContext) -> str:
     """Return what a metric of the ground lacks, seen by monochrome sensors."""
-    stated = f"the distance of the ground: {setting('camera.object_distance_m')}, or {setting('metric.niirs.ground_distance_m')}"
+    stated = (
+        f"the distance of the ground: {setting('camera.object_distance_m')}, or"
+        f" {setting('metric.niirs.ground_distance_m')}"
+    )
     return grey(asked) or ("" if asked.has_distance else stated)
 
 
 def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
-    """Return frequencies in cycles/mm on the sensor, and the MTF of each term up to it along an axis; the same for all frames."""
+    """Return frequencies in cycles/mm on the sensor, and the MTF of each term up to it along an
+    axis; the same for all frames.
+    """
 
     def compute() -> tuple[Array, dict[str, Array]]:
         readout = frame.readout
-        along = np.linspace(0.0, HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, TABLE_POINTS)
+        along = np.linspace(
+            0.0, HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, TABLE_POINTS
+        )
         return along, of_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
     return frame.light.cached(("terms", *frame.imaging.pixel_key), compute)
 
 
-def sensor_mtf(frame: ExpectedFrame, across: Array, down: Array, *, with_lens: bool = True) -> Array:
-    """Return the MTF from scene to sensor at frequencies along x and y, which broadcast, in cycles/mm on the sensor.
+def sensor_mtf(
+    frame: ExpectedFrame, across: Array, down: Array, *, with_lens: bool = True
+) -> Array:
+    """Return the MTF from scene to sensor at frequencies along x and y, which broadcast, in
+    cycles/mm on the sensor.
 
     Blur by the lens and by diffusion is taken as that of the axis in all directions.
 
@@ -454,7 +588,8 @@ def sensor_mtf(frame: ExpectedFrame, across: Array, down: Array, *, with_lens: b
 
 
 def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
-    """Return frequencies of an axis (n,), and what pixels see of the scene's spectrum and of its aliases, (n, n), in mm².
+    """Return frequencies of an axis (n,), and what pixels see of the scene's spectrum and of its
+    aliases, (n, n), in mm².
 
     Over the squared mean signal: the same for all frames.
     """
@@ -471,7 +606,11 @@ def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
         def power(down: Array, across: Array) -> Array:
             radius = np.hypot(down, across)
             # The scene's own picture is one behind the lens.
-            own = np.interp(radius, *frame.light.spectrum, right=0.0) if of_scene else natural_spectrum(radius, level, corner)
+            own = (
+                np.interp(radius, *frame.light.spectrum, right=0.0)
+                if of_scene
+                else natural_spectrum(radius, level, corner)
+            )
             return np.asarray(own * sensor_mtf(frame, across, down, with_lens=not of_scene) ** 2)
 
         return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, ORDERS)
@@ -500,7 +639,9 @@ def veiled(frame: ExpectedFrame) -> Veiled:
     def compute() -> Veiled:
         weight = electrons_per_joule(physics, light)
         (of_kept,), (stray,) = split_by_veil(light, camera, [weight])
-        own, kept = (M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept))
+        own, kept = (
+            M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept)
+        )
         return Veiled(kept / own, stray / (kept + stray)) if own else Veiled(1.0, 0.0)
 
     return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
@@ -509,7 +650,8 @@ def veiled(frame: ExpectedFrame) -> Veiled:
 class MeanLevel(NamedTuple):
     """Mean level of the pixels whose codes change with their light, which what clips does less.
 
-    share : of the sensor that those pixels are: (Σ s)²/(n Σ s²) of the slopes s at the well and the top code
+    share : of the sensor that those pixels are: (Σ s)²/(n Σ s²) of the slopes s at the well and the
+        top code
     signal_e : part of the level with which codes change
     variance_e2 : of a pixel at the level, as the codes leave it
     """
@@ -520,7 +662,9 @@ class MeanLevel(NamedTuple):
 
 
 def mean_level(frame: ExpectedFrame) -> MeanLevel:
-    """Return the mean level of a frame, weighted with the slopes of its pixels; a share of 0 if all of them are full."""
+    """Return the mean level of a frame, weighted with the slopes of its pixels; a share of 0 if all
+    of them are full.
+    """
     signal_e = frame.signal_e
     share, mean_e = 1.0, float(signal_e.ravel().mean())
     top = top_table(frame, float(signal_e.max()))
@@ -529,7 +673,10 @@ def mean_level(frame: ExpectedFrame) -> MeanLevel:
         total = float(slope.sum())
         if not total:
             return MeanLevel(0.0, 0.0, math.inf)
-        share, mean_e = total**2 / (slope.size * float((slope**2).sum())), float((slope * signal_e).sum()) / total
+        share, mean_e = (
+            total**2 / (slope.size * float((slope**2).sum())),
+            float((slope * signal_e).sum()) / total,
+        )
     level_e = np.array(mean_e)
     variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
     tables = code_tables(frame, level_e)
@@ -540,9 +687,11 @@ def mean_level(frame: ExpectedFrame) -> MeanLevel:
 
 
 def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
-    """Return the information in the mean level of the pixels that are not full, per mm² and deg², and per mm² at other contrasts.
+    """Return the information in the mean level of the pixels that are not full, per mm² and deg²,
+    and per mm² at other contrasts.
 
-    It counts for their share of the sensor. The power of a natural spectrum grows with the square of its contrast.
+    It counts for their share of the sensor. The power of a natural spectrum grows with the square
+    of its contrast.
     """
     frame, options = judged.expected, judged.options.information
     others = options.other_contrasts
@@ -567,16 +716,20 @@ def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
 
 
 def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
-    """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level there, in mm⁻².
+    """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level
+    there, in mm⁻².
 
-    Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN where all of them are.
+    Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN
+    where all of them are.
     """
     frequency = np.linspace(0.0, 500.0 / frame.readout.physics.read_pitch_um, POINTS)
     share, mean_e, variance_e2 = mean_level(frame)
     if not share:
         return frequency, np.full(POINTS, np.nan)
     noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
-    return frequency, neq(np.abs(sensor_mtf(frame, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(frame).stray))
+    return frequency, neq(
+        np.abs(sensor_mtf(frame, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(frame).stray)
+    )
 
 
 INFORMATION = Metric(
@@ -586,9 +739,16 @@ INFORMATION = Metric(
     better="more",
     judges="raw frame",
     source="Fales & Huck, Information Sciences 57-58 (1991) 245: ½∬ log₂(1 + S|T|²/(N + A))",
-    unseen="what is in the picture: noise of the mean level counts everywhere, offsets of whole rows and columns nowhere; "
-    "and corrections of the frame",
-    columns=("information", "information_bits_per_deg2", "information_low_contrast", "information_high_contrast"),
+    unseen=(
+        "what is in the picture: noise of the mean level counts everywhere, offsets of whole rows"
+        " and columns nowhere; and corrections of the frame"
+    ),
+    columns=(
+        "information",
+        "information_bits_per_deg2",
+        "information_low_contrast",
+        "information_high_contrast",
+    ),
     bounds=(0.0, 1e15),
     compute=_information,
     variants=("information_low_contrast", "information_high_contrast"),
@@ -598,17 +758,27 @@ INFORMATION = Metric(
 
 
 def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array, Array]:
-    """Return frequencies in cycles/mm, and the MTF from scene to sensor along the axis of the longer path of what moves."""
+    """Return frequencies in cycles/mm, and the MTF from scene to sensor along the axis of the
+    longer path of what moves.
+    """
     along = sensor_terms(frame)[0] if along is None else along
     down, across = map(abs, frame.moving.path_um)
-    return along, np.abs(sensor_mtf(frame, along, np.zeros(1)) if across >= down else sensor_mtf(frame, np.zeros(1), along))
+    return along, np.abs(
+        sensor_mtf(frame, along, np.zeros(1))
+        if across >= down
+        else sensor_mtf(frame, np.zeros(1), along)
+    )
 
 
 def _mtf50(judged: FrameUnderTest) -> tuple[float]:
     frame = judged.expected
     along, mtf = _mtf_along(frame)
-    if path_um := frame.moving.longest_um:  # before the first zero of a long path, which the table may leave out
-        along, mtf = _mtf_along(frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS))
+    if (
+        path_um := frame.moving.longest_um
+    ):  # before the first zero of a long path, which the table may leave out
+        along, mtf = _mtf_along(
+            frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS)
+        )
     half = mtf50(along, mtf)
     return (float(along[-1]) if half is None else half,)
 
@@ -619,7 +789,9 @@ MTF50 = Metric(
     unit="cy/mm",
     better="more",
     judges="raw frame",
-    source="ISO 12233: the frequency at which the response of lens and pixel has fallen to one half",
+    source=(
+        "ISO 12233: the frequency at which the response of lens and pixel has fallen to one half"
+    ),
     unseen="noise, aliases and the display",
     columns=("mtf50_cy_per_mm",),
     bounds=(0.0, 1e7),
@@ -633,14 +805,20 @@ MTF50 = Metric(
 def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
     frame, options = judged.expected, judged.options.snr10_lx
     readout, development = frame.readout, frame.development
-    across = max(1.0, (development.screen.dot_um or readout.physics.read_pitch_um) / readout.physics.read_pitch_um)
+    across = max(
+        1.0,
+        (development.screen.dot_um or readout.physics.read_pitch_um)
+        / readout.physics.read_pitch_um,
+    )
     found = snr10_lx(
         development.white_e_per_s * options.integration_s,
         white_cd_per_m2(frame.light.mean, development.screen.display),
         reflectance=options.reflectance,
         dark_variance_e2=float(variance_of_pixels_e2(readout, 0.0, options.integration_s))
-        # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as pixels.
-        + across * sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")),
+        # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side,
+        # not as pixels.
+        + across
+        * sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")),
         prnu=readout.prnu,
         pixels_per_dot=across**2,
         snr=options.snr,
@@ -649,7 +827,9 @@ def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
     if found is None:
         got = f"pixels of {readout.physics.pitch_um:g} µm, which have it in no light"
         allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
-        raise NoNumberError(str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr.")))
+        raise NoNumberError(
+            str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr."))
+        )
     return (found,)
 
 
@@ -678,16 +858,29 @@ def _niirs(judged: FrameUnderTest) -> tuple[float]:
     veil = veiled(frame)
     stray_e = veil.stray * float(frame.development.signal_e_per_s.mean()) * time_s
     white_e = veil.kept * frame.white_e
-    darker_e, brighter_e = (white_e * reflectance + stray_e for reflectance in sorted(options.reflectances))
+    darker_e, brighter_e = (
+        white_e * reflectance + stray_e for reflectance in sorted(options.reflectances)
+    )
     if brighter_e >= (most_e := full_e(readout, time_s)):
         brighter, most = (rounded(electrons, 3) for electrons in (brighter_e, most_e))
-        got = f"{brighter} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm, full at {most} e-"
+        got = (
+            f"{brighter} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm,"
+            f" full at {most} e-"
+        )
         allowed = "surfaces that the frame tells apart"
-        raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Expose it for less time.")))
+        raise NoNumberError(
+            str(invalid("the metric niirs", got, allowed, "Expose it for less time."))
+        )
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
-    noise_e2 += sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row"))
+    noise_e2 += sum(
+        float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")
+    )
     distance_m = options.ground_distance_m
-    reduction = 1 / abs(camera.magnification) if distance_m is None else 1e3 * distance_m / camera.image_distance_mm
+    reduction = (
+        1 / abs(camera.magnification)
+        if distance_m is None
+        else 1e3 * distance_m / camera.image_distance_mm
+    )
     ground_m = 1e-6 * readout.physics.read_pitch_um * reduction
     return (niirs(rer, ground_m, (brighter_e - darker_e) / math.sqrt(noise_e2)),)
 
@@ -699,7 +892,10 @@ NIIRS = Metric(
     better="more",
     judges="raw frame",
     source="General Image Quality Equation 5, NGA (2015)",
-    unseen="aliases, clipping, corrections, haze; fitted to pictures from above of 0.2 to 1.3 relative edge response",
+    unseen=(
+        "aliases, clipping, corrections, haze; fitted to pictures from above of 0.2 to 1.3 relative"
+        " edge response"
+    ),
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,

@@ -1,4 +1,6 @@
-"""What a user should know of settings and their light before a score is believed: the notes of one review."""
+"""What a user should know of settings and their light before a score is believed: the notes of one
+review.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from pixsim.viewer.scene_light import SceneLight
 def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
     """Return notes on a pixel in its light.
 
-    Numbers of the pixel that are rather in another unit, light for which a model does not hold, and light of another camera.
+    Numbers of the pixel that are rather in another unit, light for which a model does not hold, and
+    light of another camera.
 
     light : None before it is rendered: only what the settings tell
     """
@@ -26,7 +29,8 @@ def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
 
 
 def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | None]]]) -> None:
-    """Warn of what `review` says of several sensors, a note of all of them once, and other notes with the sensor's name.
+    """Warn of what `review` says of several sensors, a note of all of them once, and other notes
+    with the sensor's name.
 
     sensors : name -> the settings of each of its cases, with their light
     """
@@ -36,7 +40,14 @@ def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | No
         for note in dict.fromkeys(notes):
             names.setdefault(note, []).append(name)
 
-    for note in few([[note if len(having) == len(sensors) else note.of(having) for note, having in names.items()]]):
+    for note in few(
+        [
+            [
+                note if len(having) == len(sensors) else note.of(having)
+                for note, having in names.items()
+            ]
+        ]
+    ):
         warn(note)
 
 

@@ -1,4 +1,6 @@
-"""The light behind the lens, which the pixels of one response share, with the screens that show its frames; and its caches."""
+"""The light behind the lens, which the pixels of one response share, with the screens that show its
+frames; and its caches.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,22 @@ from pixsim.viewer.develop import Rendition
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judges.information_density import radial_spectrum
-from pixsim.viewer.screen import HEADER_OF_WHITE, ROUNDING, IdealFacts, Screen, ideal_facts, make_screen, screen_rendition
+from pixsim.viewer.screen import (
+    HEADER_OF_WHITE,
+    ROUNDING,
+    IdealFacts,
+    Screen,
+    ideal_facts,
+    make_screen,
+    screen_rendition,
+)
 
 T = TypeVar("T")
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 CACHED_TABLES = 32  # of some pixel sizes
-RECENT = 4  # prepared scenes, and lights behind the lens; each has some 20 MB at 1024 samples across
+RECENT = (
+    4  # prepared scenes, and lights behind the lens; each has some 20 MB at 1024 samples across
+)
 
 
 @dataclass(frozen=True)
@@ -38,21 +50,26 @@ class SceneLight:
     """What light a sensor is given.
 
     irradiance : on the sensor plane, before diffraction
-    background : that of the scene without its target, on the same samples; None: no metric asks for it
+    background : that of the scene without its target, on the same samples; None: no metric asks for
+        it
     """
 
     irradiance: SpectralImage
     background: SpectralImage | None = None
 
     def check(self) -> None:
-        """Raise PixsimError for light that is negative or not finite, and for a background with other samples."""
+        """Raise PixsimError for light that is negative or not finite, and for a background with
+        other samples.
+        """
         self.irradiance.validate()
         if self.background is not None:
             check_background(self.background, self.irradiance)
 
 
 def check_background(background: SpectralImage, irradiance: SpectralImage) -> None:
-    """Raise PixsimError if light without a target cannot be compared with that with it, sample by sample."""
+    """Raise PixsimError if light without a target cannot be compared with that with it, sample by
+    sample.
+    """
     background.validate()
     got, wanted = ([*image.shape[:2], image.pitch_um] for image in (background, irradiance))
     if got[:2] != wanted[:2] or not math.isclose(got[2], wanted[2], rel_tol=ROUNDING):
@@ -66,16 +83,21 @@ class LightFacts:
 
     mean : of all samples, a picture of 1 × 1 with the header of the whole one
     picture : behind the lens, as the first channel sees it, (H, W)
-    background : light behind the lens of the scene without its target, for each channel; None: there is none
+    background : light behind the lens of the scene without its target, for each channel; None:
+        there is none
     """
 
     mean: SpectralImage
     picture: Array = field(repr=False)
     background: tuple[ChannelLight, ...] | None = None
-    _cached: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _cached: dict[Hashable, Any] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def cached(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return what the frames of a pixel share, from before or computed; the oldest goes where there are too many."""
+        """Return what the frames of a pixel share, from before or computed; the oldest goes where
+        there are too many.
+        """
         if key not in self._cached:
             while len(self._cached) >= CACHED_TABLES:
                 self._cached.pop(next(iter(self._cached)), None)
@@ -97,20 +119,29 @@ class LightFacts:
             data=irradiance.mean_spectrum().astype(np.float32)[None, None],
             header=irradiance.header,
         )
-        background = None if light.background is None else lights_of(light.background, imaging.camera, imaging.physics)
+        background = (
+            None
+            if light.background is None
+            else lights_of(light.background, imaging.camera, imaging.physics)
+        )
         return cls(mean, picture, background)
 
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
-        """Radially averaged power spectrum of the picture over its squared mean: cycles/mm, and mm²."""
-        mean = float(self.picture.mean(dtype=float)) or 1.0  # of a black picture, which has no power
+        """Radially averaged power spectrum of the picture over its squared mean: cycles/mm, and
+        mm².
+        """
+        mean = (
+            float(self.picture.mean(dtype=float)) or 1.0
+        )  # of a black picture, which has no power
         frequency, power = radial_spectrum(self.picture / mean, self.mean.pitch_um)
         return frequency, power
 
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """The light behind the lens, and the screens, for pixels of one spectral response and any pitch.
+    """The light behind the lens, and the screens, for pixels of one spectral response and any
+    pitch.
 
     lights : behind the diffracting lens, as each channel sees it
     whites_e_per_s_um2 : of the scene's white, on axis, in each channel
@@ -118,8 +149,8 @@ class PreparedScene:
     array_um : (height, width) that the pixels fill
     beyond_white : fraction of the ideal image's dots that are brighter than display white
     rendition : what the channels see of a chart; None for a monochrome sensor
-    metering_light : light of each channel without samples that stand alone far above all others, which sets the automatic
-        exposure; None: all light does
+    metering_light : light of each channel without samples that stand alone far above all others,
+        which sets the automatic exposure; None: all light does
     facts : what metrics know of the light; None if none asks
     """
 
@@ -132,7 +163,9 @@ class PreparedScene:
     rendition: Rendition | None = None
     metering_light: tuple[ChannelLight, ...] | None = None
     facts: LightFacts | None = None
-    _collections: list[ColourCollection] = field(default_factory=list, init=False, repr=False, compare=False)
+    _collections: list[ColourCollection] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @property
     def screen(self) -> Screen:
@@ -145,46 +178,74 @@ class PreparedScene:
         return self.lights[0].rate_e_per_s_um2
 
     def whites_e_per_s(self, physics: PixelPhysics) -> tuple[float, ...]:
-        """Return the electrons per second of the scene's white in a value of each channel on axis, without crosstalk of colours."""
+        """Return the electrons per second of the scene's white in a value of each channel on axis,
+        without crosstalk of colours.
+        """
         whites = zip(self.whites_e_per_s_um2, self.lights, physics.channels, strict=True)
         count = physics.pixel.bin_side**2
-        return tuple(white * collected_area_um2(channel, light.illumination) * count for white, light, channel in whites)
+        return tuple(
+            white * collected_area_um2(channel, light.illumination) * count
+            for white, light, channel in whites
+        )
 
-    def collection(self, physics: PixelPhysics, collections: Sequence[Collection]) -> ColourCollection:
+    def collection(
+        self, physics: PixelPhysics, collections: Sequence[Collection]
+    ) -> ColourCollection:
         """Return the collection of the pixels of a colour sensor with a stack."""
         layout = Layout.of_pixels(physics.pixel)
         assert layout is not None
         last = self._collections[-1] if self._collections else None
-        if last is None or any(one is not other for one, other in zip(last.each, collections, strict=True)):
+        if last is None or any(
+            one is not other for one, other in zip(last.each, collections, strict=True)
+        ):
             side = physics.pixel.bin_side
             # The registrations of a pitch, which follow one another, share what is expensive of it.
-            self._collections[:] = [ColourCollection(layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side)]
+            self._collections[:] = [
+                ColourCollection(
+                    layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side
+                )
+            ]
         return self._collections[-1]
 
     def store_integrals(self) -> None:
         """Compute what all pitches share, for workers that would each compute it."""
-        background = self.facts.background if self.facts is not None and self.facts.background is not None else ()
+        background = (
+            self.facts.background
+            if self.facts is not None and self.facts.background is not None
+            else ()
+        )
         for light in (*self.lights, *background):
             light.running_integral  # noqa: B018 – it stays in the light
 
 
-SharedLight = PreparedScene | SceneLight  # what the pitches of a technology share; where dots are pixels, that is not prepared
+SharedLight = (
+    PreparedScene | SceneLight
+)  # what the pitches of a technology share; where dots are pixels, that is not prepared
 
 
 def registered_in(imaging: Imaging, light: SharedLight, repeat: int) -> Imaging:
-    """Return the pixels of one repeat in the light that all repeats share, with its registration (`Imaging.registered`)."""
+    """Return the pixels of one repeat in the light that all repeats share, with its registration
+    (`Imaging.registered`).
+    """
     return imaging.registered(repeat, light.array_um if isinstance(light, PreparedScene) else None)
 
 
 def prepare_scene(
-    imaging: Imaging, light: SceneLight, *, lights: tuple[ChannelLight, ...] | None = None, others: Sequence[Display] = ()
+    imaging: Imaging,
+    light: SceneLight,
+    *,
+    lights: tuple[ChannelLight, ...] | None = None,
+    others: Sequence[Display] = (),
 ) -> PreparedScene:
-    """Return the light behind the lens and the screens. They depend on the pitch only if the raster is one_to_one.
+    """Return the light behind the lens and the screens. They depend on the pitch only if the raster
+    is one_to_one.
 
-    lights : behind the lens, where they are known, as of a part of a picture whose blur depends on its place
+    lights : behind the lens, where they are known, as of a part of a picture whose blur depends on
+        its place
     others : further displays, with other dots or seen from elsewhere
 
-    Raises PixsimError if the irradiance is negative or not finite, or the background has other samples.
+    Raises PixsimError if the irradiance is negative or not finite, or the background has other
+    samples.
     """
     light.check()
     irradiance, camera, physics = light.irradiance, imaging.camera, imaging.physics
@@ -195,15 +256,21 @@ def prepare_scene(
     by_dots, screens = {imaging.display.dots: screen}, [screen]
     for other in others:
         if other.dots not in by_dots:
-            by_dots[other.dots], _ = make_screen(imaging.changed(display=other), irradiance, rendition)
+            by_dots[other.dots], _ = make_screen(
+                imaging.changed(display=other), irradiance, rendition
+            )
         screens.append(by_dots[other.dots].seen_at(other.samples_per_deg))
 
     if lights is None:
         lights = lights_of(irradiance, camera, physics)
     if imaging.full:  # nothing of the pixels' stack is left out
         whole = [replace(channel.illumination, spare_e=0.0) for channel in lights]
-        lights = tuple(replace(channel, illumination=part) for channel, part in zip(lights, whole, strict=True))
-    whites = tuple(displays.white_rate(imaging, irradiance, channel) for channel in physics.channels)
+        lights = tuple(
+            replace(channel, illumination=part) for channel, part in zip(lights, whole, strict=True)
+        )
+    whites = tuple(
+        displays.white_rate(imaging, irradiance, channel) for channel in physics.channels
+    )
     metering = without_outliers(irradiance)
     needs_facts = imaging.metrics.needs_light
     return PreparedScene(
@@ -220,15 +287,24 @@ def prepare_scene(
 
 
 class SceneCache:
-    """Prepared scenes of one light, camera and display, made on first use and stored while memory allows.
+    """Prepared scenes of one light, camera and display, made on first use and stored while memory
+    allows.
 
-    imaging : settings of the first pixels; others that share the cache differ in their pixels and border
+    imaging : settings of the first pixels; others that share the cache differ in their pixels and
+        border
     channels : of the pixels, the most of those that share the cache
     others : displays on which frames are shown, too
     """
 
-    def __init__(self, imaging: Imaging, light: SceneLight, channels: int = 1, others: Sequence[Display] = ()) -> None:
-        self.imaging, self.light, self.channels, self.others = imaging, light, channels, tuple(others)
+    def __init__(
+        self, imaging: Imaging, light: SceneLight, channels: int = 1, others: Sequence[Display] = ()
+    ) -> None:
+        self.imaging, self.light, self.channels, self.others = (
+            imaging,
+            light,
+            channels,
+            tuple(others),
+        )
         self._scenes: dict[object, PreparedScene] = {}
         self._facts: dict[object, IdealFacts] = {}
 
@@ -248,25 +324,34 @@ class SceneCache:
         return self.imaging.display
 
     def get(self, key: object, imaging: Imaging) -> SharedLight:
-        """Return the prepared scene of pixels, whose key stands for their spectral response and border."""
+        """Return the prepared scene of pixels, whose key stands for their spectral response and
+        border.
+        """
         if self.display.raster == "one_to_one":
             return self.light
         if key not in self._scenes:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             scene = prepare_scene(imaging, self.light, others=self.others)
-            self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
+            self._scenes[key], self._facts[key] = (
+                scene,
+                IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal)),
+            )
         return self._scenes[key]
 
     def ideal_facts(self, key: object, imaging: Imaging) -> IdealFacts:
-        """Return facts of the ideal picture, for the key of `get`; where dots are pixels, of these pixels."""
+        """Return facts of the ideal picture, for the key of `get`; where dots are pixels, of these
+        pixels.
+        """
         if key in self._facts and self.display.raster != "one_to_one":
             return self._facts[key]
         return ideal_facts(imaging, self.irradiance)
 
     @cached_property
     def content(self) -> str:
-        """Hash of the light, whose header states everything that it depends on, and of the camera."""
+        """Hash of the light, whose header states everything that it depends on, and of the
+        camera.
+        """
         background = [] if self.light.background is None else [self.light.background.header]
         return content_hash([self.irradiance.header, self.camera.model_dump(), *background])
 
@@ -279,12 +364,17 @@ class SceneCache:
         """Number of prepared scenes that are stored at once."""
         # For each channel light and spline; ideal image, its CIELAB.
         dots = sum(display.dots**2 for display in (self.display, *self.others))
-        planes = 2 * self.channels * math.prod(self.irradiance.shape) + (4 if self.channels == 1 else 6) * dots
+        planes = (
+            2 * self.channels * math.prod(self.irradiance.shape)
+            + (4 if self.channels == 1 else 6) * dots
+        )
         return max(1, SCENE_CACHE_BYTES // (8 * planes))
 
 
 class RecentScenes:
-    """Called as `prepare_scene`, it returns the same; the last few scenes and lights behind the lens stay in memory."""
+    """Called as `prepare_scene`, it returns the same; the last few scenes and lights behind the
+    lens stay in memory.
+    """
 
     def __init__(self) -> None:
         self._lights: dict[Hashable, tuple[SpectralImage, tuple[ChannelLight, ...]]] = {}
@@ -293,28 +383,47 @@ class RecentScenes:
     def __call__(self, imaging: Imaging, light: SceneLight) -> PreparedScene:
         """Return the prepared scene, from before where nothing differs that it depends on."""
         irradiance, pixel, physics = light.irradiance, imaging.pixel, imaging.physics
-        electrons = tuple(electrons_per_joule(channel, irradiance).tobytes() for channel in physics.channels)
+        electrons = tuple(
+            electrons_per_joule(channel, irradiance).tobytes() for channel in physics.channels
+        )
         stack = pixel.stack and pixel.stack.model_dump(mode="json")
         charge = physics.charge.content_hash if physics.charge else ""
-        records = [imaging.camera.model_dump(mode="json"), stack, str(Layout.of_pixels(pixel)), charge]
+        records = [
+            imaging.camera.model_dump(mode="json"),
+            stack,
+            str(Layout.of_pixels(pixel)),
+            charge,
+        ]
         key_of_light = id(irradiance), content_hash(records), electrons
 
         white = tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values())
         geometry = physics.read_pitch_um, imaging.scored_border_um, physics.registration
-        screen = imaging.display.content_hash, imaging.develop.content_hash, imaging.full, imaging.single, white
+        screen = (
+            imaging.display.content_hash,
+            imaging.develop.content_hash,
+            imaging.full,
+            imaging.single,
+            white,
+        )
         key = key_of_light, geometry, screen, imaging.metrics.needs_light, id(light.background)
         if key not in self._scenes:
             if key_of_light not in self._lights:
                 lights = lights_of(irradiance, imaging.camera, physics)
                 _add_recent(self._lights, key_of_light, (irradiance, lights))
             _, lights = self._lights[key_of_light]
-            _add_recent(self._scenes, key, (irradiance, prepare_scene(imaging, light, lights=lights)))
+            _add_recent(
+                self._scenes, key, (irradiance, prepare_scene(imaging, light, lights=lights))
+            )
         return self._scenes[key][1]
 
     def drop_all_but(self, images: list[SpectralImage]) -> None:
         """Forget what was made from other light than these images."""
         for recent in (self._lights, self._scenes):
-            for key in [key for key, (image, _) in recent.items() if not any(image is other for other in images)]:
+            for key in [
+                key
+                for key, (image, _) in recent.items()
+                if not any(image is other for other in images)
+            ]:
                 del recent[key]
 
 

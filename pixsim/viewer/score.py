@@ -70,13 +70,16 @@ NOT_MEASURED = LightError()
 
 @dataclass(frozen=True)
 class Score(Result):
-    """A picture as shown to a viewer, and its difference from the ideal one, by S-CIELAB and by further metrics.
+    """A picture as shown to a viewer, and its difference from the ideal one, by S-CIELAB and by
+    further metrics.
 
-    delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was computed
-    ideal, image : (H, W) shown luminance, 1 for white; in colour (H, W, 3), the light of the display's primaries
+    delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was
+        computed
+    ideal, image : (H, W) shown luminance, 1 for white; in colour (H, W, 3), the light of the
+        display's primaries
     display : that shows them
-    metrics : numbers of the metrics that were asked for, each by its first column: {"delta_e": mean ΔE, …}; NaN of one that has
-        none for this frame
+    metrics : numbers of the metrics that were asked for, each by its first column: {"delta_e": mean
+        ΔE, …}; NaN of one that has none for this frame
     further : their other numbers, by columns
     """
 
@@ -97,7 +100,10 @@ class Score(Result):
         return dict(zip(COLUMNS, delta_e_statistics(self.delta_e), strict=True)) | self.further
 
     def __repr__(self) -> str:
-        return f"<Score mean ΔE {estimate(self.mean_delta_e)}, {' × '.join(map(str, self.delta_e.shape))} dots>"
+        return (
+            f"<Score mean ΔE {estimate(self.mean_delta_e)},"
+            f" {' × '.join(map(str, self.delta_e.shape))} dots>"
+        )
 
 
 @dataclass(frozen=True)
@@ -106,8 +112,10 @@ class FrameScore(Score):
 
     frame : the sensor frame that the image shows
     readout : how the pixels are read
-    border_um : (above and below, left and right) width of the border that is neither shown nor scored
-    out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
+    border_um : (above and below, left and right) width of the border that is neither shown nor
+        scored
+    out_of_gamut : share of the dots of the ideal image and of the image whose colour the display
+        cannot show; None for grey ones
     light, light_limit : errors of its light, and what is tolerated of them
     causes : of its mean ΔE beside the sensor's noise and blur, the largest first
     """
@@ -139,7 +147,10 @@ class FrameScore(Score):
         cause = f" ({self.causes[0].words})" if self.causes else ""
         doubt = "" if converged(self.light, self.light_limit) else ", not converged"
         mean = f"mean ΔE {estimate(self.mean_delta_e)}{cause}{doubt}"
-        return f"<Score {mean}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
+        return (
+            f"<Score {mean}, {self.physics.pitch_um:g} µm pixels,"
+            f" {exposure_time(self.frame.integration_s)}>"
+        )
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
@@ -154,33 +165,41 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
     }
 
 
-# --- the errors of its light -----------------------------------------------------------------------------------------------------
+# --- the errors of its light
+# -----------------------------------------------------------------------------------------------------
 
 
 def noise_error_and_limit(header: Mapping[str, Any]) -> tuple[LightError, LightError]:
-    """Return the error by the noise of a render, and its limit: the tolerance, else what is left of the error at the target.
+    """Return the error by the noise of a render, and its limit: the tolerance, else what is left of
+    the error at the target.
 
     The target is a fraction of the sensor's noise, with which the error falls.
 
-    header : of an irradiance; that of a file of another program may hold anything, and then nothing is known
+    header : of an irradiance; that of a file of another program may hold anything, and then nothing
+        is known
     """
     stated = header.get("render_noise")
     noise = stated if isinstance(stated, Mapping) else {}
     numbers = (noise.get(name) for name in ("fraction", "target", "delta_e", "tolerance_delta_e"))
-    fraction, target, delta_e, tolerance = (value if isinstance(value, float | int) else None for value in numbers)
+    fraction, target, delta_e, tolerance = (
+        value if isinstance(value, float | int) else None for value in numbers
+    )
 
     if delta_e is not None and tolerance is not None:
         return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=tolerance)
     if fraction is None or target is None:
         return NOT_MEASURED, NOT_MEASURED
     if delta_e is None:
-        return LightError(noise_delta_e=math.nan), LightError(noise_delta_e=math.nan if fraction > target else None)
+        return LightError(noise_delta_e=math.nan), LightError(
+            noise_delta_e=math.nan if fraction > target else None
+        )
     limit = delta_e * (target / fraction) if fraction > 0 else math.inf
     return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=limit)
 
 
 def converged(error: LightError, limit: LightError) -> bool:
-    """Return whether no error is above its limit. An unknown error is above any; one not measured, or without a limit, is not.
+    """Return whether no error is above its limit. An unknown error is above any; one not measured,
+    or without a limit, is not.
 
     >>> limit = LightError(film_delta_e=0.02)
     >>> [converged(LightError(film_delta_e=delta_e), limit) for delta_e in (0.01, 0.6, math.nan, None)]
@@ -190,7 +209,9 @@ def converged(error: LightError, limit: LightError) -> bool:
 
 
 def exceeded(error: LightError, limit: LightError) -> dict[str, float]:
-    """Return the errors above their limits by the names of their fields, the largest first; an unknown one is infinite."""
+    """Return the errors above their limits by the names of their fields, the largest first; an
+    unknown one is infinite.
+    """
     above: dict[str, float] = {}
     for name, delta_e in asdict(error).items():
         limit_delta_e = getattr(limit, name)

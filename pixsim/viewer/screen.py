@@ -1,4 +1,6 @@
-"""The screen: the part of the die that a display shows, the ideal picture of that part, and the scene's white."""
+"""The screen: the part of the die that a display shows, the ideal picture of that part, and the
+scene's white.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import exposure_time, percent, span
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage
+from pixsim.light.spectral import (
+    DIFFUSER,
+    DIFFUSER_W,
+    LEAST_LM_PER_W,
+    WHITE_RADIANCE,
+    SpectralImage,
+)
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.integration import array_size_um
 from pixsim.viewer import display as displays
@@ -22,7 +30,14 @@ from pixsim.viewer.causes import lightness_range
 from pixsim.viewer.develop import Rendition, ideal_rgb, rendition_of
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.scielab import SINGLE_DELTA_E, colour_delta_e_map, delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map
+from pixsim.viewer.scielab import (
+    SINGLE_DELTA_E,
+    colour_delta_e_map,
+    delta_e,
+    filtered_grey_lab,
+    filtered_lab,
+    grey_delta_e_map,
+)
 from pixsim.viewer.tone import luminance_of, toned
 
 ROUNDING = 1e-6  # of white, in the luminance of a dot
@@ -30,33 +45,49 @@ CLIPPED_WARNING = 0.01  # share of the ideal picture
 WHITE_PERCENTILE = 99.0  # of the ideal picture of a scene whose white is unknown
 WHITE_FROM = f"{WHITE_PERCENTILE:g}th percentile of the ideal image"
 WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
-COLOURED = 0.02  # of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all but dark greys
+# of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all
+# but dark greys
+COLOURED = 0.02
 
-# Of fields of a display: their units, and their entries in a header. A radiance is there where a luminance says nothing.
+# Of fields of a display: their units, and their entries in a header. A radiance is there where a
+# luminance says nothing.
 UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "cd/m²"}
 HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "luminance_cd_per_m2"}
 
 
 def allows_single(tolerance_delta_e: float | None) -> bool:
-    """Return whether a study may compute dots and S-CIELAB in float32, whose error of a mean ΔE is below `SINGLE_DELTA_E`."""
+    """Return whether a study may compute dots and S-CIELAB in float32, whose error of a mean ΔE is
+    below `SINGLE_DELTA_E`.
+    """
     return tolerance_delta_e is None or tolerance_delta_e >= SINGLE_DELTA_E
 
 
-def perceived_lab(shown: Array, display: Display, full: bool = False, single: bool = False) -> Array:
-    """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey one as a colour image.
+def perceived_lab(
+    shown: Array, display: Display, full: bool = False, single: bool = False
+) -> Array:
+    """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey
+    one as a colour image.
 
     shown : (H, W) luminance, or (H, W, 3) light of the display's primaries
     single : compute in float32
     """
     view = viewing_conditions(display) | {"single": single}
     if shown.ndim == 3:
-        return filtered_lab(displays.rgb_to_xyz(shown.astype(np.float32, copy=False) if single else shown), **view)
-    return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
+        return filtered_lab(
+            displays.rgb_to_xyz(shown.astype(np.float32, copy=False) if single else shown), **view
+        )
+    return (
+        filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
+    )
 
 
 def viewing_conditions(display: Display) -> dict[str, Any]:
     """Return the S-CIELAB arguments for a display."""
-    return {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg, "filters": display.filters}
+    return {
+        "white_xyz": displays.WHITE_XYZ,
+        "samples_per_deg": display.samples_per_deg,
+        "filters": display.filters,
+    }
 
 
 @dataclass(frozen=True)
@@ -65,7 +96,8 @@ class Screen:
 
     size_um : (height, width) of the whole picture on the sensor
     dot_edges_um : of the rows and columns of dots that are shown and scored
-    ideal, ideal_lab : shown light on those dots, (H, W) or (H, W, 3), and its CIELAB after the eye's blur
+    ideal, ideal_lab : shown light on those dots, (H, W) or (H, W, 3), and its CIELAB after the
+        eye's blur
     full : use no shortcut for grey images
     single : compute the dots of frames and S-CIELAB in float32
     ideal_out_of_gamut : share of the dots whose colour the display cannot show
@@ -90,39 +122,59 @@ class Screen:
         if samples_per_deg == self.display.samples_per_deg:
             return self
         display = self.display.model_copy(update={"samples_per_deg": samples_per_deg})
-        return replace(self, display=display, ideal_lab=perceived_lab(self.ideal, display, self.full, self.single))
+        return replace(
+            self,
+            display=display,
+            ideal_lab=perceived_lab(self.ideal, display, self.full, self.single),
+        )
 
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
         if self.display.delta_e != "1976" or self.full:
-            return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full, self.single), self.display.delta_e)
+            return delta_e(
+                self.ideal_lab,
+                perceived_lab(image, self.display, self.full, self.single),
+                self.display.delta_e,
+            )
         view = viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
         return colour_delta_e_map(
-            self.ideal_lab, displays.rgb_to_xyz(image.astype(np.float32, copy=False) if self.single else image), **view
+            self.ideal_lab,
+            displays.rgb_to_xyz(image.astype(np.float32, copy=False) if self.single else image),
+            **view,
         )
 
 
 def display_image(light: Array, display: Display, *, in_place: bool = False) -> Array:
-    """Return light as a display shows it: (H, W) of a luminance (H, W); (H, W, 3) of the light of primaries (3, H, W).
+    """Return light as a display shows it: (H, W) of a luminance (H, W); (H, W, 3) of the light of
+    primaries (3, H, W).
 
     in_place : overwrite the light
     """
-    codes = displays.shown_luminance(light, display, in_place=in_place)  # each primary has the codes of a luminance
+    codes = displays.shown_luminance(
+        light, display, in_place=in_place
+    )  # each primary has the codes of a luminance
     return codes if codes.ndim == 2 else np.moveaxis(codes, 0, -1)
 
 
 def screen_rendition(imaging: Imaging, irradiance: SpectralImage) -> Rendition | None:
-    """Return what the channels of a colour sensor see of a chart under the scene's lamp; None for a monochrome one."""
+    """Return what the channels of a colour sensor see of a chart under the scene's lamp; None for a
+    monochrome one.
+    """
     physics = imaging.physics
-    return None if physics.layout is None else rendition_of(irradiance, physics.channels, imaging.display)
+    return (
+        None
+        if physics.layout is None
+        else rendition_of(irradiance, physics.channels, imaging.display)
+    )
 
 
 def ideal_on_dots(
     imaging: Imaging, irradiance: SpectralImage, rendition: Rendition | None = None
 ) -> tuple[tuple[Array, Array], Array]:
-    """Return the edges of the dots (`displays.dot_edges_um`), and what the ideal picture asks of them before the tone curve.
+    """Return the edges of the dots (`displays.dot_edges_um`), and what the ideal picture asks of
+    them before the tone curve.
 
     That is a luminance, (H, W), or the light of the display's primaries, (3, H, W), 1 for white.
 
@@ -140,11 +192,16 @@ def ideal_on_dots(
     )
     if rendition is None:
         return edges_um, displays.ideal_luminance(imaging, irradiance, edges_um)
-    return edges_um, ideal_rgb(irradiance, imaging.camera, imaging.display, rendition.to_display, edges_um)
+    return edges_um, ideal_rgb(
+        irradiance, imaging.camera, imaging.display, rendition.to_display, edges_um
+    )
 
 
-def make_screen(imaging: Imaging, irradiance: SpectralImage, rendition: Rendition | None = None) -> tuple[Screen, float]:
-    """Return the screen, and the fraction of the ideal picture's dots that are brighter than display white.
+def make_screen(
+    imaging: Imaging, irradiance: SpectralImage, rendition: Rendition | None = None
+) -> tuple[Screen, float]:
+    """Return the screen, and the fraction of the ideal picture's dots that are brighter than
+    display white.
 
     rendition : of a colour sensor
     """
@@ -155,12 +212,23 @@ def make_screen(imaging: Imaging, irradiance: SpectralImage, rendition: Renditio
     ideal = display_image(light, display)
     single = imaging.single and not imaging.full
     lab = perceived_lab(ideal, display, imaging.full, single)
-    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, imaging.full, single, gamut)
+    screen = Screen(
+        display,
+        displays.picture_size_um(irradiance),
+        edges_um,
+        ideal,
+        lab,
+        imaging.full,
+        single,
+        gamut,
+    )
     return screen, fraction_beyond_white(light)
 
 
 def fraction_beyond_white(light: Array) -> float:
-    """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than display white."""
+    """Return the fraction of dots of an ideal image, (H, W) or (3, H, W), that are brighter than
+    display white.
+    """
     return float(np.mean(luminance_of(light) > 1 + ROUNDING))
 
 
@@ -176,7 +244,9 @@ class IdealFacts(NamedTuple):
 
 
 def ideal_light_of_dots(imaging: Imaging, irradiance: SpectralImage) -> Array:
-    """Return what the ideal picture asks of the dots behind the tone curve, (H, W) or (3, H, W), 1 for white."""
+    """Return what the ideal picture asks of the dots behind the tone curve, (H, W) or (3, H, W), 1
+    for white.
+    """
     _, light = ideal_on_dots(imaging, irradiance, screen_rendition(imaging, irradiance))
     return toned(light, imaging.develop, imaging.display)
 
@@ -184,7 +254,9 @@ def ideal_light_of_dots(imaging: Imaging, irradiance: SpectralImage) -> Array:
 def ideal_facts(imaging: Imaging, irradiance: SpectralImage) -> IdealFacts:
     """Return the facts of an ideal picture that is not at hand."""
     light = ideal_light_of_dots(imaging, irradiance)
-    return IdealFacts(fraction_beyond_white(light), lightness_range(display_image(light, imaging.display)))
+    return IdealFacts(
+        fraction_beyond_white(light), lightness_range(display_image(light, imaging.display))
+    )
 
 
 def is_coloured(ideal: Array) -> bool:
@@ -193,71 +265,108 @@ def is_coloured(ideal: Array) -> bool:
 
 
 def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
-    """Raise PixsimError if monochrome and colour sensors look at a coloured scene: their ideal images differ.
+    """Raise PixsimError if monochrome and colour sensors look at a coloured scene: their ideal
+    images differ.
 
     grey : names of the monochrome sensors
     coloured : name of each colour sensor -> its ideal image
     """
     if grey and any(is_coloured(ideal) for ideal in coloured.values()):
-        got = f"{', '.join(grey)} without colour filters and {', '.join(coloured)} with them, in a coloured scene"
-        hint = "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image is grey."
+        got = (
+            f"{', '.join(grey)} without colour filters and {', '.join(coloured)} with them, in a"
+            " coloured scene"
+        )
+        hint = (
+            "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image"
+            " is grey."
+        )
         raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
 
 
 def white_field(irradiance: SpectralImage) -> str:
-    """Return the field of a display that says what is white: a luminance, or the radiance of light without one."""
+    """Return the field of a display that says what is white: a luminance, or the radiance of light
+    without one.
+    """
     return "white_cd_per_m2" if displays.has_luminance(irradiance) else "white_w_per_m2_sr"
 
 
 def amount_of_white(imaging: Imaging, irradiance: SpectralImage) -> Array:
-    """Return the white that gives each scored dot its ideal light, (H, W), in the unit of `white_field`.
+    """Return the white that gives each scored dot its ideal light, (H, W), in the unit of
+    `white_field`.
 
     It is the ideal picture in the response of these pixels, in units of a white of 1.
     """
-    unit = imaging.changed(display=imaging.display.model_copy(update={white_field(irradiance): 1.0}))
+    unit = imaging.changed(
+        display=imaging.display.model_copy(update={white_field(irradiance): 1.0})
+    )
     return luminance_of(ideal_on_dots(unit, irradiance, screen_rendition(unit, irradiance))[1])
 
 
 def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any]:
-    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
+    """Return header entries with a white for a scene of unknown white; none if the display or the
+    scene defines the white.
 
-    It is one luminance for all that see the scene: the 99th percentile of the ideal image in the response of the pixels, on the
-    dots that are scored, rounded up to two digits, with a warning. Of several pixels, which see different parts of the spectrum,
-    the largest counts: so that white clips at most 1 % of the ideal image of each.
+    It is one luminance for all that see the scene: the 99th percentile of the ideal image in the
+    response of the pixels, on the dots that are scored, rounded up to two digits, with a warning.
+    Of several pixels, which see different parts of the spectrum, the largest counts: so that white
+    clips at most 1 % of the ideal image of each.
 
-    Of light without luminance it is a radiance. `display.white = "diffuser"` takes that of a white plate, or of texel value 1 of
-    an emissive chart, as the light says it, in place of any other.
+    Of light without luminance it is a radiance. `display.white = "diffuser"` takes that of a white
+    plate, or of texel value 1 of an emissive chart, as the light says it, in place of any other.
 
     seen : the pixels of each sensor with their light, all on one display
 
-    Raises PixsimError if an ideal image is black up to that percentile, or if the light does not say what a white plate shows.
+    Raises PixsimError if an ideal image is black up to that percentile, or if the light does not
+    say what a white plate shows.
     """
     imaging, irradiance = seen[0]
     display, name = imaging.display, white_field(irradiance)
     if display.white is not None:
         return _white_of_diffuser(irradiance, display)
-    if display.white_cd_per_m2 or display.white_w_per_m2_sr or HEADER_OF_WHITE[name] in irradiance.header:
+    if (
+        display.white_cd_per_m2
+        or display.white_w_per_m2_sr
+        or HEADER_OF_WHITE[name] in irradiance.header
+    ):
         return {}
-    estimate = max(float(np.percentile(amount_of_white(*pair), WHITE_PERCENTILE, overwrite_input=True)) for pair in seen)
+    estimate = max(
+        float(np.percentile(amount_of_white(*pair), WHITE_PERCENTILE, overwrite_input=True))
+        for pair in seen
+    )
     unit = UNITS_OF_WHITE[name]
     if not estimate > 0:
         got = "no value, and the picture is too dark to estimate it"
         what = "luminance" if name == "white_cd_per_m2" else "radiance"
-        raise invalid(f"display.{name}", got, f"the scene {what} in {unit} shown as white", f"Set {setting(f'display.{name}')}.")
+        raise invalid(
+            f"display.{name}",
+            got,
+            f"the scene {what} in {unit} shown as white",
+            f"Set {setting(f'display.{name}')}.",
+        )
     white = rounded_up(estimate, WHITE_DIGITS)
     of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
     source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
-    warn(Note("assumed", words=f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}"))
+    warn(
+        Note(
+            "assumed",
+            words=f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}",
+        )
+    )
     return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
 
 
 def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]:
-    """Return header entries with the white of a plate. Raises PixsimError if the light does not say what it shows."""
+    """Return header entries with the white of a plate. Raises PixsimError if the light does not say
+    what it shows.
+    """
     stated = image.header.get(DIFFUSER)
     if stated is None:
         got = "'diffuser', in light that does not say what a white plate in it shows"
-        hint = f"State the white: {setting('display.white_cd_per_m2')} or {setting('display.white_w_per_m2_sr')}. "
+        hint = (
+            f"State the white: {setting('display.white_cd_per_m2')} or"
+            f" {setting('display.white_w_per_m2_sr')}. "
+        )
         hint += "In Python, pixsim.render(…, diffuser=True) makes light that says it."
         raise invalid("display.white", got, "light of a scene that was rendered for it", hint)
     if DIFFUSER_W not in stated:
@@ -266,9 +375,18 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
             warn(Note("not_used", setting="display.diffuser_reflectance", reason=reason))
         return {**stated, "white_from": "texel value 1 of the chart"}
     per_nm = display.diffuser_reflectance * np.array(stated[DIFFUSER_W])
-    cd_per_m2, w_per_m2_sr = (float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm))
-    name, white = ("white_cd_per_m2", cd_per_m2) if cd_per_m2 > LEAST_LM_PER_W * w_per_m2_sr else ("white_w_per_m2_sr", w_per_m2_sr)
-    source = f"a white plate of reflectance {display.diffuser_reflectance:g}, {stated['distance_m']:.4g} m before the lens"
+    cd_per_m2, w_per_m2_sr = (
+        float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm)
+    )
+    name, white = (
+        ("white_cd_per_m2", cd_per_m2)
+        if cd_per_m2 > LEAST_LM_PER_W * w_per_m2_sr
+        else ("white_w_per_m2_sr", w_per_m2_sr)
+    )
+    source = (
+        f"a white plate of reflectance {display.diffuser_reflectance:g}, {stated['distance_m']:.4g}"
+        " m before the lens"
+    )
     return {HEADER_OF_WHITE[name]: float(f"{white:.9g}"), "white_from": source}
 
 
@@ -291,14 +409,17 @@ def rounded_up(value: float, digits: int) -> float:
 
 
 def warn_of_clipping(beyond_white: float, header: Mapping[str, Any], display: Display) -> None:
-    """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
+    """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the
+    caller of the caller.
+    """
     if beyond_white > CLIPPED_WARNING:
         higher = displays.setting_of_white(header, display)
         warn(Note("white_clipped", share=percent(beyond_white), hint=f"raise {higher}"))
 
 
 class LightLevel(NamedTuple):
-    """What is shown as display white, its unit, source and spectrum, and the shortest and longest exposure time.
+    """What is shown as display white, its unit, source and spectrum, and the shortest and longest
+    exposure time.
 
     It is a luminance, or the radiance of light without one.
     """
@@ -311,11 +432,19 @@ class LightLevel(NamedTuple):
     longest_s: float
 
     @classmethod
-    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
-        """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
+    def of(
+        cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]
+    ) -> LightLevel:
+        """Return the light level of a scored picture; the display's white takes precedence over the
+        scene's.
+        """
         header, times_s = irradiance.header, np.array(list(integration_s), float)
         stated = [name for name in UNITS_OF_WHITE if getattr(display, name)]
-        name = stated[0] if stated else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
+        name = (
+            stated[0]
+            if stated
+            else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
+        )
         if stated:
             white, source = getattr(display, name), f"display.{name}"
         else:
@@ -337,4 +466,7 @@ class LightLevel(NamedTuple):
         return span(exposure_time(self.shortest_s), exposure_time(self.longest_s))
 
     def __str__(self) -> str:
-        return f"display white is {self.white:.4g} {self.unit} in the scene; exposed for {self.exposure}"
+        return (
+            f"display white is {self.white:.4g} {self.unit} in the scene; exposed for"
+            f" {self.exposure}"
+        )

@@ -31,76 +31,128 @@ OF_PIXEL = Words(also=("sensor",))
 
 
 class Effort(Record):
-    """What a result may cost: error tolerances, the film, the time limit, and the part of the die."""
+    """What a result may cost: error tolerances, the film, the time limit, and the part of the
+    die.
+    """
 
     tolerance_e: Annotated[float, Field(ge=1e-9, lt=1)] = Field(
-        1e-3, description="largest relative error of the mean electrons from simplifications of the render"
+        1e-3,
+        description=(
+            "largest relative error of the mean electrons from simplifications of the render"
+        ),
     )
     tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
-        None, description="largest error of the mean ΔE by the film, and by the noise of the render in place of render_noise"
+        None,
+        description=(
+            "largest error of the mean ΔE by the film, and by the noise of the render in place of"
+            " render_noise"
+        ),
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
     )
-    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM})] = Field(
-        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
+    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM})] = (
+        Field(
+            None,
+            description=(
+                "film samples across the die (absent: chosen from the pixel, the lens and the"
+                " display)"
+            ),
+        )
     )
     max_seconds: Seconds | None = Field(
         None,
-        description="time after which a render ends, with a warning that states its noise; what is unfinished then is given up "
-        "(absent: a number of samples limits it, which does not depend on the machine)",
+        description=(
+            "time after which a render ends, with a warning that states its noise; what is"
+            " unfinished then is given up (absent: a number of samples limits it, which does not"
+            " depend on the machine)"
+        ),
     )
     window_mm: DieWidth | None = Field(
         None,
-        description="width of a central part of the die in mm: the same lens and pixels on a smaller die (absent: the whole die)",
+        description=(
+            "width of a central part of the die in mm: the same lens and pixels on a smaller die"
+            " (absent: the whole die)"
+        ),
     )
 
 
 class Setting(Effort):
-    """All that a frame depends on, for a run and a study alike; a study has the size of its pixel elsewhere."""
+    """All that a frame depends on, for a run and a study alike; a study has the size of its pixel
+    elsewhere.
+    """
 
     seed: Seed = Field(0, description="seed of the render, of sensors and their noise")
     scene: Record | dict[str, NumberOrText] = Field(
-        default_factory=dict, description="scene; a run has its parameters here, and its file elsewhere"
+        default_factory=dict,
+        description="scene; a run has its parameters here, and its file elsewhere",
     )
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
     lens: LensOptions = Field(
-        LensOptions(), description="veil and fall-off of the lens, and a real one in place of the camera's thin one"
+        LensOptions(),
+        description=(
+            "veil and fall-off of the lens, and a real one in place of the camera's thin one"
+        ),
     )
-    pixel: Annotated[PixelOptions, OF_PIXEL] = Field(PixelOptions(), description="pixel, without technology and pitch")
+    pixel: Annotated[PixelOptions, OF_PIXEL] = Field(
+        PixelOptions(), description="pixel, without technology and pitch"
+    )
     exposure: Exposure = Field(Exposure(), description="exposure of each frame")
     motion: Motion = Field(Motion(), description="how fast the scene moves in each exposure")
-    correction: Correction = Field(Correction(), description="correction of each frame by the camera")
-    develop: Develop = Field(Develop(), description="how frames with colour filters become pictures")
+    correction: Correction = Field(
+        Correction(), description="correction of each frame by the camera"
+    )
+    develop: Develop = Field(
+        Develop(), description="how frames with colour filters become pictures"
+    )
     display: Display = Field(Display(), description="display, viewer and metric")
     metrics: MetricNames = Field(
-        ("delta_e",), description="metrics that judge each frame; a study looks for the best pixel by each, and reports the first"
+        ("delta_e",),
+        description=(
+            "metrics that judge each frame; a study looks for the best pixel by each, and reports"
+            " the first"
+        ),
     )
     metric: MetricOptions = Field(METRIC_OPTIONS, description="settings of the metrics")
     noise_budget: bool = Field(
-        False, description="also tell electrons and ΔE by cause, of the first sensor, each cause switched off in turn"
+        False,
+        description=(
+            "also tell electrons and ΔE by cause, of the first sensor, each cause switched off in"
+            " turn"
+        ),
     )
 
     @property
     def stage_words(self) -> list[str]:
-        """What is on between the light on the sensor and the frame, in words for headlines, in the order of the light."""
+        """What is on between the light on the sensor and the frame, in words for headlines, in the
+        order of the light.
+        """
         exposure, veil = self.exposure, self.lens.veiling_glare
         words = []
         if veil:
-            words.append(f"veiling glare {100 * veil:.3g} %" if isinstance(veil, float) else "veiling glare by wavelength")
+            words.append(
+                f"veiling glare {100 * veil:.3g} %"
+                if isinstance(veil, float)
+                else "veiling glare by wavelength"
+            )
         if self.motion.is_on:
             words.append(motion_words(self.motion))
         if exposure.line_time_s:
             words.append(f"rolling shutter, {exposure.line_time_us:g} µs a row")
         if exposure.flickers:
-            words.append(f"light flickers at {exposure.flicker_hz:g} Hz by {100 * (exposure.flicker_depth or 0.0):.3g} %")
+            words.append(
+                f"light flickers at {exposure.flicker_hz:g} Hz by"
+                f" {100 * (exposure.flicker_depth or 0.0):.3g} %"
+            )
         if exposure.frames > 1:
             words.append(f"each frame the sum of {exposure.frames} exposures")
         return words
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
-        """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take precedence."""
+        """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take
+        precedence.
+        """
         return merged(layers)
 
 
@@ -108,16 +160,24 @@ class Run(Setting):
     """The options of `pixsim run`, as tables."""
 
     scene: dict[str, NumberOrText] = Field(
-        default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
+        default_factory=dict,
+        description="values of the scene's <default> parameters, as -D sets them",
     )
     pixel: Annotated[Pixel, OF_PIXEL] = Field(Pixel(), description="pixel of the sensor")
 
     @field_validator("scene", mode="before")
     @classmethod
     def _parameters_stand_alone(cls, scene: object) -> object:
-        """A study's file has them in a table of their own, beside the scene's file; here they are all that there is."""
-        if isinstance(scene, dict) and (tables := [name for name, value in scene.items() if isinstance(value, dict)]):
-            raise ValueError(f"got a table, scene.{tables[0]}; allowed: numbers and texts. State parameters as scene.lux = 500")
+        """A study's file has them in a table of their own, beside the scene's file; here they are
+        all that there is.
+        """
+        if isinstance(scene, dict) and (
+            tables := [name for name, value in scene.items() if isinstance(value, dict)]
+        ):
+            raise ValueError(
+                f"got a table, scene.{tables[0]}; allowed: numbers and texts. State parameters as"
+                " scene.lux = 500"
+            )
         return scene
 
     @model_validator(mode="after")
@@ -127,5 +187,7 @@ class Run(Setting):
 
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:
-        self.__dict__["camera"] = self.camera.with_die(self.pixel.pitch_um if "pitch_um" in self.pixel.model_fields_set else None)
+        self.__dict__["camera"] = self.camera.with_die(
+            self.pixel.pitch_um if "pitch_um" in self.pixel.model_fields_set else None
+        )
         return self

@@ -19,8 +19,17 @@ from pixsim.viewer.setting import Run
 
 # Settings that may name a file.
 FILES = (
-    *(("pixel", "technology"), ("pixel", "quantum_efficiency"), *(("pixel", "colour", name) for name in RESPONSES)),
-    *(("camera", "chief_ray_angle"), ("develop", "tone_curve"), ("scene", "chart"), ("metric", "detectability", "without")),
+    *(
+        ("pixel", "technology"),
+        ("pixel", "quantum_efficiency"),
+        *(("pixel", "colour", name) for name in RESPONSES),
+    ),
+    *(
+        ("camera", "chief_ray_angle"),
+        ("develop", "tone_curve"),
+        ("scene", "chart"),
+        ("metric", "detectability", "without"),
+    ),
     *(("lens", "file"), ("lens", "veiling_glare"), ("lens", "relative_illumination")),
 )
 
@@ -45,9 +54,11 @@ def settings_path(name: str | os.PathLike[str]) -> Path:
 
 
 def settings_layer(file: str | os.PathLike[str]) -> Layer:
-    """Read a settings file, or a packaged one by its name; paths in it are resolved by `resolve_file`.
+    """Read a settings file, or a packaged one by its name; paths in it are resolved by
+    `resolve_file`.
 
-    Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers: `sheet_uncertainty` returns it.
+    Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers:
+    `sheet_uncertainty` returns it.
     """
     path = settings_path(file)
     table = read_toml(path)
@@ -55,13 +66,16 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
         table["pixel"], _ = without_uncertainty(pixel, str(path))
     resolve_files(table, path, FILES)
     lens = table.get("lens", {})
-    if isinstance(lens, dict) and isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
+    if isinstance(lens, dict) and isinstance(
+        catalogues := as_file_names(lens.get("glass_catalogues")), list
+    ):
         lens["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
     return Layer(table, str(path))
 
 
 def resolve_files(table: dict[str, Any], path: Path, files: Iterable[Sequence[str]]) -> None:
-    """Replace file names in a table of settings by their paths, for files that lie next to the settings file.
+    """Replace file names in a table of settings by their paths, for files that lie next to the
+    settings file.
 
     files : paths of the settings that may name a file
     """
@@ -73,8 +87,11 @@ def resolve_files(table: dict[str, Any], path: Path, files: Iterable[Sequence[st
             node[name] = resolve_file(path, node[name])
 
 
-def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
-    """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
+def run_settings(
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]
+) -> Run:
+    """Return settings from defaults, files and options, in order of precedence. Raises PixsimError
+    that lists all problems.
 
     config : one or more TOML files, or names of packaged sensors; later ones take precedence
     options : tables and fields of `Run`
@@ -85,7 +102,8 @@ def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str
 
 
 def load_pixel(file: str | os.PathLike[str]) -> Pixel:
-    """Return the pixel of a sensor's settings file, or of a packaged sensor by its name: for `evaluate` and `sweep`.
+    """Return the pixel of a sensor's settings file, or of a packaged sensor by its name: for
+    `evaluate` and `sweep`.
 
     Other tables of the file, such as its camera, are checked and left out.
 

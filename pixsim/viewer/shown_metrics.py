@@ -22,7 +22,15 @@ from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms
-from pixsim.viewer.raw_metrics import code_moments, code_tables, expected_e, full_e, grey, needs_target, variance_of_pixels_e2
+from pixsim.viewer.raw_metrics import (
+    code_moments,
+    code_tables,
+    expected_e,
+    full_e,
+    grey,
+    needs_target,
+    variance_of_pixels_e2,
+)
 from pixsim.viewer.score import Score
 from pixsim.viewer.sharpening import unsharp_response
 
@@ -41,10 +49,14 @@ def _acutance(judged: FrameUnderTest) -> tuple[float]:
     on_sensor = frequency / mm_per_deg
 
     def compute() -> float:
-        terms = mtf_terms(imaging, frame.light.mean, on_sensor, screen.dot_um, frame.moving.longest_um)
+        terms = mtf_terms(
+            imaging, frame.light.mean, on_sensor, screen.dot_um, frame.moving.longest_um
+        )
         if develop.sharpens:
             cy_per_px = 1e-3 * pitch_um * on_sensor
-            terms["sharpening"] = unsharp_response(cy_per_px, develop.sharpen_amount, development.sharpen_px)
+            terms["sharpening"] = unsharp_response(
+                cy_per_px, develop.sharpen_amount, development.sharpen_px
+            )
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
     sharpened = develop.sharpen_amount, development.sharpen_px if develop.sharpens else 0.0
@@ -69,12 +81,26 @@ ACUTANCE = Metric(
 
 
 def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
-    """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its own."""
+    """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its
+    own.
+    """
     development, imaging, time_s = judged.development, judged.imaging, judged.frame.integration_s
     correction = imaging.correction
     if imaging.develop.denoise == "wiener_bound":
-        got, hint = "develop.denoise = 'wiener_bound', which knows that its patch is even", "Take 'nlm' or 'wavelet'."
-        raise NoNumberError(str(invalid("the metric visual_noise", got, "noise reduction that does not know the picture", hint)))
+        got, hint = (
+            "develop.denoise = 'wiener_bound', which knows that its patch is even",
+            "Take 'nlm' or 'wavelet'.",
+        )
+        raise NoNumberError(
+            str(
+                invalid(
+                    "the metric visual_noise",
+                    got,
+                    "noise reduction that does not know the picture",
+                    hint,
+                )
+            )
+        )
     uniform: Array = np.full(judged.frame.dn.shape, GREY * development.white_e_per_s)
     flat_field = development.flat_field
     if flat_field is not None and (development.shading is not None or correction.flat_frames):
@@ -83,13 +109,22 @@ def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
     key = (*judged.stream, "visual noise")
     rows, columns = uniform.shape
     sensor = sample_sensor(development.readout, (rows, columns), stream(*key, "sensor"))
-    frame = capture_from_rates(uniform, sensor, lasting(development.exposure.steady, time_s), stream(*key, "frame"))
+    frame = capture_from_rates(
+        uniform, sensor, lasting(development.exposure.steady, time_s), stream(*key, "frame")
+    )
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
     if frame.saturated_fraction > FEW_FULL:
-        full = f"{percent(frame.saturated_fraction)} of the pixels of {development.readout.physics.pitch_um:g} µm full"
-        allowed = f"at most {percent(FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
-        raise NoNumberError(str(invalid("the metric visual_noise", full, allowed, "Expose it for less time.")))
+        full = (
+            f"{percent(frame.saturated_fraction)} of the pixels of"
+            f" {development.readout.physics.pitch_um:g} µm full"
+        )
+        allowed = (
+            f"at most {percent(FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
+        )
+        raise NoNumberError(
+            str(invalid("the metric visual_noise", full, allowed, "Expose it for less time."))
+        )
     return (visual_noise(development.light(frame), imaging.display.samples_per_deg),)
 
 
@@ -109,24 +144,44 @@ VISUAL_NOISE = Metric(
 
 
 def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
-    """Compare the shown light of expected frames of each registration, in the expected spectrum of their noise.
+    """Compare the shown light of expected frames of each registration, in the expected spectrum of
+    their noise.
 
-    A tone curve is not linear: the noise of this frame says by how much the curve changes it in the band of the target. That is
-    the ratio of two periodograms of the same noise, with and without the curve, which scatters much less than either of them.
+    A tone curve is not linear: the noise of this frame says by how much the curve changes it in the
+    band of the target. That is the ratio of two periodograms of the same noise, with and without
+    the curve, which scatters much less than either of them.
     """
     develop = judged.imaging.develop
     if develop.denoises:
-        got = f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to its mean"
-        raise NoNumberError(str(invalid("the metric npwe", got, "development that is linear", "Take ΔE, or detectability.")))
+        got = (
+            f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to"
+            " its mean"
+        )
+        raise NoNumberError(
+            str(
+                invalid(
+                    "the metric npwe",
+                    got,
+                    "development that is linear",
+                    "Take ΔE, or detectability.",
+                )
+            )
+        )
     change, values = 1.0, []
-    for number, frame in enumerate(judged.registrations(judged.options.detectability.registrations)):
+    for number, frame in enumerate(
+        judged.registrations(judged.options.detectability.registrations)
+    ):
         development = frame.development
         with_target, difference = _expected_light(judged.frame, frame)
         samples_per_deg = development.screen.display.samples_per_deg
         power = expected_noise_power(development, raw_noise(frame, frame.signal_e))
         if number == 0 and develop.tone and difference.any():
             light = development.light_before_tone(judged.frame)
-            curved = npwe(difference, _periodogram(development.toned(light) - development.toned(with_target)), samples_per_deg)
+            curved = npwe(
+                difference,
+                _periodogram(development.toned(light) - development.toned(with_target)),
+                samples_per_deg,
+            )
             straight = npwe(difference, _periodogram(light - with_target), samples_per_deg)
             if math.isfinite(curved) and 0 < straight < math.inf:  # else codes hide all noise
                 change = curved / straight
@@ -135,7 +190,8 @@ def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
 
 
 def _expected_light(drawn: Frame, frame: ExpectedFrame) -> tuple[Array, Array]:
-    """Return the expected light of the dots before the tone curve, and behind it what the target changes, (H, W) each.
+    """Return the expected light of the dots before the tone curve, and behind it what the target
+    changes, (H, W) each.
 
     drawn : a frame of the same sensor settings
     """
@@ -145,7 +201,9 @@ def _expected_light(drawn: Frame, frame: ExpectedFrame) -> tuple[Array, Array]:
         development.light_before_tone(_as_drawn(drawn, frame, expected_e(frame, signal_e)))
         for signal_e in (frame.signal_e, frame.background_e)
     )
-    return with_target, np.asarray(development.toned(with_target) - development.toned(background), float)
+    return with_target, np.asarray(
+        development.toned(with_target) - development.toned(background), float
+    )
 
 
 def _periodogram(noise: Array) -> Array:
@@ -208,8 +266,13 @@ NPWE = Metric(
     unit="",
     better="more",
     judges="shown picture",
-    source="non-prewhitening observer with an eye filter: Burgess, J. Opt. Soc. Am. A 11 (1994) 1237",
-    unseen="the codes of the display, unknown positions of the target, clutter, and noise of the eye itself",
+    source=(
+        "non-prewhitening observer with an eye filter: Burgess, J. Opt. Soc. Am. A 11 (1994) 1237"
+    ),
+    unseen=(
+        "the codes of the display, unknown positions of the target, clutter, and noise of the eye"
+        " itself"
+    ),
     columns=("npwe", "least_npwe"),
     bounds=(0.0, 1e12),
     compute=_npwe,
@@ -220,7 +283,9 @@ NPWE = Metric(
 
 
 def _needs_flip(asked: MetricContext) -> str:
-    return "" if find_spec(FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
+    return (
+        "" if find_spec(FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
+    )
 
 
 def _flip(score: Score) -> tuple[float]:
@@ -230,8 +295,11 @@ def _flip(score: Score) -> tuple[float]:
     for picture in (score.ideal, score.image):
         of_primaries = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
         pair.append(np.ascontiguousarray(of_primaries, np.float32))
-    # The shown light is linear, and its primaries are those of sRGB: the package need not decode it.
-    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", False, False, True, {"ppd": score.display.samples_per_deg})
+    # The shown light is linear, and its primaries are those of sRGB: the package need not decode
+    # it.
+    _, mean, _ = flip_evaluator.evaluate(
+        *pair, "LDR", False, False, True, {"ppd": score.display.samples_per_deg}
+    )
     return (float(mean),)
 
 
@@ -241,8 +309,14 @@ FLIP = Metric(
     unit="",
     better="less",
     judges="shown picture",
-    source="Andersson et al., Proc. ACM Comput. Graph. Interact. Tech. 3 (2020) 15; flip-evaluator, the package of its authors",
-    unseen="what nobody sees who flips between the two pictures: it was fitted to rendered pictures, at 67 dots per degree",
+    source=(
+        "Andersson et al., Proc. ACM Comput. Graph. Interact. Tech. 3 (2020) 15; flip-evaluator,"
+        " the package of its authors"
+    ),
+    unseen=(
+        "what nobody sees who flips between the two pictures: it was fitted to rendered pictures,"
+        " at 67 dots per degree"
+    ),
     columns=("mean_flip",),
     bounds=(0.0, 1.0),
     compute=_flip,

@@ -1,11 +1,12 @@
 """Tone curves: light, 1 for the scene's white → light that the display shows, 1 for its white.
 
-A curve of values ('gamma', 'srgb', a table) is what a camera does: it hands a value to the display, which shows value^γ. The light
-is then that of the display, so that 'none' stands for the display's own inverse. A global operator ('reinhard') makes light of
-light. A curve of values holds for each primary, the operator for the luminance, whose factor all primaries have.
+A curve of values ('gamma', 'srgb', a table) is what a camera does: it hands a value to the display,
+which shows value^γ. The light is then that of the display, so that 'none' stands for the display's
+own inverse. A global operator ('reinhard') makes light of light. A curve of values holds for each
+primary, the operator for the luminance, whose factor all primaries have.
 
-sRGB: IEC 61966-2-1. Operator: E. Reinhard, M. Stark, P. Shirley & J. Ferwerda, "Photographic tone reproduction for digital images",
-ACM Trans. Graph. 21 (2002) 267, equation 4.
+sRGB: IEC 61966-2-1. Operator: E. Reinhard, M. Stark, P. Shirley & J. Ferwerda, "Photographic tone
+reproduction for digital images", ACM Trans. Graph. 21 (2002) 267, equation 4.
 """
 
 from __future__ import annotations
@@ -20,11 +21,18 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import WHITE_XYZ, XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
 
-SRGB_LINEAR_TO, SRGB_SLOPE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 0.0031308, 12.92, 1.055, 0.055, 2.4
+SRGB_LINEAR_TO, SRGB_SLOPE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = (
+    0.0031308,
+    12.92,
+    1.055,
+    0.055,
+    2.4,
+)
 
 
 def srgb_value(light: Numbers) -> Array:
-    """Return the value of sRGB (IEC 61966-2-1), 0 to 1, (...) as the light, which is clipped to 0 … 1.
+    """Return the value of sRGB (IEC 61966-2-1), 0 to 1, (...) as the light, which is clipped to 0 …
+    1.
 
     >>> srgb_value(0.214).round(4).item()
     0.4999
@@ -35,7 +43,8 @@ def srgb_value(light: Numbers) -> Array:
 
 
 def reinhard(luminance: Numbers, white: Positive) -> Array:
-    """Return the shown luminance L(1 + L/w²)/(1 + L), (...) as the luminance L: 1 at w. What is below 0 stays as it is.
+    """Return the shown luminance L(1 + L/w²)/(1 + L), (...) as the luminance L: 1 at w. What is
+    below 0 stays as it is.
 
     Reinhard et al. (2002), equation 4.
 
@@ -55,12 +64,16 @@ def _factor(luminance: Array, white: float) -> Array:
 
 
 def luminance_of(light: Array) -> Array:
-    """Return the luminance, (H, W), 1 for white, of light of the dots, (H, W) or of the display's primaries (3, H, W)."""
+    """Return the luminance, (H, W), 1 for white, of light of the dots, (H, W) or of the display's
+    primaries (3, H, W).
+    """
     return light if light.ndim == 2 else mixed(XYZ_FROM_RGB[1:2] / WHITE_XYZ[1], list(light))[0]
 
 
 def toned(light: Array, develop: Develop, display: Display) -> Array:
-    """Return light behind the tone curve, (H, W) or (3, H, W) as it is, in its precision; the light itself without a curve."""
+    """Return light behind the tone curve, (H, W) or (3, H, W) as it is, in its precision; the light
+    itself without a curve.
+    """
     if not develop.tone:
         return light
     curve = develop.tone_curve

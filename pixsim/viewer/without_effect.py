@@ -1,11 +1,14 @@
-"""Settings that do nothing: one rule for every command, and a table of those settings that the rule cannot judge.
+"""Settings that do nothing: one rule for every command, and a table of those settings that the rule
+cannot judge.
 
-A setting does nothing if the mean frame, its closed-form variance, the ideal picture and the metrics that were asked for are the
-same at its default, on one small light in which no pixel is full. The small light stands on a sensor of a few hundred pixels; the
-camera is scaled with its die, so that every part of the field is in the picture.
+A setting does nothing if the mean frame, its closed-form variance, the ideal picture and the
+metrics that were asked for are the same at its default, on one small light in which no pixel is
+full. The small light stands on a sensor of a few hundred pixels; the camera is scaled with its die,
+so that every part of the field is in the picture.
 
-The small light is so faint that an automatic exposure comes close to its longest time, where dark charge, motion and flicker are
-largest. It stands behind a thin lens: what the file of a real one leaves open is judged where the file is read.
+The small light is so faint that an automatic exposure comes close to its longest time, where dark
+charge, motion and flicker are largest. It stands behind a thin lens: what the file of a real one
+leaves open is judged where the file is read.
 """
 
 from __future__ import annotations
@@ -26,7 +29,13 @@ from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage
 from pixsim.optics.lens_options import OF_ANY_LENS
 from pixsim.sensor.correction import residual_variance_e2
-from pixsim.sensor.integration import ChannelLight, array_size_um, collecting_area_um2, electrons_per_joule, lights_of
+from pixsim.sensor.integration import (
+    ChannelLight,
+    array_size_um,
+    collecting_area_um2,
+    electrons_per_joule,
+    lights_of,
+)
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
@@ -46,9 +55,13 @@ from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
 from pixsim.viewer.screen import HEADER_OF_WHITE, amount_of_white, white_field
 from pixsim.viewer.setting import Setting
 
-RESOLVED = 1e-3  # of the smallest difference that a result resolves: the scatter of a frame, a code of the display
+# of the smallest difference that a result resolves: the scatter of a frame, a code of the display
+RESOLVED = 1e-3
 METRIC_DIGITS = 1e-6  # relative: 1e-3 of the last of the four digits that are shown
-PIXELS, SAMPLES = 20, 24  # across the small light; they do not divide each other, so that places of pixels show
+PIXELS, SAMPLES = (
+    20,
+    24,
+)  # across the small light; they do not divide each other, so that places of pixels show
 MIN_ASPECT, MAX_ASPECT = 0.5, 2.0  # of the small light
 DOTS = 16  # of the display across it
 BAND_NM = 40.0
@@ -65,17 +78,23 @@ SOLVE_FOR = "metric.detectability.solve_for"  # for commands of one frame
 TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop", "display"
 
 
-# --- names of settings ------------------------------------------------------------------------------------------------
+# --- names of settings
+# ------------------------------------------------------------------------------------------------
 
 
 def changed_settings(record: Record, prefix: str = "", but: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the dotted names of fields that were set to another value than their default, also in records inside.
+    """Yield the dotted names of fields that were set to another value than their default, also in
+    records inside.
 
     A value of 0 is the absence of what it states, and no such setting.
     """
     for name, info in type(record).model_fields.items():
         value = getattr(record, name)
-        if name not in record.model_fields_set or name in but or (value == 0 and value is not False):
+        if (
+            name not in record.model_fields_set
+            or name in but
+            or (value == 0 and value is not False)
+        ):
             continue
         # Pydantic 2.10 asks for the data, which no factory of a record takes.
         if value != info.get_default(call_default_factory=True, validated_data={}):
@@ -111,7 +130,9 @@ def record_with(record: RecordKind, path: Sequence[str], value: object) -> Recor
     if inner and not (value is Default and fields[name].model_fields_set == {*inner}):
         value = record_with(fields[name], inner, value)
     fields[name] = value
-    return type(record)(**{other: stated for other, stated in fields.items() if stated is not Default})
+    return type(record)(
+        **{other: stated for other, stated in fields.items() if stated is not Default}
+    )
 
 
 def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
@@ -123,7 +144,11 @@ def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
     if table == "lens":
         table, path = "camera", [OF_ANY_LENS[path[0]]]
     imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
-    return imaging.changed(technology=load_technology(imaging.pixel.technology)) if name == "pixel.technology" else imaging
+    return (
+        imaging.changed(technology=load_technology(imaging.pixel.technology))
+        if name == "pixel.technology"
+        else imaging
+    )
 
 
 def words_of(annotation: object) -> Iterator[object]:
@@ -135,7 +160,8 @@ def words_of(annotation: object) -> Iterator[object]:
             yield from words_of(part)
 
 
-# --- the small light --------------------------------------------------------------------------------------------------
+# --- the small light
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -154,12 +180,16 @@ class SmallLight:
     imaging: Imaging
     scale: tuple[float, float]
     white: dict[str, float | None]
-    _lights: dict[object, tuple[ChannelLight, ...]] = field(default_factory=dict, init=False, repr=False)
+    _lights: dict[object, tuple[ChannelLight, ...]] = field(
+        default_factory=dict, init=False, repr=False
+    )
     _prepared: dict[object, PreparedScene] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> SmallLight:
-        """Return the small light for settings; `picture` is light that is given, whose bands it has."""
+        """Return the small light for settings; `picture` is light that is given, whose bands it
+        has.
+        """
         physics, camera = imaging.physics, imaging.camera
         read_um = physics.read_pitch_um
         size_um = camera.die_um if picture is None else displays.picture_size_um(picture)
@@ -169,7 +199,9 @@ class SmallLight:
         rows = round(aspect * SAMPLES)
         scale = rows * sample_um / size_um[0], width_um / size_um[1]
 
-        header: dict[str, Any] = {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
+        header: dict[str, Any] = (
+            {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
+        )
         if picture is not None and "diffraction" in picture.header:
             header["diffraction"] = picture.header["diffraction"]
         if picture is None:
@@ -178,19 +210,27 @@ class SmallLight:
         else:
             bands = picture.wavelength_nm, picture.band_width_nm
         spectra = np.stack([600 / bands[0], bands[0] / 600])
-        with_target, background = (np.stack(planes).astype(np.float32) for planes in _pictures(rows))
+        with_target, background = (
+            np.stack(planes).astype(np.float32) for planes in _pictures(rows)
+        )
 
         def light(planes: NDArray[Any], brightness: float) -> SpectralImage:
-            return SpectralImage(*bands, sample_um, factors=(brightness * spectra, planes), header=header)
+            return SpectralImage(
+                *bands, sample_um, factors=(brightness * spectra, planes), header=header
+            )
 
         unit = light(with_target, 1.0)
         small = cls(unit, unit, imaging, scale, dict(NO_WHITE))
         brightness = small._brightness(small.seen(imaging))
-        lit = replace(small, light=light(with_target, brightness), background=light(background, brightness))
+        lit = replace(
+            small, light=light(with_target, brightness), background=light(background, brightness)
+        )
         return replace(lit, white=lit._white(lit.seen(imaging)))
 
     def _brightness(self, imaging: Imaging) -> float:
-        """Return by what the light is multiplied so that no pixel is full, and automatic exposures are long."""
+        """Return by what the light is multiplied so that no pixel is full, and automatic exposures
+        are long.
+        """
         readout, exposure = imaging.readout, imaging.exposure
         assert self.light.factors is not None
         spectrum = self.light.factors[0].mean(axis=0)
@@ -218,19 +258,33 @@ class SmallLight:
 
     def _white(self, imaging: Imaging) -> dict[str, float | None]:
         """Return the fields of a display that state a white above all of the light."""
-        return NO_WHITE | {white_field(self.light): WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())}
+        return NO_WHITE | {
+            white_field(self.light): (
+                WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())
+            )
+        }
 
     def seen(self, imaging: Imaging) -> Imaging:
-        """Return settings for the small light: the camera scaled with its die, few dots, and the white in its unit."""
+        """Return settings for the small light: the camera scaled with its die, few dots, and the
+        white in its unit.
+        """
         down, across = self.scale
         camera = imaging.camera
         tables = {
             name: rows and tuple((across * row[0], *row[1:]) for row in rows)
-            for name, rows in (("chief_ray_angle", camera.chief_ray_angle), ("fall_off", camera.fall_off))
+            for name, rows in (
+                ("chief_ray_angle", camera.chief_ray_angle),
+                ("fall_off", camera.fall_off),
+            )
         }
-        lengths = {name: across * getattr(camera, name) for name in ("focal_length_mm", "object_distance_m", "die_mm")}
+        lengths = {
+            name: across * getattr(camera, name)
+            for name in ("focal_length_mm", "object_distance_m", "die_mm")
+        }
         height_mm = None if camera.die_height_mm is None else down * camera.die_height_mm
-        camera = camera.model_copy(update={"lens": None, "die_height_mm": height_mm, **lengths, **tables})
+        camera = camera.model_copy(
+            update={"lens": None, "die_height_mm": height_mm, **lengths, **tables}
+        )
 
         develop = imaging.develop
         if "matrix" not in self.imaging.develop.model_fields_set:
@@ -251,7 +305,9 @@ class SmallLight:
     def _seen_from(self, imaging: Imaging) -> tuple[object, ...]:
         """Return what the light behind the lens depends on."""
         physics = imaging.physics
-        electrons = [electrons_per_joule(channel, self.light).tobytes() for channel in physics.channels]
+        electrons = [
+            electrons_per_joule(channel, self.light).tobytes() for channel in physics.channels
+        ]
         charge = physics.charge.content_hash if physics.charge else ""
         return imaging.camera.model_dump_json(), repr(imaging.pixel.stack), charge, tuple(electrons)
 
@@ -267,7 +323,14 @@ class SmallLight:
         physics, develop, metrics = imaging.physics, imaging.develop, imaging.metrics
         pixels = str(physics.layout), physics.read_pitch_um, physics.border_um, physics.registration
         tone = develop.tone_curve, develop.tone_gamma, develop.tone_white
-        key = (*self._seen_from(imaging), pixels, imaging.display.model_dump_json(), tone, metrics.chosen, metrics.needs_light)
+        key = (
+            *self._seen_from(imaging),
+            pixels,
+            imaging.display.model_dump_json(),
+            tone,
+            metrics.chosen,
+            metrics.needs_light,
+        )
         if key not in self._prepared:
             light = SceneLight(self.light, self.background if has_target(metrics.names) else None)
             self._prepared[key] = prepare_scene(imaging, light, lights=self.behind_lens(imaging))
@@ -277,7 +340,8 @@ class SmallLight:
 def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the planes of both spectra, (rows, SAMPLES) each, with and without the target.
 
-    From left to right: black, a ramp, and behind a slanted edge white. The target is a square on the ramp, of one spectrum alone.
+    From left to right: black, a ramp, and behind a slanted edge white. The target is a square on
+    the ramp, of one spectrum alone.
     """
     y, x = ((np.arange(count) + 0.5) / count for count in (rows, SAMPLES))
     ramp = np.clip((x[None] - 0.15) / 0.6, 0.0, 1.0) * np.ones((rows, 1)) * 0.6
@@ -288,7 +352,8 @@ def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     return (np.where(patch, ramp, background[0]), np.where(patch, 0.0, background[1])), background
 
 
-# --- the rule ---------------------------------------------------------------------------------------------------------
+# --- the rule
+# ---------------------------------------------------------------------------------------------------------
 
 
 class SmallFrame:
@@ -328,7 +393,9 @@ class SmallFrame:
             frame = self.frame
         else:  # no frame depends on the screen
             array_um = array_size_um(self.small.light, self.imaging.camera)
-            prepared = replace(self.base.prepared, lights=self.small.behind_lens(self.imaging), array_um=array_um)
+            prepared = replace(
+                self.base.prepared, lights=self.small.behind_lens(self.imaging), array_um=array_um
+            )
             frame = make_chain(self.imaging, prepared, room_is_checked=True).capture(*STREAM)
         count = frame.exposures
         charge_e = (frame.mean_e + frame.mean_dark_e) / count
@@ -337,16 +404,24 @@ class SmallFrame:
     @cached_property
     def time_s(self) -> float:
         """Integration time of a frame of the base's light."""
-        return integration_time_s(self.imaging.exposure, self.readout, float(self.base.chain.signal_e_per_s.max()))
+        return integration_time_s(
+            self.imaging.exposure, self.readout, float(self.base.chain.signal_e_per_s.max())
+        )
 
     def variance_e2(self, light_e: Array) -> Array:
-        """Return the variance of a corrected pixel over frames and sensors, in the shape (...) of the mean charge of light."""
-        return np.asarray(residual_variance_e2(light_e, self.time_s, self.readout, self.imaging.correction).total)
+        """Return the variance of a corrected pixel over frames and sensors, in the shape (...) of
+        the mean charge of light.
+        """
+        return np.asarray(
+            residual_variance_e2(light_e, self.time_s, self.readout, self.imaging.correction).total
+        )
 
     @property
     def ends_e(self) -> Array:
         """Charge without light, and that at which a frame ends."""
-        return np.array([self.readout.dark_current_e_per_s * self.time_s, self.readout.saturation_e])
+        return np.array(
+            [self.readout.dark_current_e_per_s * self.time_s, self.readout.saturation_e]
+        )
 
     @cached_property
     def clipped_e(self) -> Array:
@@ -367,7 +442,8 @@ class SmallFrame:
 def has_effect(base: SmallFrame, other: SmallFrame) -> bool:
     """Whether two settings give the small light another frame, noise, ideal picture or metric.
 
-    The noise is that of the same mean charge, and the picture that of the same frame: each part is judged by itself.
+    The noise is that of the same mean charge, and the picture that of the same frame: each part is
+    judged by itself.
     """
     if str(other.physics.layout) != str(base.physics.layout):
         return True
@@ -388,17 +464,23 @@ def has_effect(base: SmallFrame, other: SmallFrame) -> bool:
         return True
     metrics = base.imaging.metrics.chosen
     if any(metric.is_delta_e for metric in metrics):
-        light, other_light = (trial.chain.development.light(base.frame) for trial in (base, other))  # before a display rounds it
+        light, other_light = (
+            trial.chain.development.light(base.frame) for trial in (base, other)
+        )  # before a display rounds it
         if _differ(other_light, light, RESOLVED * code):
             return True
         ours, theirs = (trial.chain.development.score(base.frame) for trial in (base, other))
-        if _differ(theirs.image, ours.image, RESOLVED * code) or _differ(theirs.delta_e, ours.delta_e, 100 * RESOLVED * code):
+        if _differ(theirs.image, ours.image, RESOLVED * code) or _differ(
+            theirs.delta_e, ours.delta_e, 100 * RESOLVED * code
+        ):
             return True
     for metric in metrics:
         if not metric.is_delta_e:
             values = base.metric_values(metric, base.frame)
             # NaN differs from everything: of a metric without a number nothing is known.
-            if _differ(other.metric_values(metric, base.frame), values, METRIC_DIGITS * np.abs(values)):
+            if _differ(
+                other.metric_values(metric, base.frame), values, METRIC_DIGITS * np.abs(values)
+            ):
                 return True
     return False
 
@@ -408,17 +490,20 @@ def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
     return values.shape != others.shape or not bool((np.abs(values - others) <= tolerance).all())
 
 
-# --- what the rule cannot judge ---------------------------------------------------------------------------------------
+# --- what the rule cannot judge
+# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class GivenSettings:
-    """Settings that hold together, and the names of those that the user gave another value than their default.
+    """Settings that hold together, and the names of those that the user gave another value than
+    their default.
 
     names : dotted, as `pixel.stack.height_um`
     settings : of the command; None for a call with records
     picture : light that is given; None for light that is rendered
-    not_taken : names of settings and tables that the command does not take, or that do nothing in this one
+    not_taken : names of settings and tables that the command does not take, or that do nothing in
+        this one
     makes_frames : whether the command makes the frames of a run, in other light
     """
 
@@ -442,26 +527,34 @@ class GivenSettings:
 
     @classmethod
     def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> GivenSettings:
-        """Return those of tables by their names, as the user gave them, and of the command's settings above all tables.
+        """Return those of tables by their names, as the user gave them, and of the command's
+        settings above all tables.
 
         facts : further fields
         """
         settings, picture = facts.get("settings"), facts.get("picture")
         names = [] if settings is None else list(changed_settings(settings, but=tuple(tables)))
         for table, record in tables.items():
-            # A complete camera has its lens inside, whose settings have a table of their own, and the die of its pixels.
+            # A complete camera has its lens inside, whose settings have a table of their own, and
+            # the die of its pixels.
             inside = ("lens", "pixels", *OF_ANY_LENS.values()) if table == "camera" else ()
             names += changed_settings(record, f"{table}.", but=inside)
         names = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]
 
         technology = imaging.physics.technology
-        same = {f"pixel.{name}" for name, value in imaging.pixel if value == getattr(technology, name, None)}
+        same = {
+            f"pixel.{name}"
+            for name, value in imaging.pixel
+            if value == getattr(technology, name, None)
+        }
         if technology.name == NO_TECHNOLOGY:  # which follows from the numbers of a data sheet
             same.add("pixel.technology")
         if picture is not None:
             sizes_mm = (1e-3 * um for um in displays.picture_size_um(picture))
             dies_mm = imaging.camera.die_height_mm, imaging.camera.die_mm
-            for name, size_mm, die_mm in zip(("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True):
+            for name, size_mm, die_mm in zip(
+                ("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True
+            ):
                 if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=SAME_LENGTH):
                     same.add(name)
         return cls(imaging, tuple(name for name in names if name not in same), **facts)
@@ -469,7 +562,9 @@ class GivenSettings:
     @classmethod
     def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
         """Return those of a call with records, in light that is given."""
-        tables: dict[str, Record] = {table: getattr(imaging, table) for table in TABLES if table != "lens"}
+        tables: dict[str, Record] = {
+            table: getattr(imaging, table) for table in TABLES if table != "lens"
+        }
         tables |= {"lens": imaging.camera.lens_options, "metric": imaging.metrics.options}
         return cls.of(imaging, tables, picture=light)
 
@@ -490,7 +585,9 @@ class GivenSettings:
         return trial
 
     def trial_with(self, name: str, value: object) -> SmallFrame:
-        """Return what other settings make of the small light, as of `imaging_with`. Raises PixsimError if they are refused."""
+        """Return what other settings make of the small light, as of `imaging_with`. Raises
+        PixsimError if they are refused.
+        """
         assert self.base is not None
         return SmallFrame(self.base.small, imaging_with(self.imaging, name, value), self.base)
 
@@ -501,7 +598,9 @@ class GivenSettings:
 
     def _acts(self, name: str) -> bool:
         for row in ROWS:
-            if not row.settings or any(name == setting or name.startswith(f"{setting}.") for setting in row.settings):
+            if not row.settings or any(
+                name == setting or name.startswith(f"{setting}.") for setting in row.settings
+            ):
                 acts = row.acts(self, name)
                 if acts is not None:
                     return acts
@@ -522,7 +621,11 @@ class GivenSettings:
     def _words(self, name: str) -> list[object]:
         """Return the words that a setting may be."""
         table, *path = name.split(".")
-        record = self.imaging.metrics.options if table == "metric" else getattr(self.imaging, table, self.imaging.camera)
+        record = (
+            self.imaging.metrics.options
+            if table == "metric"
+            else getattr(self.imaging, table, self.imaging.camera)
+        )
         for part in path[:-1]:
             record = getattr(record, part)
         fields = type(record).model_fields
@@ -530,14 +633,18 @@ class GivenSettings:
 
 
 class Row(NamedTuple):
-    """Settings or tables, none for all of them, and whether one does something in a command; None leaves it to the rule."""
+    """Settings or tables, none for all of them, and whether one does something in a command; None
+    leaves it to the rule.
+    """
 
     settings: tuple[str, ...]
     acts: Callable[[GivenSettings, str], bool | None]
 
 
 def _moves(case: GivenSettings, name: str) -> bool:
-    """Of motion, which also decides which part of a frame is scored, however far the picture moves."""
+    """Of motion, which also decides which part of a frame is scored, however far the picture
+    moves.
+    """
     motion = case.imaging.motion
     return any(motion.velocity_mm_per_s or ()) if name == "motion.distance_m" else motion.is_on
 
@@ -545,51 +652,81 @@ def _moves(case: GivenSettings, name: str) -> bool:
 def _is_of_lens(case: GivenSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
-    is_of_file = case.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
+    is_of_file = (
+        case.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
+    )
     return is_of_file or None
 
 
 def _costs(case: GivenSettings, name: str) -> bool:
     """Of what a render may cost."""
     settings = case.settings
-    replaced = name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
+    replaced = (
+        name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
+    )
     return case.picture is None and not replaced
 
 
 def _is_of_render(case: GivenSettings, name: str) -> bool | None:
     """Of what a render depends on: field, focus, brightness and fall-off."""
-    has_fall_off = name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
+    has_fall_off = (
+        name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
+    )
     return (case.is_rendered and has_fall_off) or None
 
 
-CAMERA_OF_RENDER = "focal_length_mm", "f_number", "die_mm", "die_height_mm", "object_distance_m", "transmittance", "chief_ray_angle"
+CAMERA_OF_RENDER = (
+    "focal_length_mm",
+    "f_number",
+    "die_mm",
+    "die_height_mm",
+    "object_distance_m",
+    "transmittance",
+    "chief_ray_angle",
+)
 ROWS = (
-    # The small light is that of a run: other commands have no such frame, or do not take all settings.
+    # The small light is that of a run: other commands have no such frame, or do not take all
+    # settings.
     Row((), lambda case, name: case.takes(name)),
     # It stands behind a thin lens, that of the user's settings.
     Row(("camera", "lens"), _is_of_lens),
     # It is not rendered.
     Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
-    Row((*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"), _is_of_render),
+    Row(
+        (*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"),
+        _is_of_render,
+    ),
     # It has one target, which no parameter states.
-    Row(("metric.detectability.without",), lambda case, _: has_target(case.imaging.metrics.names) and case.settings is not None),
+    Row(
+        ("metric.detectability.without",),
+        lambda case, _: has_target(case.imaging.metrics.names) and case.settings is not None,
+    ),
     Row((SOLVE_FOR,), lambda case, _: DETECTABILITY.name in case.imaging.metrics.names),
     # It is bright enough for a time below the longest one, and has no room for what moves.
-    Row(("exposure.max_integration_s",), lambda case, _: case.imaging.exposure.integration_s is None or None),
+    Row(
+        ("exposure.max_integration_s",),
+        lambda case, _: case.imaging.exposure.integration_s is None or None,
+    ),
     Row(("motion",), _moves),
     # It has few dots, always as many, and few pixels, perhaps none of them hot.
-    Row(("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"),
-    Row(tuple(f"display.{name}" for name in NO_WHITE), lambda case, _: True),  # it has a white of its own
+    Row(
+        ("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"
+    ),
+    Row(
+        tuple(f"display.{name}" for name in NO_WHITE), lambda case, _: True
+    ),  # it has a white of its own
     Row(("display.dots",), lambda case, _: case.imaging.display.raster == "fixed_size"),
     Row(("correction.defects",), lambda case, _: True),
 )
 
 
-# --- notes ------------------------------------------------------------------------------------------------------------
+# --- notes
+# ------------------------------------------------------------------------------------------------------------
 
 
 def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
-    """Return notes that name the settings without effect, and the sensors, unless all of them have it.
+    """Return notes that name the settings without effect, and the sensors, unless all of them have
+    it.
 
     sensors : name -> the settings of each of its cases; what has an effect in one of them has one
     """
@@ -617,12 +754,24 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
 
 
 def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
-    """Warn of the settings without effect of a call with records, which may come again: they are judged once."""
+    """Warn of the settings without effect of a call with records, which may come again: they are
+    judged once.
+    """
     tables = [getattr(imaging, table) for table in TABLES if table != "lens"]
     metrics = [(metric.name, metric.code) for metric in imaging.metrics.chosen]
-    bands = light.wavelength_nm.tobytes(), light.band_width_nm.tobytes(), light.shape, light.pitch_um
+    bands = (
+        light.wavelength_nm.tobytes(),
+        light.band_width_nm.tobytes(),
+        light.shape,
+        light.pitch_um,
+    )
     header = [repr(light.header.get(name)) for name in ("camera", "diffraction")]
-    key = *(record.model_dump_json() for record in (*tables, imaging.metrics.options)), *metrics, *bands, *header
+    key = (
+        *(record.model_dump_json() for record in (*tables, imaging.metrics.options)),
+        *metrics,
+        *bands,
+        *header,
+    )
     if key not in _notes:
         while len(_notes) >= KEPT_NOTES:
             del _notes[next(iter(_notes))]

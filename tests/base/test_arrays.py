@@ -7,7 +7,9 @@ from pixsim.base import arrays, machine
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("shape", [(1, 1), (3, 8), (3, 16), (2, 5, 512), (4, 1024), (7, 1000), (2, 3, 506)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (3, 8), (3, 16), (2, 5, 512), (4, 1024), (7, 1000), (2, 3, 506)]
+)
 def test_empty_planes_row_stride_is_no_even_number_of_cache_lines(shape, dtype):
     planes = arrays.empty_planes(*shape, dtype=dtype)
     assert planes.shape == shape
@@ -25,7 +27,10 @@ def test_transposed_is_an_array_of_its_own(shape):
     assert not np.shares_memory(turned, plane)
 
 
-@pytest.mark.parametrize(("count", "width", "samples"), [(1, 1, 1), (10, 3, 7), (10, 3, 2), (10, 0, 5), (1000, 1000, None)])
+@pytest.mark.parametrize(
+    ("count", "width", "samples"),
+    [(1, 1, 1), (10, 3, 7), (10, 3, 2), (10, 0, 5), (1000, 1000, None)],
+)
 def test_strips_cover_all_rows_once(count, width, samples):
     strips = list(arrays.strips(count, width, samples))
     rows = np.concatenate([np.arange(count)[strip] for strip in strips])
@@ -45,7 +50,9 @@ def test_strips_of_share_one_work_array(monkeypatch):
 @pytest.mark.parametrize("shape", [(5, 8), (2, 6, 16)])
 def test_dct_matches_cosine_sum_and_inverts(shape):
     values = np.random.default_rng(1).normal(size=shape)
-    cosines = [2 * np.cos(np.pi * np.arange(n)[:, None] * (np.arange(n) + 0.5) / n) for n in shape[-2:]]
+    cosines = [
+        2 * np.cos(np.pi * np.arange(n)[:, None] * (np.arange(n) + 0.5) / n) for n in shape[-2:]
+    ]
     planes = arrays.empty_planes(*shape)
     planes[...] = values
     other = arrays.dct(planes, in_place=False)
@@ -68,11 +75,15 @@ def test_in_threads_calls_each_once_and_raises_its_error(count, size, monkeypatc
         arrays.in_threads(lambda item: 1 / (item - 3), range(20), size)
 
 
-@pytest.mark.parametrize(("given", "expected"), [("3", 3), ("1", 1), ("", None), ("0", None), ("many", None)])
+@pytest.mark.parametrize(
+    ("given", "expected"), [("3", 3), ("1", 1), ("", None), ("0", None), ("many", None)]
+)
 def test_threads_are_the_users_or_the_processors(given, expected, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", given)
     machine.threads.cache_clear()
     try:
-        assert machine.threads() == (expected or min(machine.processors().usable, machine.MAX_THREADS))
+        assert machine.threads() == (
+            expected or min(machine.processors().usable, machine.MAX_THREADS)
+        )
     finally:
         machine.threads.cache_clear()

@@ -52,14 +52,31 @@ def test_load_or_compute_computes_once(folder):
     assert cached(1.5) == ({"number": 1.5}, 1)
     assert cached(2.5) == ({"number": 1.5}, 0)
     assert cached(2.5, "other") == ({"number": 2.5}, 1)
-    assert [str(cached(math.nan, "nan")) for _ in range(2)] == ["({'number': nan}, 1)", "({'number': nan}, 0)"]
-    assert sorted(path.name for path in (folder / "kind").iterdir()) == ["key.json", "nan.json", "other.json"]
+    assert [str(cached(math.nan, "nan")) for _ in range(2)] == [
+        "({'number': nan}, 1)",
+        "({'number': nan}, 0)",
+    ]
+    assert sorted(path.name for path in (folder / "kind").iterdir()) == [
+        "key.json",
+        "nan.json",
+        "other.json",
+    ]
 
 
 @pytest.mark.parametrize(
     "content",
     [
-        *(b"", b'{"number": 1', b"[]", b"3", b"null", b'{"other": 1}', b'{"number": "many"}', b'{"number": null}', b"\x00"),
+        *(
+            b"",
+            b'{"number": 1',
+            b"[]",
+            b"3",
+            b"null",
+            b'{"other": 1}',
+            b'{"number": "many"}',
+            b'{"number": null}',
+            b"\x00",
+        ),
         *(b"\xff\xfe\x80", b"[" * 100_000, b"[1]", b"NaN", b"9" * 10_000),
     ],
     ids=lambda content: repr(content[:20]),
@@ -108,7 +125,10 @@ def test_load_or_compute_two_processes_share_entries(folder):
     assert [process.exitcode for process in processes] == [0, 0]
     for number in range(40):
         head, value = (folder / f"kind/key{number}.json").read_text(encoding="utf-8").split("\n")
-        assert (head[:-65], json.loads(value)) == (f"pixsim cache kind/key{number}", {"number": number})
+        assert (head[:-65], json.loads(value)) == (
+            f"pixsim cache kind/key{number}",
+            {"number": number},
+        )
 
 
 def test_folder_follows_xdg(monkeypatch, tmp_path):
@@ -120,7 +140,8 @@ def test_folder_follows_xdg(monkeypatch, tmp_path):
     assert cache.folder() == tmp_path / "home/.cache/pixsim"
 
 
-# --- Arrays ------------------------------------------------------------------------------------------------------------
+# --- Arrays
+# ------------------------------------------------------------------------------------------------------------
 
 CONTENT = {
     "picture": np.arange(24, dtype=np.float32).reshape(2, 3, 4),
@@ -152,7 +173,10 @@ def test_arrays_damaged_file_is_rejected(folder):
     path = folder / "kind/key.npz"
     whole = path.read_bytes()
     damaged = [whole[:length] for length in range(0, len(whole), 37)]
-    damaged += [whole[:at] + bytes([whole[at] ^ (1 << at % 8)]) + whole[at + 1 :] for at in range(0, len(whole), 3)]
+    damaged += [
+        whole[:at] + bytes([whole[at] ^ (1 << at % 8)]) + whole[at + 1 :]
+        for at in range(0, len(whole), 3)
+    ]
     for content in damaged:
         path.write_bytes(content)
         with pytest.warns(UserWarning, match="damaged"):
@@ -198,7 +222,9 @@ def test_clear_skips_files_of_other_users(small, monkeypatch):
 
     monkeypatch.setattr(Path, "unlink", fail)
     assert cache.clear() > 0
-    assert {entry.path.stem for entry in cache.entries()} <= {f"{number:02d}" for number in range(8)}
+    assert {entry.path.stem for entry in cache.entries()} <= {
+        f"{number:02d}" for number in range(8)
+    }
 
 
 def test_clear_keeps_kernels_unless_named(folder):
@@ -226,7 +252,9 @@ def test_trim_removes_least_recently_used(small):
     cache.trim()
     remaining = [entry.path.stem for entry in cache.entries()]
     assert sum(entry.size_bytes for entry in cache.entries()) <= 8 * 2**20
-    assert sorted(remaining) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
+    assert sorted(remaining) == ["00", "06", "07", "08", "09", "10", "11"], (
+        "7 of a little more than 1 MiB fit into 8 MiB"
+    )
 
 
 def test_store_arrays_trims_automatically(small):
@@ -264,15 +292,26 @@ def test_trim_removes_partial_files_of_ended_processes(folder):
         for name in (f"{UNFINISHED}0123abcd", ".notes"):
             (folder / "kind" / name).write_bytes(b"half")
         cache.trim()
-        assert sorted(path.name for path in (folder / "kind").iterdir()) == sorted([".notes", "key.npz", running.name])
+        assert sorted(path.name for path in (folder / "kind").iterdir()) == sorted(
+            [".notes", "key.npz", running.name]
+        )
     assert len(cache.entries()) == 1
 
 
 def add_foreign(kind: Path) -> dict[str, bytes]:
-    """Files of a user beside entries, also with their endings; one of them is a copy of an entry."""
+    """Files of a user beside entries, also with their endings; one of them is a copy of an
+    entry.
+    """
     np.savez(kind / "measured.npz", a=np.ones(3))
-    contents = {"notes.txt": b"mine", "data.json": b'{"a": 1}', "chart.exr": b"\x76\x2f\x31\x01mine"}
-    contents |= {"measured.npz": (kind / "measured.npz").read_bytes(), "copy.json": (kind / "key.json").read_bytes()}
+    contents = {
+        "notes.txt": b"mine",
+        "data.json": b'{"a": 1}',
+        "chart.exr": b"\x76\x2f\x31\x01mine",
+    }
+    contents |= {
+        "measured.npz": (kind / "measured.npz").read_bytes(),
+        "copy.json": (kind / "key.json").read_bytes(),
+    }
     for name, content in contents.items():
         (kind / name).write_bytes(content)
         os.utime(kind / name, (1, 1))  # the first ones that would be removed
@@ -297,10 +336,9 @@ def test_only_entries_are_removed(folder, how, monkeypatch, tmp_path):
         cache.clear("kind" if how == "clear kind" else None)
     assert {name: (mine / name).read_bytes() for name in contents} == contents
     assert (mine / "key.json").exists()
-    assert sorted(path.name for path in (folder / "other").iterdir()) == ["key.npz"] * (how == "clear kind") + [
-        "linked.json",
-        "notes",
-    ]
+    assert sorted(path.name for path in (folder / "other").iterdir()) == ["key.npz"] * (
+        how == "clear kind"
+    ) + ["linked.json", "notes"]
 
 
 def test_entries_are_removed_beside_other_files(folder):
@@ -311,7 +349,9 @@ def test_entries_are_removed_beside_other_files(folder):
 
 
 def test_a_folder_that_cannot_be_listed_is_passed_over(folder, monkeypatch):
-    """It is that of another user who shares the cache, or another process has just removed it; as root none is refused."""
+    """It is that of another user who shares the cache, or another process has just removed it; as
+    root none is refused.
+    """
     cached(1.0)
     cache.store_arrays("theirs", "key", CONTENT)
     listed = Path.iterdir
@@ -332,16 +372,23 @@ def test_what_lies_in_a_closed_folder_is_no_entry(folder, monkeypatch):
     cache.store_arrays("theirs", "key", CONTENT)
     path = folder / "theirs/key.npz"
     assert cache.is_entry(path)
-    monkeypatch.setattr(Path, "lstat", Mock(side_effect=PermissionError(errno.EACCES, os.strerror(errno.EACCES))))
+    monkeypatch.setattr(
+        Path, "lstat", Mock(side_effect=PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+    )
     assert not cache.is_entry(path)
 
 
-@pytest.mark.parametrize("change", ["of another key", "of another kind", "behind a link", "in a linked folder"])
+@pytest.mark.parametrize(
+    "change", ["of another key", "of another kind", "behind a link", "in a linked folder"]
+)
 def test_only_an_entry_of_its_own_label_is_read(folder, change, tmp_path):
     """A file of another key would be another result in silence; a link may lead to any file."""
     cached(1.0, "other")
     cache.load_or_compute("another", "key", read, lambda: {"number": 2.0}, dict)
-    source = folder / {"of another key": "kind/other.json", "of another kind": "another/key.json"}.get(change, "kind/key.json")
+    source = folder / {
+        "of another key": "kind/other.json",
+        "of another kind": "another/key.json",
+    }.get(change, "kind/key.json")
     cached(3.0)
     if change == "in a linked folder":
         (folder / "kind").rename(tmp_path / "theirs")
@@ -358,7 +405,9 @@ def test_only_an_entry_of_its_own_label_is_read(folder, change, tmp_path):
     assert {path: path.read_bytes() for path in before} == before
 
 
-@pytest.mark.parametrize("fault", [None, "can be written by others", "belongs to another user", "is a link or a file"])
+@pytest.mark.parametrize(
+    "fault", [None, "can be written by others", "belongs to another user", "is a link or a file"]
+)
 def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, fault, tmp_path, monkeypatch):
     before = os.umask(0)
     try:
@@ -379,7 +428,9 @@ def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, fault, tmp_path
             found = private_folder("kernels")
     finally:
         os.umask(before)
-    assert ["not a folder that only you can write" in str(warning.message) for warning in told] == [True] * (fault is not None)
+    assert ["not a folder that only you can write" in str(warning.message) for warning in told] == [
+        True
+    ] * (fault is not None)
     assert (found == folder / "kernels") == (fault is None)
     assert (found.stat().st_mode & 0o777, found.stat().st_uid) == (0o700, os.geteuid())
 
@@ -406,7 +457,13 @@ def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
         return cache.version_fingerprint()
 
     fingerprints = []
-    for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
+    for name, text in (
+        ("__init__.py", "a"),
+        ("__init__.py", "b"),
+        ("data/t.toml", "a"),
+        ("data/q.csv", "1"),
+        ("notes.txt", ""),
+    ):
         (package / name).write_text(text, encoding="utf-8")
         fingerprints.append(fingerprint())
     assert len(set(fingerprints[:4])) == 4

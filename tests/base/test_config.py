@@ -1,4 +1,6 @@
-"""Settings files for runs and studies, sensors from data sheets, and messages of invalid settings."""
+"""Settings files for runs and studies, sensors from data sheets, and messages of invalid
+settings.
+"""
 
 from __future__ import annotations
 
@@ -67,39 +69,60 @@ def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
     assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
     pitches_um = study_pitches_um(study, "none")
     assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
-    wells_e = [pixsim.derive(pixel_of(study, "none", pitch_um)).full_well_e for pitch_um in pitches_um.tolist()]
+    wells_e = [
+        pixsim.derive(pixel_of(study, "none", pitch_um)).full_well_e
+        for pitch_um in pitches_um.tolist()
+    ]
     np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
-    with_range = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    with_range = written(
+        tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n'
+    )
     pitches_um = study_pitches_um(study_of(SHEET, tmp_path, str(with_range)), "none")
     np.testing.assert_allclose(pitches_um, np.geomspace(2, 6, 5), atol=5e-5)
 
 
 def test_study_layers_technology_replaces_that_of_study(tmp_path: Path) -> None:
-    study = study_of('[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n', tmp_path)
+    study = study_of(
+        '[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n',
+        tmp_path,
+    )
     assert (study.technologies, study.pixel.bits) == (("0.25um",), 11)
     assert study.scene.parameters["resolution"] == 128
     assert study.pixel.data_sheet_pitch_um is None
 
 
 def test_study_incomplete_data_sheet_raises() -> None:
-    table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
+    table = {
+        "name": "a",
+        "technologies": ["none"],
+        "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1},
+    }
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
         Study.model_validate(table)
     table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
-    np.testing.assert_allclose(study_pitches_um(Study.model_validate(table), "none")[[0, -1]], [0.75, 12.0])
+    np.testing.assert_allclose(
+        study_pitches_um(Study.model_validate(table), "none")[[0, -1]], [0.75, 12.0]
+    )
     with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
 def test_study_command_takes_a_data_sheet_and_a_parameter_of_the_scene(tmp_path: Path) -> None:
     """And a quick study that has few sizes and sensors keeps them."""
-    study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n')
+    study_path = written(
+        tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n'
+    )
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nspp = 4\n[display]\ndots = 64\n")
-    line = f"study {study_path} --config {path} --resolution 48 --camera.die-mm 0.5 -D luminance_cd_per_m2=50 --quick --dry-run"
+    line = (
+        f"study {study_path} --config {path} --resolution 48 --camera.die-mm 0.5 -D"
+        " luminance_cd_per_m2=50 --quick --dry-run"
+    )
     code, out, err = command(line)
     assert code == 0, err
     assert "csf: spp = 4, emitter_scale = " in out
-    assert "data sheet: 500 × 500 pixels of 1 µm to 31 × 31 pixels of 16 µm, 2 sensors of each" in out
+    assert (
+        "data sheet: 500 × 500 pixels of 1 µm to 31 × 31 pixels of 16 µm, 2 sensors of each" in out
+    )
 
 
 def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
@@ -107,12 +130,15 @@ def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
     assert study.technologies == ("none",)
-    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), "one file needs no list"
+    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), (
+        "one file needs no list"
+    )
     with pytest.raises(pixsim.PixsimError, match=r"config: got with a Study"):
         pixsim.study(study, tmp_path / "out", config=[path])
 
 
-# --- How far its numbers may be wrong ------------------------------------------------------------------------------------
+# --- How far its numbers may be wrong
+# ------------------------------------------------------------------------------------
 
 UNCERTAIN = SHEET.replace(
     "[camera]",
@@ -127,12 +153,18 @@ quantum_efficiency = { range = [0.5, 0.65] }
 
 def test_sheet_uncertainty_leaves_pixel_plain(tmp_path: Path) -> None:
     """Runs and studies have the same sensor with and without it, however the file is given."""
-    plain, uncertain = written(tmp_path / "plain.toml", SHEET), written(tmp_path / "uncertain.toml", UNCERTAIN)
+    plain, uncertain = (
+        written(tmp_path / "plain.toml", SHEET),
+        written(tmp_path / "uncertain.toml", UNCERTAIN),
+    )
     assert settings_of(uncertain) == settings_of(plain)
     assert study_of(UNCERTAIN, tmp_path) == study_of(SHEET, tmp_path)
     for path in (plain, uncertain):
         written(path, path.read_text(encoding="utf-8").partition("[camera]")[0])
-    both = checked(Study, with_data_sheets([Layer({"name": "a", "technologies": [str(plain), str(uncertain)]})], {}))
+    both = checked(
+        Study,
+        with_data_sheets([Layer({"name": "a", "technologies": [str(plain), str(uncertain)]})], {}),
+    )
     assert both.sensors[str(plain)] == both.sensors[str(uncertain)]
     assert sheet_uncertainty(plain) == {}
     spreads = sheet_uncertainty(uncertain)
@@ -145,24 +177,66 @@ def test_sheet_uncertainty_leaves_pixel_plain(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written_as", "instead", "message"),
     [
-        ("read_noise_e = { sd", "readnoise_e = { sd", r"pixel\.uncertainty: got 'readnoise_e'; .*Did you mean 'read_noise_e'"),
-        ("read_noise_e = { sd", "bits = { sd", r"pixel\.uncertainty: got 'bits'; allowed: quantum_efficiency"),
-        ("read_noise_e = { sd", "dsnu_e = { sd", r"dsnu_e: got a spread without its number; allowed: a number dsnu_e in \[pixel\]"),
-        ("sd = 0.2", "sd = 0", r"uncertainty\.read_noise_e: sd: got 0; allowed: greater than or equal to 1e-30"),
-        ("sd = 0.2", "sdd = 0.2", r"sdd: unknown name; allowed: sd, range, distribution\. Did you mean 'sd'"),
+        (
+            "read_noise_e = { sd",
+            "readnoise_e = { sd",
+            r"pixel\.uncertainty: got 'readnoise_e'; .*Did you mean 'read_noise_e'",
+        ),
+        (
+            "read_noise_e = { sd",
+            "bits = { sd",
+            r"pixel\.uncertainty: got 'bits'; allowed: quantum_efficiency",
+        ),
+        (
+            "read_noise_e = { sd",
+            "dsnu_e = { sd",
+            r"dsnu_e: got a spread without its number; allowed: a number dsnu_e in \[pixel\]",
+        ),
+        (
+            "sd = 0.2",
+            "sd = 0",
+            r"uncertainty\.read_noise_e: sd: got 0; allowed: greater than or equal to 1e-30",
+        ),
+        (
+            "sd = 0.2",
+            "sdd = 0.2",
+            r"sdd: unknown name; allowed: sd, range, distribution\. Did you mean 'sd'",
+        ),
         ("sd = 0.2", "sd = 0.2, range = [1, 3]", "got both sd and range"),
         ("sd = 0.2", "", "got neither sd nor range"),
         ("{ sd = 0.2 }", "0.2", r"read_noise_e: got 0\.2; allowed: a table.*\{ sd = 0\.2 \}"),
         ("sd = 0.2", "range = [2, 2]", r"range = \[2, 2\]; allowed: low < high"),
-        ("sd = 0.2", "range = [-1, 3]", r"read_noise_e: read_noise_e: got -1\.0; allowed: greater than or equal to 0"),
-        ("sd = 0.2", "range = [3, 4]", r"range = \[3, 4\]; allowed: low <= 2\.5 \(the number\) <= high"),
-        ("sd = 0.2", 'sd = 1, distribution = "gauss"', r"distribution: got 'gauss'; allowed: 'uniform', 'normal' or 'lognormal'"),
-        ("[10000, 15000]", "[0, 15000]", r"range = \[0, 15000\] of a lognormal distribution; allowed: low > 0"),
+        (
+            "sd = 0.2",
+            "range = [-1, 3]",
+            r"read_noise_e: read_noise_e: got -1\.0; allowed: greater than or equal to 0",
+        ),
+        (
+            "sd = 0.2",
+            "range = [3, 4]",
+            r"range = \[3, 4\]; allowed: low <= 2\.5 \(the number\) <= high",
+        ),
+        (
+            "sd = 0.2",
+            'sd = 1, distribution = "gauss"',
+            r"distribution: got 'gauss'; allowed: 'uniform', 'normal' or 'lognormal'",
+        ),
+        (
+            "[10000, 15000]",
+            "[0, 15000]",
+            r"range = \[0, 15000\] of a lognormal distribution; allowed: low > 0",
+        ),
         ("[0.5, 0.65]", "[0.5, 1.2]", r"quantum_efficiency: .*got 1\.2"),
-        ("quantum_efficiency = 0.6", "quantum_efficiency = [[400, 0.3], [550, 0.6]]", "A curve cannot be uncertain; give a number"),
+        (
+            "quantum_efficiency = 0.6",
+            "quantum_efficiency = [[400, 0.3], [550, 0.6]]",
+            "A curve cannot be uncertain; give a number",
+        ),
     ],
 )
-def test_sheet_uncertainty_invalid_raises(written_as: str, instead: str, message: str, tmp_path: Path) -> None:
+def test_sheet_uncertainty_invalid_raises(
+    written_as: str, instead: str, message: str, tmp_path: Path
+) -> None:
     """By every command that reads the file, also those that do not use it."""
     assert UNCERTAIN.count(written_as) == 1
     path = written(tmp_path / "sensor.toml", UNCERTAIN.replace(written_as, instead))
@@ -173,10 +247,13 @@ def test_sheet_uncertainty_invalid_raises(written_as: str, instead: str, message
         settings_of(path)
 
 
-# --- A sensor from its data sheet --------------------------------------------------------------------------------------
+# --- A sensor from its data sheet
+# --------------------------------------------------------------------------------------
 
 
-CURVE = "wavelength (nm), quantum efficiency\n# measured\n400, 0.30\n550, 0.60\n700, 0.40\n900, 0.00\n"
+CURVE = (
+    "wavelength (nm), quantum efficiency\n# measured\n400, 0.30\n550, 0.60\n700, 0.40\n900, 0.00\n"
+)
 CURVED = SHEET.replace("quantum_efficiency = 0.6", 'quantum_efficiency = "qe.csv"')
 
 
@@ -195,8 +272,16 @@ def test_data_sheet_sets_all_values(sheet: Path) -> None:
     """`test_run_same_sensor_in_every_way_gives_same_frame` has the way from a file to a frame."""
     readout = Readout.of(derive(settings_of(sheet).pixel))
     assert readout.physics.pixel.technology == "none"
-    assert (readout.full_well_e, readout.physics.fill_factor, readout.physics.pixel.pitch_um) == (12000.0, 1.0, 4.0)
-    assert (readout.physics.reset_noise_e, readout.physics.offset_fpn_e, readout.physics.column_fpn_e) == (0.0, 0.0, 0.0)
+    assert (readout.full_well_e, readout.physics.fill_factor, readout.physics.pixel.pitch_um) == (
+        12000.0,
+        1.0,
+        4.0,
+    )
+    assert (
+        readout.physics.reset_noise_e,
+        readout.physics.offset_fpn_e,
+        readout.physics.column_fpn_e,
+    ) == (0.0, 0.0, 0.0)
     assert (readout.read_noise_e, readout.dark_current_e_per_s) == (2.5, 8.0)
 
 
@@ -206,9 +291,16 @@ def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> Non
     np.testing.assert_allclose(efficiency, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
 
 
-@pytest.mark.parametrize("missing", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
-def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: str, sheet: Path, tmp_path: Path) -> None:
-    text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace("pitch_um = 4.0", "pitch_um = 6.0")
+@pytest.mark.parametrize(
+    "missing",
+    ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"],
+)
+def test_run_command_incomplete_data_sheet_states_assumed_technology(
+    missing: str, sheet: Path, tmp_path: Path
+) -> None:
+    text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace(
+        "pitch_um = 4.0", "pitch_um = 6.0"
+    )
     written(sheet, text)
     words = f"technology 0.35um assumed, without {missing}"
     pixel = settings_of(sheet).pixel
@@ -220,19 +312,29 @@ def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: st
         assert (code, words in out) == (0, True), err
         code, out, err = command(small, sheet, "--json")
         score = json.loads(out)
-        lens = "focal length 3.86 mm assumed, that of the scene: a field of 28.9° × 28.9°"  # of a sheet's pixels, without a lens
+        # of a sheet's pixels, without a lens
+        lens = "focal length 3.86 mm assumed, that of the scene: a field of 28.9° × 28.9°"
         assert (score["assumption"], score["pixel"]["technology"]) == (f"{words}; {lens}", "0.35um")
 
 
-@pytest.mark.parametrize("missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+@pytest.mark.parametrize(
+    "missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"]
+)
 def test_study_layers_incomplete_data_sheet_states_technology(missing: str, sheet: Path) -> None:
     written(sheet, "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)))
-    with pytest.warns(UserWarning, match=rf"no technology and not {missing}, .* the study's technology 4t-bsi"):
+    with pytest.warns(
+        UserWarning, match=rf"no technology and not {missing}, .* the study's technology 4t-bsi"
+    ):
         study = load_study("pixel-size", sheet)
-    assert (study.technologies, study.pixel.data_sheet_pitch_um) == (("4t-bsi",), None if missing == "all" else 4.0)
+    assert (study.technologies, study.pixel.data_sheet_pitch_um) == (
+        ("4t-bsi",),
+        None if missing == "all" else 4.0,
+    )
 
 
-def test_resolve_file_prefers_folder_of_config(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resolve_file_prefers_folder_of_config(
+    sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     written(Path("qe.csv"), "400,0.1\n500,0.1\n")
     assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
@@ -244,23 +346,38 @@ def test_resolve_file_prefers_folder_of_config(sheet: Path, tmp_path: Path, monk
 def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
     pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
     from_file = settings_of(sheet).pixel
-    assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
+    assert (
+        pixsim.Pixel(
+            **from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs
+        )
+        == from_file
+    )
 
 
-# --- Precedence of study, files and options -------------------------------------------------------------------------------------
+# --- Precedence of study, files and options
+# -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("stated", "kept"), [("lux", {"lux": 500.0}), ("luminance_cd_per_m2", {"luminance_cd_per_m2": 500.0})])
+@pytest.mark.parametrize(
+    ("stated", "kept"),
+    [("lux", {"lux": 500.0}), ("luminance_cd_per_m2", {"luminance_cd_per_m2": 500.0})],
+)
 def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(tmp_path, stated, kept):
     """By a file's [scene] and by an option; `pixel-size` states a luminance."""
     path = written(tmp_path / "light.toml", f"[scene]\n{stated} = 500.0\n")
-    for study in (load_study("pixel-size", path), load_study("pixel-size", parameters={stated: 500.0})):
+    for study in (
+        load_study("pixel-size", path),
+        load_study("pixel-size", parameters={stated: 500.0}),
+    ):
         assert study.scene.parameters == kept
 
 
 def test_parameters_in_a_table_of_their_own_are_told_where_they_stand(tmp_path):
     path = written(tmp_path / "light.toml", "[scene]\nparameters = { lux = 500 }\n")
-    with pytest.raises(PixsimError, match=r"scene: got a table, scene.parameters; .* State parameters as scene.lux = 500"):
+    with pytest.raises(
+        PixsimError,
+        match=r"scene: got a table, scene.parameters; .* State parameters as scene.lux = 500",
+    ):
         load_study("pixel-size", path)
 
 
@@ -270,7 +387,10 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     study = load_study("modern", paths, quick=True)
     assert (study.technologies, study.pitch.count) == (("none",), 10)
     study_path = written(tmp_path / "own.toml", 'name = "own"\n')
-    quick = "repeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n"
+    quick = (
+        "repeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number ="
+        " 8 }\n"
+    )
     written(tmp_path / "own.quick.toml", quick)
     study = load_study(study_path, paths, parameters={"resolution": 96}, quick=True)
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
@@ -278,18 +398,35 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
 
 
 def test_files_of_study_settings_are_layers(tmp_path: Path) -> None:
-    """Later files win, also over a sensor's; another name leaves the random streams of the first file."""
-    sheet, axis = written(tmp_path / "sensor.toml", SHEET), written(tmp_path / "axis.toml", AXIS_LAYER)
-    last = written(tmp_path / "last.toml", 'name = "last"\nstreams = "other"\n[camera]\nf_number = 11\n[pitch]\nmin_um = 2\n')
+    """Later files win, also over a sensor's; another name leaves the random streams of the first
+    file.
+    """
+    sheet, axis = (
+        written(tmp_path / "sensor.toml", SHEET),
+        written(tmp_path / "axis.toml", AXIS_LAYER),
+    )
+    last = written(
+        tmp_path / "last.toml",
+        'name = "last"\nstreams = "other"\n[camera]\nf_number = 11\n[pitch]\nmin_um = 2\n',
+    )
     study = load_study("chen2000", [sheet, axis])
-    assert (study.name, study.stream_name, study.repeats, study.technologies) == ("lenses", "chen2000", 3, ("none",))
+    assert (study.name, study.stream_name, study.repeats, study.technologies) == (
+        "lenses",
+        "chen2000",
+        3,
+        ("none",),
+    )
     assert (study.axis[0].values, study.camera.f_number, study.seed) == ((2.8, 4), 8, 2000)
     assert "camera.f_number" not in study.sources
     study = load_study("chen2000", [axis, sheet, last])
     assert (study.name, study.stream_name, study.camera.f_number) == ("last", "other", 11)
     assert load_study("chen2000", [axis, sheet]).camera.f_number == 2.8
-    sizes = written(tmp_path / "sizes.toml", 'name = "sizes"\npitch = { values_um = [6, 7, 8, 9, 10] }\n')
-    assert load_study("chen2000", [sizes, last]).pitch.values_um is None, "a range takes the place of a list"
+    sizes = written(
+        tmp_path / "sizes.toml", 'name = "sizes"\npitch = { values_um = [6, 7, 8, 9, 10] }\n'
+    )
+    assert load_study("chen2000", [sizes, last]).pitch.values_um is None, (
+        "a range takes the place of a list"
+    )
     scene = written(tmp_path / "scene.toml", 'name = "s"\nscene = { file = "still_life" }\n')
     assert load_study("pixel-size", scene).scene.parameters == {}
 
@@ -321,12 +458,17 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
 
 
 def test_quick_takes_the_name_or_the_file_of_a_study(tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match="quick: got with a Study; allowed: the name or the file of a study"):
+    with pytest.raises(
+        PixsimError, match="quick: got with a Study; allowed: the name or the file of a study"
+    ):
         pixsim.study(Study(name="x"), tmp_path, quick=True)
 
 
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
-    paths = [written(tmp_path / "a.toml", SHEET), written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")]
+    paths = [
+        written(tmp_path / "a.toml", SHEET),
+        written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n"),
+    ]
     pixel, other = (load_study("pixel-size", files).pixel for files in (paths, paths[::-1]))
     assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
@@ -335,18 +477,33 @@ def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
     study = study_of(text, tmp_path)
     assert study.pixel.data_sheet_pitch_um == 6.5
-    area_um2 = fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * np.array([6.5, 13.0]) ** 2
+    area_um2 = (
+        fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * np.array([6.5, 13.0]) ** 2
+    )
     well_e = pixsim.derive(pixel_of(study, "0.35um", 13.0)).full_well_e
     assert well_e == pytest.approx(40000 * area_um2[1] / area_um2[0], rel=1e-12)
-    assert study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path).pixel.data_sheet_pitch_um is None
+    assert (
+        study_of(
+            text.replace("full_well_e = 40000", "bits = 12"), tmp_path
+        ).pixel.data_sheet_pitch_um
+        is None
+    )
 
 
 def test_study_layers_data_sheet_pitch_is_preserved(tmp_path: Path) -> None:
     text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
     study = study_of(text, tmp_path)
-    run = pixsim.derive(pixsim.Pixel.model_validate(study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}))
+    run = pixsim.derive(
+        pixsim.Pixel.model_validate(
+            study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}
+        )
+    )
     assert study.pixel.data_sheet_pitch_um == 2.0
-    assert pixsim.derive(pixel_of(study, "none", 4.0)).full_well_e == run.full_well_e == pytest.approx(4 * 12000)
+    assert (
+        pixsim.derive(pixel_of(study, "none", 4.0)).full_well_e
+        == run.full_well_e
+        == pytest.approx(4 * 12000)
+    )
     assert study.own_um == 4.0, "the range follows from the sensor's own pitch"
     assert study_pitches_um(study, "none")[-1] == 16.0
 
@@ -363,18 +520,35 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     for name in ("a", "b"):
         written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
-    study_path = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
-    assert_refused(*command(f"study {study_path} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
+    study_path = written(
+        tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n'
+    )
+    assert_refused(
+        *command(f"study {study_path} --out {tmp_path / 'out'}"),
+        ["b.toml", "the same process", "each process once"],
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "gain_db", "message"),
     [
-        # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
-        ({}, 0, "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by 0.93 e-"),
+        # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) +
+        # Φ(-2.93) = 0.32 DN.
+        (
+            {},
+            0,
+            (
+                "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by"
+                " 0.93 e-"
+            ),
+        ),
         ({"black_level_dn": 7}, 0, ""),
-        # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
-        ({"black_level_dn": 7, "offset_fpn": 0.002}, *(0, "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-")),
+        # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) =
+        # 0.88 DN.
+        (
+            {"black_level_dn": 7, "offset_fpn": 0.002},
+            *(0, "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-"),
+        ),
         ({"black_level_dn": 50, "offset_fpn": 0.002}, 0, ""),
         ({"offset_fpn": 0.2}, 0, "avoiding this takes more bits (pixel.bits)"),
         ({"offset_fpn": 0.02}, 20, "avoiding this takes less gain (exposure.gain_db)"),
@@ -383,8 +557,12 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
         ({"technology": "0.35um", "black_level_dn": 15}, 0, ""),
     ],
 )
-def test_low_black_level_gives_note(options: dict[str, object], gain_db: float, message: str) -> None:
-    """How notes reach a page, and the terminal: `test_run_notes_reach_score_page_and_json`, and that of studies."""
+def test_low_black_level_gives_note(
+    options: dict[str, object], gain_db: float, message: str
+) -> None:
+    """How notes reach a page, and the terminal: `test_run_notes_reach_score_page_and_json`, and
+    that of studies.
+    """
     sheet = {"bits": 10} if "technology" in options else tomllib.loads(SHEET)["pixel"]
     pixel = Pixel.model_validate(sheet | options)
     dark = dark_clip(Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db)), TIME_S, 1e4)
@@ -399,17 +577,26 @@ def test_study_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
     for black, notes in (({}, 2), ({"black_level_dn": 250}, 0)):
         study = tiny(technologies=["0.35um", "4t-bsi"], pitch=pitch, pixel={"bits": 14, **black})
         result = pixsim.study(study, tmp_path / f"{notes}", jobs=1)
-        lines = [note["text"] for note in result.as_dict()["notes"] if "clips dark noise" in note["text"]]
+        lines = [
+            note["text"] for note in result.as_dict()["notes"] if "clips dark noise" in note["text"]
+        ]
         assert len(lines) == notes
         for line, curve in zip(lines, result.curves, strict=bool(notes)):
             dark = result.dark(curve)
-            assert line.startswith(f"{curve.technology}: the black level of 0 DN clips dark noise, most at 6.00 µm: ")
+            assert line.startswith(
+                f"{curve.technology}: the black level of 0 DN clips dark noise, most at 6.00 µm: "
+            )
             assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
-            assert line.endswith(f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this")
-        assert all(len(values) == 5 for curve in result.curves for values in result.dark(curve).values())
+            assert line.endswith(
+                f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this"
+            )
+        assert all(
+            len(values) == 5 for curve in result.curves for values in result.dark(curve).values()
+        )
 
 
-# --- The die from its pixels --------------------------------------------------------------------------------------------
+# --- The die from its pixels
+# --------------------------------------------------------------------------------------------
 
 
 def test_settings_pixels_and_pitch_give_the_die(tmp_path: Path) -> None:
@@ -430,7 +617,10 @@ def test_settings_pixels_and_pitch_give_the_die(tmp_path: Path) -> None:
     assert pixsim.Camera(die_mm=3.0).height_mm == 3.0
 
 
-@pytest.mark.parametrize(("die", "off_um"), [("die_mm", 1.7), ("die_mm", -1.8), ("die_height_mm", 1.7), ("die_height_mm", 1.8)])
+@pytest.mark.parametrize(
+    ("die", "off_um"),
+    [("die_mm", 1.7), ("die_mm", -1.8), ("die_height_mm", 1.7), ("die_height_mm", 1.8)],
+)
 def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_path: Path) -> None:
     """Half a pixel, 1.725 µm, is the limit; the given die then stands."""
     given = {"die_mm": 8.4456, "die_height_mm": 7.0656}[die] + 1e-3 * off_um
@@ -439,7 +629,9 @@ def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_pa
     if abs(off_um) < 1.725:
         assert getattr(SceneOptions([path]).settings().camera, die) == given
     else:
-        with pytest.raises(PixsimError, match=rf"camera\.{die} = .* by more than half a pixel; give one of them"):
+        with pytest.raises(
+            PixsimError, match=rf"camera\.{die} = .* by more than half a pixel; give one of them"
+        ):
             SceneOptions([path]).settings()
 
 
@@ -457,11 +649,17 @@ def test_settings_pixels_without_pitch_raises(tmp_path: Path) -> None:
 
 
 def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None:
-    """The die is that of the sheet's own pitch, whether a data sheet or a technology; and of the study's own [pixel]."""
+    """The die is that of the sheet's own pitch, whether a data sheet or a technology; and of the
+    study's own [pixel].
+    """
     for text in (SHEET.replace("die_mm = 2.0", "pixels = [500, 400]"), '[pixel]\ntechnology = "4t-bsi"\npitch_um = 4.0\n[camera]\n'
                  "pixels = [500, 400]\n"):  # fmt: skip
         study = study_of(text, tmp_path)
-        assert (study.camera.die_mm, study.camera.die_height_mm, study.camera.pixels) == (2.0, 1.6, None)
+        assert (study.camera.die_mm, study.camera.die_height_mm, study.camera.pixels) == (
+            2.0,
+            1.6,
+            None,
+        )
     table = {"name": "a", "pixel": {"data_sheet_pitch_um": 4.0}, "camera": {"pixels": [500, 400]}}
     assert Study.model_validate(table).camera.die_height_mm == 1.6
     with pytest.raises(ValueError, match="needs the pitch of the sensor"):
@@ -478,25 +676,42 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[camera]\nbits = 8", "It belongs in [pixel] or in [display]."),
         ("[camera]\nseed = 8", "It belongs above all tables."),
         ("[camera.lens]\nfile = 'phone'", "Write [lens]."),
-        ("[pixel.stack]\nresolution = 3", "pixel.stack.resolution: unknown name; allowed: enabled,"),
+        (
+            "[pixel.stack]\nresolution = 3",
+            "pixel.stack.resolution: unknown name; allowed: enabled,",
+        ),
         ("width = 1936", "It belongs in [camera] or in [display], as pixels or dots."),
         ("[display]\nresolution = 640", "Write dots."),
         *(
-            (text, "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film.")
+            (
+                text,
+                (
+                    "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution"
+                    " is the width of the film."
+                ),
+            )
             for text in ("[camera]\nresolution = [1936, 1216]", "[pixel]\nresolution = 512")
         ),
         (
             "[camera]\npixels = 1936",
-            "got 1936; allowed: columns and rows, as [1936, 1216]. The number of samples across the film is",
+            (
+                "got 1936; allowed: columns and rows, as [1936, 1216]. The number of samples across"
+                " the film is"
+            ),
         ),
         ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
         ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
         ("[pixel]\ndark_current = 3", "Write dark_current_e_per_s = 3, or"),
         ("[pixel]\npitch_um = 3,45", "A number has a decimal point and no unit, as 3.45 or 10500."),
-        ("[pixel]\nfull_well_e = 10500 e-", "A number has a decimal point and no unit, as 3.45 or 10500."),
+        (
+            "[pixel]\nfull_well_e = 10500 e-",
+            "A number has a decimal point and no unit, as 3.45 or 10500.",
+        ),
     ],
 )
-def test_words_and_units_of_data_sheets_are_answered_in_ours(text: str, words: str, tmp_path: Path) -> None:
+def test_words_and_units_of_data_sheets_are_answered_in_ours(
+    text: str, words: str, tmp_path: Path
+) -> None:
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     with pytest.raises(PixsimError) as error:
         checked(Run, [settings_layer(tmp_path / "s.toml")])
@@ -504,7 +719,9 @@ def test_words_and_units_of_data_sheets_are_answered_in_ours(text: str, words: s
 
 
 def test_allowed_names_are_listed_once_a_table(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text("[pixel]\nbit_depth = 8\nqe = 0.5\n[camera]\nx = 1", encoding="utf-8")
+    (tmp_path / "s.toml").write_text(
+        "[pixel]\nbit_depth = 8\nqe = 0.5\n[camera]\nx = 1", encoding="utf-8"
+    )
     with pytest.raises(PixsimError) as error:
         checked(Run, [settings_layer(tmp_path / "s.toml")])
     lines = str(error.value).splitlines()
@@ -518,12 +735,17 @@ def test_allowed_names_are_listed_once_a_table(tmp_path: Path) -> None:
 
 def test_incomplete_sheet_names_what_it_lacks() -> None:
     """Not only the pitch that the transistors of a process leave, which nobody chose."""
-    with pytest.raises(PixsimError, match=r"^pixel\.pitch_um: got 2\.4; .*No technology was chosen.*Give dark_current_e_per_s"):
+    with pytest.raises(
+        PixsimError,
+        match=r"^pixel\.pitch_um: got 2\.4; .*No technology was chosen.*Give dark_current_e_per_s",
+    ):
         derive(Pixel(pitch_um=2.4, full_well_e=6000, read_noise_e=1.5, quantum_efficiency=0.6))
     with pytest.raises(PixsimError, match=r"transistors of 0.35um fill the pixel"):
         derive(Pixel(technology="0.35um", pitch_um=2.4))
 
 
 def test_pixel_of_a_file_name_says_how_to_read_one() -> None:
-    with pytest.raises(PixsimError, match=r"Pixel: got 'sensor_a\.toml'; allowed: fields by name.*tomllib\.loads"):
+    with pytest.raises(
+        PixsimError, match=r"Pixel: got 'sensor_a\.toml'; allowed: fields by name.*tomllib\.loads"
+    ):
         Pixel("sensor_a.toml")

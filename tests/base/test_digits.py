@@ -35,7 +35,9 @@ def decimals_of(text: str) -> int:
 
 
 @given(NUMBERS, ERRORS)
-def test_value_and_error_end_at_the_same_decimal_with_at_most_four_digits_of_the_value(value: float, error: float) -> None:
+def test_value_and_error_end_at_the_same_decimal_with_at_most_four_digits_of_the_value(
+    value: float, error: float
+) -> None:
     shown, shown_error = with_error(value, error).split(" ± ")
     assert decimals_of(shown) == decimals_of(shown_error)
     assert digits_of(shown) <= 4
@@ -43,8 +45,12 @@ def test_value_and_error_end_at_the_same_decimal_with_at_most_four_digits_of_the
 
 
 @given(NUMBERS, ERRORS)
-def test_shown_value_is_within_the_error_and_the_error_is_not_smaller(value: float, error: float) -> None:
-    """Rounding moves a value by half of the last digit, which is at most one of an error of one digit."""
+def test_shown_value_is_within_the_error_and_the_error_is_not_smaller(
+    value: float, error: float
+) -> None:
+    """Rounding moves a value by half of the last digit, which is at most one of an error of one
+    digit.
+    """
     assume(error > 1.001 * ROUNDING * abs(value))
     shown, shown_error = map(float, with_error(value, error).split(" ± "))
     assert abs(shown - value) <= 0.5 * shown_error * (1 + 1e-9) + 1e-12 * abs(value)
@@ -61,10 +67,15 @@ def test_estimate_is_right_to_its_digits_and_has_all_of_them(value: float, digit
 
 
 @pytest.mark.parametrize(
-    ("value", "error"), [(math.nan, 1.0), (1.0, math.nan), (math.inf, 1.0), (1.0, math.inf), (math.nan, math.nan)]
+    ("value", "error"),
+    [(math.nan, 1.0), (1.0, math.nan), (math.inf, 1.0), (1.0, math.inf), (math.nan, math.nan)],
 )
 def test_numbers_that_are_not_known_have_a_dash_or_are_infinite(value: float, error: float) -> None:
-    texts = with_error(value, error), with_ends(value, (value - error, value + error)), *difference_cells(value, (-error, error))
+    texts = (
+        with_error(value, error),
+        with_ends(value, (value - error, value + error)),
+        *difference_cells(value, (-error, error)),
+    )
     assert not any(word in text for text in texts for word in ("nan", "inf"))
 
 
@@ -80,10 +91,14 @@ def test_probability_is_no_surer_than_a_sign_test_of_its_pairs(share: float, pai
 
 
 @given(st.floats(1e-6, 1e6))
-def test_time_of_exposure_has_no_exponent_and_at_most_four_figures_before_the_point(seconds: float) -> None:
+def test_time_of_exposure_has_no_exponent_and_at_most_four_figures_before_the_point(
+    seconds: float,
+) -> None:
     number, unit = exposure_time(seconds).split()
     assert "e" not in number
-    assert float(number) * {"s": 1.0, "ms": 1e-3, "µs": 1e-6}[unit] == pytest.approx(seconds, rel=5.1e-3)
+    assert float(number) * {"s": 1.0, "ms": 1e-3, "µs": 1e-6}[unit] == pytest.approx(
+        seconds, rel=5.1e-3
+    )
 
 
 @given(st.floats(0.1, 100))
@@ -95,4 +110,6 @@ def test_f_stop_is_right_to_a_hundredth(value: float) -> None:
 def test_number_as_somebody_wrote_it_stays(count: int, power: int) -> None:
     value = float(f"{count}e{power}")
     assert float(setting_text(value)) == value
-    assert len(setting_text(math.pi * value).strip("0.")) <= 16  # to four digits, with zeros before or behind
+    assert (
+        len(setting_text(math.pi * value).strip("0.")) <= 16
+    )  # to four digits, with zeros before or behind

@@ -1,4 +1,6 @@
-"""No message quotes a file: it may be another than the user believes, such as a key, where a study or a scene names it."""
+"""No message quotes a file: it may be another than the user believes, such as a key, where a study
+or a scene names it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ WORD = "wJalrXUtnFEMIK7MDENG"
 PARTS = re.compile("wJal|UtnF|K7MD|bPxR|EXAMPLE", re.IGNORECASE)
 ROOT = Path(pixsim.__file__).parent
 LENS, TECHNOLOGY = (
-    (ROOT / name).read_text(encoding="utf-8") for name in ("data/lenses/singlet.toml", "data/technologies/0.35um.toml")
+    (ROOT / name).read_text(encoding="utf-8")
+    for name in ("data/lenses/singlet.toml", "data/technologies/0.35um.toml")
 )
 ZMX = """UNIT MM
 ENPD 10
@@ -58,9 +61,19 @@ def edits(text: str) -> list[str]:
     """A text with the key in place of each of its words, once each, and as whole lines of it."""
     words = list(re.finditer(r"[^\s=\[\]{}\",]+", text))
     lines = text.splitlines(keepends=True)
-    in_words = [text[: word.start()] + KEY + text[word.end() :] for word in words[:: max(1, len(words) // 60)]]
-    quoted = [text[: word.start()] + f'"{KEY}"' + text[word.end() :] for word in words[:: max(1, len(words) // 60)]]
-    in_lines = ["".join([*lines[:at], line, *lines[at:]]) for at in (0, len(lines) // 2, len(lines)) for line in KEY_LINES]
+    in_words = [
+        text[: word.start()] + KEY + text[word.end() :]
+        for word in words[:: max(1, len(words) // 60)]
+    ]
+    quoted = [
+        text[: word.start()] + f'"{KEY}"' + text[word.end() :]
+        for word in words[:: max(1, len(words) // 60)]
+    ]
+    in_lines = [
+        "".join([*lines[:at], line, *lines[at:]])
+        for at in (0, len(lines) // 2, len(lines))
+        for line in KEY_LINES
+    ]
     return [*in_words, *quoted, *in_lines]
 
 
@@ -106,7 +119,10 @@ def test_no_message_quotes_a_file(kind: str, tmp_path: Path) -> None:
 
 def test_what_the_user_types_is_quoted(tmp_path: Path) -> None:
     scene = tmp_path / "scene.xml"
-    text = '<default name="r" value="1"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
+    text = (
+        '<default name="r" value="1"/><shape type="sphere"><float name="radius"'
+        ' value="$r"/></shape>'
+    )
     scene.write_text(SCENE.format(text), encoding="utf-8")
     with pytest.raises(PixsimError, match=re.escape(f"floating point value '{KEY}'")):
         pixsim.load_scene(scene, r=KEY, variant="scalar_spectral")

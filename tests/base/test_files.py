@@ -11,7 +11,15 @@ from pathlib import Path
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import LIST, LIST_OF_1_1, SETTLED_NS, check_replaceable, digest_of, publishing, read_list
+from pixsim.base.files import (
+    LIST,
+    LIST_OF_1_1,
+    SETTLED_NS,
+    check_replaceable,
+    digest_of,
+    publishing,
+    read_list,
+)
 
 
 def publish(folder: Path, **texts: str) -> None:
@@ -32,16 +40,28 @@ def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_pat
     """Also those that a user has changed; files of an earlier command stay, and are known."""
     (tmp_path / "mine.txt").write_text("mine")
     publish(tmp_path, a="1", figures_b="2", figures_c="3")
-    assert contents(tmp_path) == {"mine.txt": "mine", "a.txt": "1", "figures/b.txt": "2", "figures/c.txt": "3"}
+    assert contents(tmp_path) == {
+        "mine.txt": "mine",
+        "a.txt": "1",
+        "figures/b.txt": "2",
+        "figures/c.txt": "3",
+    }
     (tmp_path / "a.txt").write_text("9")
     publish(tmp_path, a="4", figures_b="2")
-    assert contents(tmp_path) == {"mine.txt": "mine", "a.txt": "4", "figures/b.txt": "2", "figures/c.txt": "3"}
+    assert contents(tmp_path) == {
+        "mine.txt": "mine",
+        "a.txt": "4",
+        "figures/b.txt": "2",
+        "figures/c.txt": "3",
+    }
     (tmp_path / "figures/b.txt").unlink()
     publish(tmp_path, d="5")
     assert read_list(tmp_path)["files"] == ["a.txt", "d.txt", "figures/c.txt"]
 
 
-@pytest.mark.parametrize("change", ["not listed", "folder", "dangling link", "foreign list", "no list"])
+@pytest.mark.parametrize(
+    "change", ["not listed", "folder", "dangling link", "foreign list", "no list"]
+)
 def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path: Path) -> None:
     """Also at the end of a command, before anything is moved: a file may have come meanwhile."""
     publish(tmp_path, a="1", b="2")
@@ -55,19 +75,28 @@ def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path:
         (tmp_path / LIST).write_text('{"files": ["a.txt"]}')
     else:
         (tmp_path / LIST).unlink()
-    before = sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir())
+    before = sorted(
+        (path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir()
+    )
     named = {"foreign list": LIST, "not listed": "c.txt"}.get(change, "a.txt")
     with pytest.raises(PixsimError, match=rf"holds .*{named}.*Choose another with --out"):
         check_replaceable(tmp_path, ["a.txt", "c.txt"])
     with pytest.raises(PixsimError, match=named):
         publish(tmp_path, a="new", c="new")
-    assert sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir()) == before
+    assert (
+        sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir())
+        == before
+    )
 
 
 def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
     """Its list is provenance.json, with digests."""
     (tmp_path / "a.txt").write_text("of 1.1")
-    listing = {"schema": 1, "versions": {"pixsim": "1.1.0"}, "files": {"a.txt": {"command": "run", "digests": ["0" * 32]}}}
+    listing = {
+        "schema": 1,
+        "versions": {"pixsim": "1.1.0"},
+        "files": {"a.txt": {"command": "run", "digests": ["0" * 32]}},
+    }
     (tmp_path / LIST_OF_1_1).write_text(json.dumps(listing))
     publish(tmp_path, a="new")
     assert contents(tmp_path)["a.txt"] == "new"
@@ -84,7 +113,9 @@ def test_check_replaceable_own_or_missing_files_pass(tmp_path: Path) -> None:
     check_replaceable(tmp_path, ["a.txt"])
 
 
-def test_publishing_killed_between_moves_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_publishing_killed_between_moves_is_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whichever of the files are moved, the same command may go on."""
     publish(tmp_path, a="1", b="2")
     replace, moves = os.replace, []
@@ -115,7 +146,9 @@ def test_publishing_failure_leaves_folder_unchanged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("age", ["new", "settled"])
-def test_digest_of_sees_each_change(age: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_digest_of_sees_each_change(
+    age: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also of a file of the same size at the same place, whose digest was taken before."""
     path = tmp_path / "a.txt"
     now_ns = time.time_ns() + (3 * SETTLED_NS if age == "settled" else 0)
@@ -130,11 +163,16 @@ def test_digest_of_sees_each_change(age: str, tmp_path: Path, monkeypatch: pytes
     assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
 
 
-def test_digest_of_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_digest_of_unchanged_file_is_not_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "a.txt"
     path.write_text("one")
     os.utime(path, (1, 1))
-    monkeypatch.setattr("pixsim.base.files.time.time_ns", lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * SETTLED_NS)
+    monkeypatch.setattr(
+        "pixsim.base.files.time.time_ns",
+        lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * SETTLED_NS,
+    )
     first = digest_of(path)
     monkeypatch.setattr(hashlib, "file_digest", None)
     assert digest_of(path) == first

@@ -21,5 +21,7 @@ print(json.dumps([loaded, numpy.f2py.get_include() != "", numpy.testing is sys.m
 
 
 def test_unused_modules_are_loaded_when_used() -> None:
-    done = subprocess.run([sys.executable, "-c", LOOK], check=True, capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", LOOK], check=True, capture_output=True, text=True, timeout=HANG_S
+    )
     assert json.loads(done.stdout) == [[], True, True]

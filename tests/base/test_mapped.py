@@ -44,7 +44,14 @@ def test_a_large_array_is_an_array(in_this_folder: Path) -> None:
     assert not large.any()
     values = np.random.default_rng(0).random(large.shape, np.float32)
     large[:] = values
-    for part in (large, large[1], large[:, 5:9], large[:, :, 3], large[2, ::-1], np.moveaxis(large, 0, 2)[7:9]):
+    for part in (
+        large,
+        large[1],
+        large[:, 5:9],
+        large[:, :, 3],
+        large[2, ::-1],
+        np.moveaxis(large, 0, 2)[7:9],
+    ):
         assert is_mapped(part)
         release(part)
     np.testing.assert_array_equal(large, values)
@@ -53,7 +60,9 @@ def test_a_large_array_is_an_array(in_this_folder: Path) -> None:
 
 
 def test_memory_holds_the_parts_in_use() -> None:
-    """64 MiB: all of it is in memory after it was written, and at most a part of 2 MiB if each is released."""
+    """64 MiB: all of it is in memory after it was written, and at most a part of 2 MiB if each is
+    released.
+    """
     large, before = zeros((32, MIB // 4)), resident_mib()
     large += 1.0
     assert resident_mib() - before == pytest.approx(64, abs=2)
@@ -82,7 +91,9 @@ def test_the_space_of_an_array_is_free_again(in_this_folder: Path) -> None:
     for _ in range(2):
         large = zeros((64, MIB))
         large[0] = 1.0
-        taken.append((free - os.statvfs(in_this_folder).f_bavail) * os.statvfs(in_this_folder).f_frsize / MIB)
+        taken.append(
+            (free - os.statvfs(in_this_folder).f_bavail) * os.statvfs(in_this_folder).f_frsize / MIB
+        )
         del large
     assert min(taken) < 900, "another array would add to it"  # of 512; other processes write too
 

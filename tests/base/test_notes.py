@@ -1,4 +1,6 @@
-"""Notes of results: warnings collected once, shown by the caller's filters, and numbers that can be told apart."""
+"""Notes of results: warnings collected once, shown by the caller's filters, and numbers that can be
+told apart.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def tell(text: str = "told", category: type[Warning] = UserWarning) -> None:
 
 
 @contextmanager
-def shown_as(action: Literal["always", "default", "ignore", "error"]) -> Iterator[list[warnings.WarningMessage]]:
+def shown_as(
+    action: Literal["always", "default", "ignore", "error"],
+) -> Iterator[list[warnings.WarningMessage]]:
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter(action)
         yield shown
@@ -58,7 +62,9 @@ def test_collected_notes_filters_of_caller_hold() -> None:
 
 
 def test_collected_notes_machine_and_other_categories_are_shown_only() -> None:
-    """A warning about the machine once: a cache folder that cannot be written fails for every entry."""
+    """A warning about the machine once: a cache folder that cannot be written fails for every
+    entry.
+    """
     with shown_as("always") as shown, collected_notes() as notes:
         tell("cache", MachineWarning)
         tell("old", DeprecationWarning)
@@ -115,7 +121,11 @@ def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
         assert isinstance(kind, ast.Constant), name
         made.add(kind.value)
         given = {keyword.arg for keyword in call.keywords}
-        wanted = {field for _, field, _, _ in string.Formatter().parse(NOTES[kind.value].template) if field}
+        wanted = {
+            field
+            for _, field, _, _ in string.Formatter().parse(NOTES[kind.value].template)
+            if field
+        }
         assert given == wanted or (None in given and given - {None} < wanted), (name, call.lineno)
     assert made == set(NOTES), "each kind is used"
 
@@ -140,7 +150,9 @@ def test_note_is_printable() -> None:
         (Note("reflectance", what="r", highest=1.2, place="b"), True, 1),
     ],
 )
-def test_quiet_hides_advice_only(note: Note, quiet: bool, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_hides_advice_only(
+    note: Note, quiet: bool, lines: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     verbosity = Verbosity()
     verbosity.quiet = quiet
     verbosity.warning(UserWarning(note))

@@ -1,4 +1,6 @@
-"""Output onto what is no regular file: devices and pipes get the content and stay; nothing goes through a link of others."""
+"""Output onto what is no regular file: devices and pipes get the content and stay; nothing goes
+through a link of others.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,10 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "chart.exr": lambda path: write_chart(path, np.ones((2, 3), np.float32)),
     "light.exr": lambda path: write_exr(path, LIGHT),
     "light.npz": lambda path: write_npz(path, LIGHT),
-    **{f"raw{suffix}": lambda path: write_frame(path, FRAME) for suffix in (".exr", ".npz", ".png", ".tiff")},
+    **{
+        f"raw{suffix}": lambda path: write_frame(path, FRAME)
+        for suffix in (".exr", ".npz", ".png", ".tiff")
+    },
     "table.csv": lambda path: write_text(path, "a\r\n1\r\n"),
     "new.toml": lambda path: write_new(path, "a = 1\n"),
 }
@@ -46,7 +51,9 @@ def expected(name: str, folder: Path) -> bytes:
 
 def without_time(content: bytes) -> bytes:
     """A zip archive states when it was written, in steps of 2 s."""
-    return content if content[:2] != b"PK" else content[:10] + content[14 : content.index(b"PK\1\2")]
+    return (
+        content if content[:2] != b"PK" else content[:10] + content[14 : content.index(b"PK\1\2")]
+    )
 
 
 @OF_ALL
@@ -71,14 +78,19 @@ def test_a_device_stays(name: str, tmp_path: Path) -> None:
     link.symlink_to(device)
     for path in (device, link):
         WRITERS[name](path)
-    assert (stat.S_ISCHR(device.lstat().st_mode), device.lstat().st_rdev) == (True, os.makedev(1, 3))
+    assert (stat.S_ISCHR(device.lstat().st_mode), device.lstat().st_rdev) == (
+        True,
+        os.makedev(1, 3),
+    )
     assert (link.is_symlink(), sorted(os.listdir(tmp_path))) == (True, sorted([name, "links"]))
 
 
 @NEEDS_ROOT
 def test_a_disk_is_refused(tmp_path: Path) -> None:
     os.mknod(tmp_path / "x.exr", 0o600 | stat.S_IFBLK, os.makedev(240, 250))  # of no driver
-    with pytest.raises(PixsimError, match=r"x\.exr', a device; allowed: a file, a pipe or a character device"):
+    with pytest.raises(
+        PixsimError, match=r"x\.exr', a device; allowed: a file, a pipe or a character device"
+    ):
         WRITERS["light.exr"](tmp_path / "x.exr")
     assert stat.S_ISBLK((tmp_path / "x.exr").lstat().st_mode)
 
@@ -98,8 +110,12 @@ def test_a_link_of_the_user_is_followed_once(name: str, is_there: bool, tmp_path
 
 
 @OF_ALL
-def test_a_stream_of_this_process_gets_the_content_where_it_stands(name: str, tmp_path: Path) -> None:
-    """/dev/stdout of `command > file` is such a one: the file is the shell's, and may hold something already."""
+def test_a_stream_of_this_process_gets_the_content_where_it_stands(
+    name: str, tmp_path: Path
+) -> None:
+    """/dev/stdout of `command > file` is such a one: the file is the shell's, and may hold
+    something already.
+    """
     content = expected(name, tmp_path / "file")
     with (tmp_path / "shell").open("wb", buffering=0) as file:
         file.write(b"before")
@@ -108,10 +124,17 @@ def test_a_stream_of_this_process_gets_the_content_where_it_stands(name: str, tm
         WRITERS[name](link)
         file.write(b"after")
     before, got, after = (whole := (tmp_path / "shell").read_bytes())[:6], whole[6:-5], whole[-5:]
-    assert (before, without_time(got), after, link.is_symlink()) == (b"before", content, b"after", True)
+    assert (before, without_time(got), after, link.is_symlink()) == (
+        b"before",
+        content,
+        b"after",
+        True,
+    )
 
 
-@pytest.mark.parametrize("way", ["/dev/fd/{}", "/proc/self/fd/{}", "link to a link", "relative link"])
+@pytest.mark.parametrize(
+    "way", ["/dev/fd/{}", "/proc/self/fd/{}", "link to a link", "relative link"]
+)
 def test_each_way_to_a_stream_of_this_process_is_one(way: str, tmp_path: Path) -> None:
     """Where the file of the shell was replaced, all that the shell wrote was lost."""
     with (tmp_path / "shell").open("wb", buffering=0) as file:
@@ -139,11 +162,14 @@ def test_a_command_says_what_a_reader_that_is_gone_has_not_taken(tmp_path: Path)
     pipe = tmp_path / "x.exr"
     os.mkfifo(pipe)
     threading.Thread(target=lambda: pipe.open("rb").close()).start()
-    assert_refused(*command("chart flat --width 512 --height 512 -o", pipe), ["x.exr", "Broken pipe"])
+    assert_refused(
+        *command("chart flat --width 512 --height 512 -o", pipe), ["x.exr", "Broken pipe"]
+    )
     assert stat.S_ISFIFO(pipe.lstat().st_mode)
 
 
-# --- Below an output folder -----------------------------------------------------------------------------------------------
+# --- Below an output folder
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -166,7 +192,9 @@ def publish(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("linked", ["figures", "figures/a.csv", LIST, LOCK])
-def test_publishing_never_goes_through_a_link_in_the_folder(linked: str, theirs: Path, tmp_path: Path) -> None:
+def test_publishing_never_goes_through_a_link_in_the_folder(
+    linked: str, theirs: Path, tmp_path: Path
+) -> None:
     link = tmp_path / "out" / linked
     link.parent.mkdir(parents=True)
     link.symlink_to(theirs if linked == "figures" else theirs / "a.csv")
@@ -174,7 +202,9 @@ def test_publishing_never_goes_through_a_link_in_the_folder(linked: str, theirs:
         publish(tmp_path / "out")
     assert (contents(theirs), link.is_symlink()) == ({"a.csv": "mine"}, True)
     if linked != LOCK:
-        with pytest.raises(PixsimError, match=f"which holds .*{linked}.*, not written by this command"):
+        with pytest.raises(
+            PixsimError, match=f"which holds .*{linked}.*, not written by this command"
+        ):
             check_replaceable(tmp_path / "out", ["figures/a.csv"])  # before anything is computed
 
 
@@ -183,13 +213,21 @@ def test_publishing_into_a_linked_folder_works(theirs: Path, tmp_path: Path) -> 
     (tmp_path / "out").symlink_to(theirs)
     publish(tmp_path / "out")
     publish(tmp_path / "out")
-    assert ((tmp_path / "out").is_symlink(), (theirs / "figures/a.csv").read_text()) == (True, "new")
+    assert ((tmp_path / "out").is_symlink(), (theirs / "figures/a.csv").read_text()) == (
+        True,
+        "new",
+    )
 
 
 @pytest.mark.parametrize("kind", ["pipe", "content"])
-def test_a_lock_that_is_not_pixsims_is_neither_waited_for_nor_removed(kind: str, tmp_path: Path) -> None:
+def test_a_lock_that_is_not_pixsims_is_neither_waited_for_nor_removed(
+    kind: str, tmp_path: Path
+) -> None:
     os.mkfifo(tmp_path / LOCK) if kind == "pipe" else (tmp_path / LOCK).write_text("mine")
-    with pytest.raises(PixsimError, match=r"'\.pixsim\.lock' is no lock of pixsim"), output_folder(tmp_path):
+    with (
+        pytest.raises(PixsimError, match=r"'\.pixsim\.lock' is no lock of pixsim"),
+        output_folder(tmp_path),
+    ):
         pass
     assert (tmp_path / LOCK).exists()
 
@@ -198,7 +236,9 @@ ROW = dict.fromkeys(Store(Path()).columns, "1")
 
 
 def test_each_change_of_a_study_keeps_its_own_backup(theirs: Path, tmp_path: Path) -> None:
-    """Nor does a backup go through a link: an edited file of rows would become the content of any other file."""
+    """Nor does a backup go through a link: an edited file of rows would become the content of any
+    other file.
+    """
     (tmp_path / "results.csv.old").symlink_to(theirs / "a.csv")
     results, befores = Store(tmp_path / "results.csv"), []
     for key in ("first", "second"):

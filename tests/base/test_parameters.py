@@ -52,7 +52,9 @@ def test_content_hash_ignores_order():
     other = Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
     assert one.content_hash == other.content_hash
     assert len(one.content_hash) == 16
-    assert content_hash({"a": {"b": 1, "c": 2}, "d": 3}) == content_hash({"d": 3, "a": {"c": 2, "b": 1}})
+    assert content_hash({"a": {"b": 1, "c": 2}, "d": 3}) == content_hash(
+        {"d": 3, "a": {"c": 2, "b": 1}}
+    )
 
 
 def test_content_hash_depends_on_every_field():
@@ -63,7 +65,9 @@ def test_content_hash_depends_on_every_field():
     changed.append(Camera(fall_off=[[0, 1], [2, 0.5]]))
     lens = TracedLens(file="phone", focal_length_mm=3.86, f_number=4, field_mm=1.9, content="0")
     changed.append(Camera(lens=lens))
-    assert len({camera.content_hash for camera in [Camera(), *changed]}) == 1 + len(Camera.model_fields)
+    assert len({camera.content_hash for camera in [Camera(), *changed]}) == 1 + len(
+        Camera.model_fields
+    )
     # Digits below single precision, the order of a list and the kind of a value count as well.
     assert content_hash([1.0, 2.0]) != content_hash([2.0, 1.0])
     assert content_hash(1.0) != content_hash(1.0 + 1e-15)
@@ -75,7 +79,11 @@ def test_content_hash_depends_on_every_field():
 def test_merge_later_values_take_precedence():
     base = {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
     over = {"camera": {"f_number": 2.0}, "pixel": {"bits": 12}}
-    assert merge(base, over) == {"camera": {"f_number": 2.0, "die_mm": 2.7}, "seed": 1, "pixel": {"bits": 12}}
+    assert merge(base, over) == {
+        "camera": {"f_number": 2.0, "die_mm": 2.7},
+        "seed": 1,
+        "pixel": {"bits": 12},
+    }
     # Neither side is changed; a value replaces a table and a table a value.
     assert base == {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
     assert merge({"a": {"b": 1}}, {"a": 2}) == {"a": 2}
@@ -97,15 +105,29 @@ CAMERAS = [
 
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_camera_obeys_thin_lens_equation(camera):
-    u_mm, v_mm, f_mm = 1e3 * camera.object_distance_m, camera.image_distance_mm, camera.focal_length_mm
+    u_mm, v_mm, f_mm = (
+        1e3 * camera.object_distance_m,
+        camera.image_distance_mm,
+        camera.focal_length_mm,
+    )
     assert 1 / u_mm + 1 / v_mm == pytest.approx(1 / f_mm, rel=1e-12)
     assert camera.magnification == pytest.approx(v_mm / u_mm, rel=1e-12)
-    assert camera.working_f_number == pytest.approx(v_mm / (2e3 * camera.aperture_radius_m), rel=1e-12)
-    assert np.tan(np.radians(camera.fov_deg / 2)) == pytest.approx(camera.die_mm / 2 / v_mm, rel=1e-12)
-    back = Camera.from_lens_geometry(camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm)
-    assert back.model_dump(exclude_none=True) == pytest.approx(camera.model_dump(exclude_none=True), rel=1e-9)
+    assert camera.working_f_number == pytest.approx(
+        v_mm / (2e3 * camera.aperture_radius_m), rel=1e-12
+    )
+    assert np.tan(np.radians(camera.fov_deg / 2)) == pytest.approx(
+        camera.die_mm / 2 / v_mm, rel=1e-12
+    )
+    back = Camera.from_lens_geometry(
+        camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm
+    )
+    assert back.model_dump(exclude_none=True) == pytest.approx(
+        camera.model_dump(exclude_none=True), rel=1e-9
+    )
     # The chart that fills the die is the die over the magnification.
-    assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(camera.die_mm, rel=1e-12)
+    assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(
+        camera.die_mm, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("object_distance_m", [0.05, 0.049])
@@ -117,11 +139,27 @@ def test_camera_object_within_focal_length_raises(object_distance_m):
 @pytest.mark.parametrize(
     ("record", "values", "message"),
     [
-        (Camera, {"focal_length_mm": 1e300}, "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06."),
-        (Pixel, {"full_well_e": 1e-300}, "full_well_e: got 1e-300; allowed: greater than or equal to 1."),
+        (
+            Camera,
+            {"focal_length_mm": 1e300},
+            "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06.",
+        ),
+        (
+            Pixel,
+            {"full_well_e": 1e-300},
+            "full_well_e: got 1e-300; allowed: greater than or equal to 1.",
+        ),
         (Pixel, {"bits": True}, "bits: got True; allowed: a number or a name."),
-        (Pixel, {"quantum_efficiency": [[400, True], [700, 0.5]]}, "quantum_efficiency: got True; allowed: a number or a name."),
-        (Run, {"pixel": {"prnu": 1e9}}, "pixel.prnu: got 1000000000.0; allowed: less than or equal to 0.3."),
+        (
+            Pixel,
+            {"quantum_efficiency": [[400, True], [700, 0.5]]},
+            "quantum_efficiency: got True; allowed: a number or a name.",
+        ),
+        (
+            Run,
+            {"pixel": {"prnu": 1e9}},
+            "pixel.prnu: got 1000000000.0; allowed: less than or equal to 0.3.",
+        ),
     ],
 )
 def test_explain_states_bounds(record, values, message):

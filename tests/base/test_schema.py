@@ -1,4 +1,6 @@
-"""The schema of files of results: each states it, and readers say what they do with files of another one."""
+"""The schema of files of results: each states it, and readers say what they do with files of
+another one.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     assert json.loads((tmp_path / "score.json").read_text()) == {KEY: SCHEMA, "mean_delta_e": 1.5}
     answer(Document("run", "", "", {"mean_delta_e": 1.5}), True)
     assert json.loads(capsys.readouterr().out) == {KEY: SCHEMA, "mean_delta_e": 1.5}
-    answer(Document("schema", "", "", {"$schema": "https://json-schema.org/draft/2020-12/schema"}), True)
+    answer(
+        Document("schema", "", "", {"$schema": "https://json-schema.org/draft/2020-12/schema"}),
+        True,
+    )
     assert KEY not in json.loads(capsys.readouterr().out)
     with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("a")
@@ -33,13 +38,17 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
 
 
 def test_rows_without_a_check_are_kept_apart_and_computed_again(tmp_path):
-    """As those of release 1.1, whose rows ended with the last metric. Keys tell rows of other versions that have a check."""
+    """As those of release 1.1, whose rows ended with the last metric. Keys tell rows of other
+    versions that have a check.
+    """
     results = Store(tmp_path / "results.csv")
     results.write(row(number).values() for number in range(3))
     lines = [line.rsplit(",", 2)[0] for line in results.path.read_text().splitlines()]
     results.path.write_text("\n".join(lines) + "\n")
     before = results.path.read_bytes()
-    with pytest.warns(UserWarning, match=r"of another version of pixsim.*results.csv.old.*computed again") as told:
+    with pytest.warns(
+        UserWarning, match=r"of another version of pixsim.*results.csv.old.*computed again"
+    ) as told:
         assert results.resume(lambda row: True) == []
     assert len(told) == 1
     assert (tmp_path / "results.csv.old").read_bytes() == before
@@ -48,7 +57,9 @@ def test_rows_without_a_check_are_kept_apart_and_computed_again(tmp_path):
 
 def test_rows_of_this_schema_are_resumed_without_a_word(tmp_path):
     results = Store(tmp_path / "results.csv", ["lens"])
-    results.write([(row(number) | {"lens": "f/4"})[name] for name in results.columns] for number in range(3))
+    results.write(
+        [(row(number) | {"lens": "f/4"})[name] for name in results.columns] for number in range(3)
+    )
     before = results.path.read_bytes()
     with warnings.catch_warnings(action="error"):
         assert list(results.resume(lambda row: True)) == ["key0", "key1", "key2"]
@@ -56,13 +67,18 @@ def test_rows_of_this_schema_are_resumed_without_a_word(tmp_path):
 
 
 def test_settings_of_another_schema(tmp_path):
-    path, text = tmp_path / "settings.toml", settings_table_text({"camera": {"f_number": 4.0}}, "pixsim run csf")
+    path, text = (
+        tmp_path / "settings.toml",
+        settings_table_text({"camera": {"f_number": 4.0}}, "pixsim run csf"),
+    )
     for written in (text, "[camera]\nf_number = 4.0\n"):  # of this version; of a user
         path.write_text(written)
         with warnings.catch_warnings(action="error"):
             assert read_toml(path) == {"camera": {"f_number": 4.0}}
     path.write_text(text.replace(f"{HEAD}, {KEY} {SCHEMA}", f"{HEAD}, {KEY} {SCHEMA + 1}"))
-    with pytest.raises(PixsimError, match=f"schema {SCHEMA + 1}; allowed: up to {SCHEMA}. Take the version"):
+    with pytest.raises(
+        PixsimError, match=f"schema {SCHEMA + 1}; allowed: up to {SCHEMA}. Take the version"
+    ):
         read_toml(path)
 
 
@@ -76,5 +92,7 @@ def test_folder_of_a_newer_version_is_refused(tmp_path, stated):
     path.write_text(json.dumps({name: value for name, value in content.items() if name != KEY}))
     check_replaceable(tmp_path, ["a.txt"])  # of a preview, whose files are replaced
     path.write_text(json.dumps(content | {KEY: stated}))
-    with pytest.raises(PixsimError, match=r"output folder.*schema.*Take the version of pixsim that wrote it"):
+    with pytest.raises(
+        PixsimError, match=r"output folder.*schema.*Take the version of pixsim that wrote it"
+    ):
         check_replaceable(tmp_path, ["a.txt"])

@@ -1,9 +1,10 @@
-"""The best pixel sizes of docs/questions.md by each judge, and what judges lose at those of others; `--write` puts them there.
+"""The best pixel sizes of docs/questions.md by each judge, and what judges lose at those of others;
+`--write` puts them there.
 
     python tests/benchmarks/five_judges.py [--write] [--out DIR] [--jobs 2]
 
-Runs the study of each file of the page on its target, and once more on the chart csf in the same light for ΔE, which on an even
-field with one target would be that of noise alone.
+Runs the study of each file of the page on its target, and once more on the chart csf in the same
+light for ΔE, which on an even field with one target would be that of noise alone.
 """
 
 from __future__ import annotations
@@ -41,12 +42,21 @@ WHOLE = "delta_e", "detectability", "information"  # that see both noise and blu
 
 
 def cases_of(file: Path, out: Path, jobs: int) -> dict[str, dict[str, FittedCurve]]:
-    """The fitted curve of each judge, by the names of study and condition: ΔE of the chart, and all others of the target."""
+    """The fitted curve of each judge, by the names of study and condition: ΔE of the chart, and all
+    others of the target.
+    """
     study = load_study("chen2000", file) if file.name == "paper.toml" else load_study(file)
     table = study.model_dump(mode="json", exclude={"sources"}, exclude_unset=True)
     light = {name: value for name, value in study.scene.parameters.items() if name in LIGHTS}
-    chart = table | {"name": f"{study.name}-chart", "metrics": ["delta_e"], "scene": {"file": "csf", "parameters": light}}
-    both = [pixsim.study(each, out / each.name, jobs=jobs) for each in (study, pixsim.Study.model_validate(chart))]
+    chart = table | {
+        "name": f"{study.name}-chart",
+        "metrics": ["delta_e"],
+        "scene": {"file": "csf", "parameters": light},
+    }
+    both = [
+        pixsim.study(each, out / each.name, jobs=jobs)
+        for each in (study, pixsim.Study.model_validate(chart))
+    ]
     fits = {}
     for target, chart_curve in zip(both[0].curves, both[1].curves, strict=True):
         case = " ".join(filter(None, (study.name, target.condition)))
@@ -60,37 +70,71 @@ def best_words(fit: FittedCurve) -> str:
     best, (low, high) = fit.optimum, fit.optimum.interval_um
     if not best.inside:
         return f"{'≤' if best.pitch_um < fit.pitch_um.mean() else '≥'} {best.pitch_um:.2f}"
-    return f"{best.pitch_um:.2f} ({'' if low is None else f'{low:.2f} '}…{'' if high is None else f' {high:.2f}'})"
+    return (
+        f"{best.pitch_um:.2f}"
+        f" ({'' if low is None else f'{low:.2f} '}…{'' if high is None else f' {high:.2f}'})"
+    )
 
 
 def tables(cases: dict[str, dict[str, FittedCurve]]) -> tuple[str, str, str]:
-    """Best sizes in µm; what judges that see both noise and blur lose at the best size of another of them; and `contrasts_of`."""
+    """Best sizes in µm; what judges that see both noise and blur lose at the best size of another
+    of them; and `contrasts_of`.
+    """
     pairs = list(permutations(WHOLE, 2))
     sizes = [("case", *JUDGES.values(), "the first three agree")]
-    losses = [("case", *(f"{JUDGES[one]} at that of {JUDGES[other]}" for one, other in pairs), "one size for all three")]
+    losses = [
+        (
+            "case",
+            *(f"{JUDGES[one]} at that of {JUDGES[other]}" for one, other in pairs),
+            "one size for all three",
+        )
+    ]
     for name, fits in cases.items():
         ends = np.array([fits[judge].optimum.interval_um for judge in WHOLE], float)
         agree = np.nanmax(ends[:, 0], initial=-np.inf) <= np.nanmin(ends[:, 1], initial=np.inf)
-        sizes.append((name, *(best_words(fits[judge]) if judge in fits else "–" for judge in JUDGES), "yes" if agree else "no"))
+        sizes.append(
+            (
+                name,
+                *(best_words(fits[judge]) if judge in fits else "–" for judge in JUDGES),
+                "yes" if agree else "no",
+            )
+        )
         grid = fits["delta_e"].pitch_um
-        lost = {judge: 1 - np.interp(grid, fits[judge].pitch_um, share_of_best(fits[judge])) for judge in WHOLE}
+        lost = {
+            judge: 1 - np.interp(grid, fits[judge].pitch_um, share_of_best(fits[judge]))
+            for judge in WHOLE
+        }
         at = {judge: float(fits[judge].optimum.pitch_um) for judge in WHOLE}
         most = np.max(list(lost.values()), axis=0)
         one_size = f"{grid[most.argmin()]:.1f} µm: at most {100 * most.min():.0f} %"
-        losses.append((name, *(f"{100 * np.interp(at[other], grid, lost[one]):.0f} %" for one, other in pairs), one_size))
+        losses.append(
+            (
+                name,
+                *(f"{100 * np.interp(at[other], grid, lost[one]):.0f} %" for one, other in pairs),
+                one_size,
+            )
+        )
     return markdown(sizes), markdown(losses), markdown(contrasts_of(cases))
 
 
 def contrasts_of(cases: dict[str, dict[str, FittedCurve]]) -> list[tuple[str, ...]]:
-    """Rows of the best size by information, in µm, at a third of the contrast of scenes, at the contrast, and at three times it."""
+    """Rows of the best size by information, in µm, at a third of the contrast of scenes, at the
+    contrast, and at three times it.
+    """
     low, high = METRICS["information"].variants
     options = METRIC_OPTIONS.information
     assert options.other_contrasts is not None
     less, more = options.other_contrasts
-    heads = (f"information at a contrast of {contrast:.2g}" for contrast in (less, options.contrast, more))
+    heads = (
+        f"information at a contrast of {contrast:.2g}"
+        for contrast in (less, options.contrast, more)
+    )
     rows: list[tuple[str, ...]] = [("case", *heads)]
     return rows + [
-        (name, *(best_words(fits[column]).partition(" (")[0] for column in (low, "information", high)))
+        (
+            name,
+            *(best_words(fits[column]).partition(" (")[0] for column in (low, "information", high)),
+        )
         for name, fits in cases.items()
     ]
 
@@ -117,7 +161,9 @@ def main() -> None:
     print("\n\n".join(made))
     if options.write:
         ready = iter(made)
-        changed, count = re.subn(r"^\| case \|.*\n(\|.*\n)+", lambda _: f"{next(ready)}\n", text, flags=re.MULTILINE)
+        changed, count = re.subn(
+            r"^\| case \|.*\n(\|.*\n)+", lambda _: f"{next(ready)}\n", text, flags=re.MULTILINE
+        )
         assert count == len(made), f"{count} tables of cases in {PAGE}"
         PAGE.write_text(changed, encoding="utf-8")
 

@@ -1,4 +1,5 @@
-"""Processor time and memory of each page of docs/gallery, with an empty cache; `--write` puts them into the pages.
+"""Processor time and memory of each page of docs/gallery, with an empty cache; `--write` puts them
+into the pages.
 
 python tests/benchmarks/gallery.py [--write] [PAGE…]
 """
@@ -23,13 +24,23 @@ GIB = 1 << 30
 
 
 def blocks_to_run(page: Path) -> tuple[list[Block], list[Block]]:
-    """The files that a page's commands need, and its commands: those of the page that runs them, if another does."""
+    """The files that a page's commands need, and its commands: those of the page that runs them, if
+    another does.
+    """
     blocks = list(blocks_of(page.read_text(encoding="utf-8")))
     files = [block for block in blocks if "file" in block.comments]
     for block in blocks:
         if other := block.comments.get("elsewhere"):
-            files += [each for each in blocks_of((ROOT / other).read_text(encoding="utf-8")) if "file" in each.comments]
-    return files, [block for block in blocks if block.language in ("sh", "python") and "file" not in block.comments]
+            files += [
+                each
+                for each in blocks_of((ROOT / other).read_text(encoding="utf-8"))
+                if "file" in each.comments
+            ]
+    return files, [
+        block
+        for block in blocks
+        if block.language in ("sh", "python") and "file" not in block.comments
+    ]
 
 
 def cost(page: Path) -> tuple[float, float]:
@@ -40,12 +51,31 @@ def cost(page: Path) -> tuple[float, float]:
         for block in files:
             (Path(folder) / block.comments["file"]).write_text(block.text, encoding="utf-8")
         # Without the installation, which is before the last && of README's command.
-        texts = [block.text if block.language == "python" else re.sub(r".* && \.venv/bin/", "", block.text) for block in commands]
+        texts = [
+            block.text
+            if block.language == "python"
+            else re.sub(r".* && \.venv/bin/", "", block.text)
+            for block in commands
+        ]
         for block, text in zip(commands, texts, strict=True):
             bare = re.sub(r"^pixsim ", f"{sys.executable} -m pixsim ", text, flags=re.MULTILINE)
-            command = [sys.executable, "-c", text] if block.language == "python" else ["bash", "-ec", bare]
-            environment = os.environ | {"PIXSIM_CACHE_DIR": cache, "MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)}
-            process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            command = (
+                [sys.executable, "-c", text]
+                if block.language == "python"
+                else ["bash", "-ec", bare]
+            )
+            environment = os.environ | {
+                "PIXSIM_CACHE_DIR": cache,
+                "MPLBACKEND": "agg",
+                "PYTHONPATH": str(ROOT),
+            }
+            process = subprocess.Popen(
+                command,
+                cwd=folder,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
             _, status, used = os.wait4(process.pid, 0)
             if status:
                 raise SystemExit(f"{page.name}: {text!r} ended with status {status}")

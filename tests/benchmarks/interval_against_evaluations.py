@@ -1,10 +1,12 @@
-"""Evaluations for a confidence interval: an even grid with more sensors, against adaptive rounds near the minimum.
+"""Evaluations for a confidence interval: an even grid with more sensors, against adaptive rounds
+near the minimum.
 
     python tests/benchmarks/interval_against_evaluations.py [--studies 100] [--jobs 2] [--out docs/pictures/half_width.svg]
 
-Simulated studies of the known curve of chen2000 at 0.35 µm. The grid has 16 pitches, evenly spaced in log pitch, with 2 to 32
-sensors each. The rounds are those of a study with target_ci_um, from other grids. Half widths are those of the interval of
-`pixsim.studies.optimum`; both curves are medians over the studies.
+Simulated studies of the known curve of chen2000 at 0.35 µm. The grid has 16 pitches, evenly spaced
+in log pitch, with 2 to 32 sensors each. The rounds are those of a study with target_ci_um, from
+other grids. Half widths are those of the interval of `pixsim.studies.optimum`; both curves are
+medians over the studies.
 """
 
 from __future__ import annotations
@@ -40,18 +42,31 @@ def even_pitches_um(study: Study, count: int) -> list[float]:
 def grid_half_widths(number: int, pitches_um: list[float]) -> list[float]:
     """Half widths of a simulated study for each number of sensors."""
     study, _ = simulated(CURVE, number, GRID_PITCHES, 0)
-    return [study.fit(dict.fromkeys(pitches_um, sensors)).optimum.half_width_um for sensors in GRID_SENSORS]
+    return [
+        study.fit(dict.fromkeys(pitches_um, sensors)).optimum.half_width_um
+        for sensors in GRID_SENSORS
+    ]
 
 
-def round_half_widths(number: int, pitches_um: list[float], sensors: int, max_sensors: int) -> list[tuple[int, float, bool]]:
-    """Evaluations, half width, and whether the interval covers the minimum, after each round of a simulated study."""
+def round_half_widths(
+    number: int, pitches_um: list[float], sensors: int, max_sensors: int
+) -> list[tuple[int, float, bool]]:
+    """Evaluations, half width, and whether the interval covers the minimum, after each round of a
+    simulated study.
+    """
     study, _ = simulated(CURVE, number, len(pitches_um), sensors)
     points = []
     for now, fit in study.rounds(dict.fromkeys(pitches_um, sensors), max_sensors):
         evaluations = sum(now.values())
         if evaluations > MAX_COUNT:
             break
-        points.append((evaluations, fit.optimum.half_width_um, covers(fit.optimum, study.truth, np.array(list(now)))))
+        points.append(
+            (
+                evaluations,
+                fit.optimum.half_width_um,
+                covers(fit.optimum, study.truth, np.array(list(now))),
+            )
+        )
     return points
 
 
@@ -63,13 +78,26 @@ def medians(studies: list[list[tuple[int, float, bool]]]) -> tuple[np.ndarray, n
 
 
 @own_style()
-def draw(grid: tuple[np.ndarray, np.ndarray], rounds: tuple[np.ndarray, np.ndarray], start: tuple[int, int], path: Path) -> None:
+def draw(
+    grid: tuple[np.ndarray, np.ndarray],
+    rounds: tuple[np.ndarray, np.ndarray],
+    start: tuple[int, int],
+    path: Path,
+) -> None:
     figure = new_figure(5.2, 3.4)
     axes = figure.subplots()
     label = f"{GRID_PITCHES} pixel sizes, {GRID_SENSORS[0]} to {GRID_SENSORS[-1]} sensors each"
     axes.loglog(*grid, ms=4, lw=1.2, label=label, **LOOKS[0].line)
-    axes.loglog(*rounds, ms=4, lw=1.2, label=f"{start[0]} pixel sizes × {start[1]} sensors, then rounds", **LOOKS[1].line)
-    axes.axhline(float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid)), color="#777777", lw=0.8, ls=":")
+    axes.loglog(
+        *rounds,
+        ms=4,
+        lw=1.2,
+        label=f"{start[0]} pixel sizes × {start[1]} sensors, then rounds",
+        **LOOKS[1].line,
+    )
+    axes.axhline(
+        float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid)), color="#777777", lw=0.8, ls=":"
+    )
     axes.set_xlabel("evaluations")
     axes.set_ylabel("half of the 95 % interval (µm)")
     ticks, widths = (20, 50, 100, 200, 500), (0.05, 0.1, 0.2)
@@ -86,23 +114,33 @@ def main() -> None:
     study = load_study("chen2000")
     with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
         pitches_um = even_pitches_um(study, GRID_PITCHES)
-        widths = Parallel()(delayed(grid_half_widths)(number, pitches_um) for number in range(options.studies))
+        widths = Parallel()(
+            delayed(grid_half_widths)(number, pitches_um) for number in range(options.studies)
+        )
         grid = GRID_PITCHES * np.array(GRID_SENSORS, float), np.median(widths, axis=0)
-        print("evaluations and half width (µm) of the grid: " + ", ".join(f"{n:g} {w:.4f}" for n, w in zip(*grid, strict=True)))
+        print(
+            "evaluations and half width (µm) of the grid: "
+            + ", ".join(f"{n:g} {w:.4f}" for n, w in zip(*grid, strict=True))
+        )
         target_um = float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid))
         default = len(study_pitches := even_pitches_um(study, study.pitch.count)), study.repeats
         for start in dict.fromkeys((default, *STARTS)):
             begin_um = study_pitches if start == default else even_pitches_um(study, start[0])
             studies = Parallel()(
-                delayed(round_half_widths)(number, begin_um, start[1], study.max_repeats) for number in range(options.studies)
+                delayed(round_half_widths)(number, begin_um, start[1], study.max_repeats)
+                for number in range(options.studies)
             )
             rounds = medians(studies)
-            met = [next((point for point in points if point[1] <= target_um), (np.inf, np.inf, False)) for points in studies]
+            met = [
+                next((point for point in points if point[1] <= target_um), (np.inf, np.inf, False))
+                for points in studies
+            ]
             needed = [point[0] for point in met]
             print(
-                f"{start[0]:2} × {start[1]}: {target_um:.4f} µm after {np.median(needed):g} evaluations in the median, after "
-                f"{np.quantile(needed, 0.9, method='higher'):g} in nine of ten studies (grid: {GRID_PITCHES * TARGET_SENSORS}); "
-                f"the interval then covers the minimum in {np.mean([point[2] for point in met]):.3f}",
+                f"{start[0]:2} × {start[1]}: {target_um:.4f} µm after {np.median(needed):g}"
+                f" evaluations in the median, after {np.quantile(needed, 0.9, method='higher'):g}"
+                f" in nine of ten studies (grid: {GRID_PITCHES * TARGET_SENSORS}); the interval"
+                f" then covers the minimum in {np.mean([point[2] for point in met]):.3f}",
                 flush=True,
             )
             if start == default and options.out:

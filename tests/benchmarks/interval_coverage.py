@@ -2,17 +2,20 @@
 
     python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE] [--steep | --even | --beside-an-end]
 
-The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with other pitches (one from each
-equal part of the range in log pitch), residuals and noise. Blocks: `fixed`, a study without a target, which adds a few pitches and
-sensors where its interval has an open end; `loud`, the same where one of the sizes scatters four times as much as the others, as
-one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
-and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
-`fixed` and `rounds` are run for curves with a steep flank, into a file of their own. With --even, sizes are in equal ratios between
-ends that are drawn anew, for metrics without noise, ΔE and known curves, into interval_coverage_even.csv. With --beside-an-end, the
-best size is at most .3, 1 or 2 steps, and up to .25 less, from the smallest or the largest size, into interval_coverage_ends.csv:
-`coverage` counts an open end only within a step of it, `contained` counts any, `open` is the share with an open end on the side of
-the best size. It also prints the coverage of studies whose best size is 1.5 % above the smallest possible one, with 12 sizes in
-equal ratios from there and 3 sensors.
+The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with
+other pitches (one from each equal part of the range in log pitch), residuals and noise. Blocks:
+`fixed`, a study without a target, which adds a few pitches and sensors where its interval has an
+open end; `loud`, the same where one of the sizes scatters four times as much as the others, as one
+that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`),
+whose interval must be open; and `rounds`, which add pitches and sensors, as a study with
+target_ci_um does, until the interval is short enough. With --steep `fixed` and `rounds` are run for
+curves with a steep flank, into a file of their own. With --even, sizes are in equal ratios between
+ends that are drawn anew, for metrics without noise, ΔE and known curves, into
+interval_coverage_even.csv. With --beside-an-end, the best size is at most .3, 1 or 2 steps, and up
+to .25 less, from the smallest or the largest size, into interval_coverage_ends.csv: `coverage`
+counts an open end only within a step of it, `contained` counts any, `open` is the share with an
+open end on the side of the best size. It also prints the coverage of studies whose best size is 1.5
+% above the smallest possible one, with 12 sizes in equal ratios from there and 3 sensors.
 """
 
 from __future__ import annotations
@@ -45,7 +48,10 @@ from helpers.dense_curves import (
 
 from pixsim.studies.optimum import FittedCurve
 
-OUT, OUT_STEEP = (Path(__file__).parents[1] / "data" / f"{name}.csv" for name in ("interval_coverage", "interval_coverage_steep"))
+OUT, OUT_STEEP = (
+    Path(__file__).parents[1] / "data" / f"{name}.csv"
+    for name in ("interval_coverage", "interval_coverage_steep")
+)
 OUT_EVEN, OUT_ENDS = (OUT.with_name(f"interval_coverage_{name}.csv") for name in ("even", "ends"))
 EVEN_CURVES = (
     *("information", "information_f8", "detectability", "detectability_f8", "day", "day_f8"),
@@ -62,7 +68,10 @@ PITCHES, REPEATS = (7, 11, 16, 24), (2, 4, 8)
 LOUD_REPEATS = (4, 8)
 ROUNDS_OF = ("chen2000_0.35um", "evening", "skewed")
 STARTS = ((9, 2), (12, 4))
-TARGET_OF = (16, 8)  # pitches and sensors of the fixed study whose median half width is the target of the rounds
+TARGET_OF = (
+    16,
+    8,
+)  # pitches and sensors of the fixed study whose median half width is the target of the rounds
 MAX_SENSORS, MAX_EVALUATIONS = 32, 256
 ROUNDS_SHARE = 0.3  # relative to the fixed block, because each study takes ten fits
 
@@ -82,7 +91,14 @@ def record_of(study: SimulatedStudy, sensors: Sensors, fit: FittedCurve) -> dict
     }
 
 
-def row_of(kind: str, curve: str, pitches: int, repeats: int, records: list[dict[str, float]], seconds: float) -> dict[str, Any]:
+def row_of(
+    kind: str,
+    curve: str,
+    pitches: int,
+    repeats: int,
+    records: list[dict[str, float]],
+    seconds: float,
+) -> dict[str, Any]:
     """A row of the table from the results of its studies."""
     column = {name: np.array([record[name] for record in records]) for name in records[0]}
     return {
@@ -101,16 +117,27 @@ def row_of(kind: str, curve: str, pitches: int, repeats: int, records: list[dict
     }
 
 
-def fixed_cell(curve: str, pitches: int, repeats: int, studies: int, loud: bool = False) -> dict[str, Any]:
+def fixed_cell(
+    curve: str, pitches: int, repeats: int, studies: int, loud: bool = False
+) -> dict[str, Any]:
     truth_of(curve)
     records, start = [], time.perf_counter()
     for number in range(studies):
         study, sensors = simulated(curve, number, pitches, repeats, loud)
         records.append(record_of(study, *study.refined(sensors, MAX_SENSORS)))
-    return row_of("loud" if loud else "fixed", curve, pitches, repeats, records, (time.perf_counter() - start) / studies)
+    return row_of(
+        "loud" if loud else "fixed",
+        curve,
+        pitches,
+        repeats,
+        records,
+        (time.perf_counter() - start) / studies,
+    )
 
 
-def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um: float) -> dict[str, Any]:
+def rounds_cell(
+    curve: str, pitches: int, repeats: int, studies: int, target_um: float
+) -> dict[str, Any]:
     """Rounds until the target is met, or the next one would exceed MAX_EVALUATIONS."""
     truth_of(curve)
     records, start = [], time.perf_counter()
@@ -123,7 +150,9 @@ def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um:
             if fit.optimum.half_width_um <= target_um:
                 break
         records.append(record_of(study, *last))
-    return row_of("rounds", curve, pitches, repeats, records, (time.perf_counter() - start) / studies)
+    return row_of(
+        "rounds", curve, pitches, repeats, records, (time.perf_counter() - start) / studies
+    )
 
 
 def beside_an_end(studies: int) -> str:
@@ -138,7 +167,9 @@ def beside_an_end(studies: int) -> str:
 
 
 def ends_cell(curve: str, end: str, steps: float, pitches: int, studies: int) -> dict[str, Any]:
-    """Coverage and length of the interval where the best size is some steps from an end of the sizes, with two sensors each."""
+    """Coverage and length of the interval where the best size is some steps from an end of the
+    sizes, with two sensors each.
+    """
     truth = truth_of(curve)
     held, contained, is_open, half_um, error_um, added = [], [], [], [], [], []
     for number in range(studies):
@@ -178,7 +209,9 @@ def ends(studies: int, jobs: int, out: Path) -> None:
 
 
 def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
-    """Coverage and length of the interval for sizes in equal ratios with two sensors each, and more where an end is open."""
+    """Coverage and length of the interval for sizes in equal ratios with two sensors each, and more
+    where an end is open.
+    """
     truth = truth_of(curve)
     held, half_um, error_um, share, evaluations = [], [], [], [], []
     for number in range(studies):
@@ -213,7 +246,9 @@ def even(studies: int, jobs: int, out: Path) -> None:
         rows = Parallel()(delayed(even_cell)(*cell, studies) for cell in cells)
     write_rows(out, rows)
     scattered = [float(row["coverage"]) for row in rows if row["curve"] in EVEN_CURVES]
-    print(f"even:       {np.mean(scattered):.3f} pooled, {min(scattered):.3f} to {max(scattered):.3f}")
+    print(
+        f"even:       {np.mean(scattered):.3f} pooled, {min(scattered):.3f} to {max(scattered):.3f}"
+    )
 
 
 def write_rows(out: Path, rows: list[dict[str, Any]]) -> None:
@@ -232,8 +267,8 @@ def pooled(rows: Iterable[dict[str, Any]]) -> str:
     delta_e = np.mean([float(row["delta_e_coverage"]) for row in rows])
     over = sum(coverage > 0.97 for coverage in coverages)
     return (
-        f"{np.mean(coverages):.3f} pooled, {min(coverages):.3f} to {max(coverages):.3f}, {over} of {len(rows)} cells above 0.97; "
-        f"of ΔE {delta_e:.3f} pooled"
+        f"{np.mean(coverages):.3f} pooled, {min(coverages):.3f} to {max(coverages):.3f}, {over} of"
+        f" {len(rows)} cells above 0.97; of ΔE {delta_e:.3f} pooled"
     )
 
 
@@ -250,19 +285,31 @@ def main() -> None:
     few = max(1, round(ROUNDS_SHARE * options.studies))
     # Multi-threaded BLAS is several times slower for matrices of this size.
     with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
-        fixed = Parallel()(delayed(fixed_cell)(*cell, options.studies) for cell in product(curves, PITCHES, REPEATS))
+        fixed = Parallel()(
+            delayed(fixed_cell)(*cell, options.studies)
+            for cell in product(curves, PITCHES, REPEATS)
+        )
         loud = [] if options.steep else product(CURVES, PITCHES, LOUD_REPEATS)
         louder = Parallel()(delayed(fixed_cell)(*cell, few, True) for cell in loud)
-        wide = {row["curve"]: float(row["median_half_width_um"]) for row in fixed if (row["pitches"], row["repeats"]) == TARGET_OF}
+        wide = {
+            row["curve"]: float(row["median_half_width_um"])
+            for row in fixed
+            if (row["pitches"], row["repeats"]) == TARGET_OF
+        }
         of_rounds = product(curves if options.steep else ROUNDS_OF, STARTS)
-        rounds = Parallel()(delayed(rounds_cell)(curve, *start, few, wide[curve]) for curve, start in of_rounds)
+        rounds = Parallel()(
+            delayed(rounds_cell)(curve, *start, few, wide[curve]) for curve, start in of_rounds
+        )
     rows = [*fixed, *louder, *rounds]
     write_rows(options.out, rows)
     print("fixed:     ", pooled(row for row in fixed if row["curve"] != AT_THE_END))
     if not options.steep:
         print("loud:      ", pooled(louder))
         closed = [1 - float(row["coverage"]) for row in fixed if row["curve"] == AT_THE_END]
-        print(f"at the end: interval wrongly closed in {np.mean(closed):.3f} of the studies, in the worst cell {max(closed):.3f}")
+        print(
+            f"at the end: interval wrongly closed in {np.mean(closed):.3f} of the studies, in the"
+            f" worst cell {max(closed):.3f}"
+        )
     print("rounds:    ", pooled(rounds))
 
 

@@ -2,8 +2,9 @@
 
     python tests/benchmarks/kernels.py
 
-Medians of wall times in one process. The unavoidable operations of an evaluation (one sensor at one pitch) are its random numbers,
-transforms and cube roots, of the same sizes, in padded planes and in place, in float32 as in a study.
+Medians of wall times in one process. The unavoidable operations of an evaluation (one sensor at one
+pitch) are its random numbers, transforms and cube roots, of the same sizes, in padded planes and in
+place, in float32 as in a study.
 """
 
 from __future__ import annotations
@@ -67,7 +68,9 @@ def chart(n: int) -> SpectralImage:
     white_lx = 1000.0 * float(optics.irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))
     spectrum = d65(NM) * white_lx / one.illuminance_lx()[0, 0]
     header = {"luminance_cd_per_m2": 1000.0}
-    return SpectralImage(NM, 10.0, 1e3 * DIE_MM / n, factors=(spectrum, picture[None]), header=header)
+    return SpectralImage(
+        NM, 10.0, 1e3 * DIE_MM / n, factors=(spectrum, picture[None]), header=header
+    )
 
 
 def bands(n: int) -> SpectralImage:
@@ -98,9 +101,23 @@ def targets() -> None:
     film, general = chart(1024), bands(1024)
     asked = imaging(CAMERA, Pixel(pitch_um=5.3), EXPOSURE, DISPLAY, single=True)
     physics = asked.physics
-    row("diffraction, 31 bands of one spectrum, 1024²", 0.15, partial(diffracted_rate, film, CAMERA, physics))
-    row("diffraction, 31 bands, general, 1024²", 3.0, partial(diffracted_rate, general, CAMERA, physics), 3)
-    row("diffraction, 31 bands, general, 512²", None, partial(diffracted_rate, bands(512), CAMERA, physics), 3)
+    row(
+        "diffraction, 31 bands of one spectrum, 1024²",
+        0.15,
+        partial(diffracted_rate, film, CAMERA, physics),
+    )
+    row(
+        "diffraction, 31 bands, general, 1024²",
+        3.0,
+        partial(diffracted_rate, general, CAMERA, physics),
+        3,
+    )
+    row(
+        "diffraction, 31 bands, general, 512²",
+        None,
+        partial(diffracted_rate, bands(512), CAMERA, physics),
+        3,
+    )
     light = prepare_scene(asked, SceneLight(film))
     chain = make_chain(asked, light)
     shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s
@@ -108,15 +125,23 @@ def targets() -> None:
     white_e = chain.white_e_per_s * frame.integration_s
 
     def noise() -> None:
-        capture_from_rates(signal, sample_sensor(asked.readout, shape, stream(1)), EXPOSURE, stream(2))
+        capture_from_rates(
+            signal, sample_sensor(asked.readout, shape, stream(1)), EXPOSURE, stream(2)
+        )
 
     row("noise of a sensor and a frame, 512²", 0.03, noise)
     whole = np.kron(signal, np.ones((2, 2)))
     sensor = sample_sensor(asked.readout, whole.shape, stream(1))
     for frames in (1, 8):
         burst = EXPOSURE.model_copy(update={"frames": frames})
-        row(f"frame of {frames} exposures, 1024²", None, partial(capture_from_rates, whole, sensor, burst, stream(2)))
-    show = partial(frame_luminance, frame, chain.screen.size_um, white_e, DISPLAY, chain.screen.dot_edges_um)
+        row(
+            f"frame of {frames} exposures, 1024²",
+            None,
+            partial(capture_from_rates, whole, sensor, burst, stream(2)),
+        )
+    show = partial(
+        frame_luminance, frame, chain.screen.size_um, white_e, DISPLAY, chain.screen.dot_edges_um
+    )
     row("display of a frame, 512² on 512 dots", None, show)
 
     def evaluation() -> None:
@@ -130,20 +155,31 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     p, rng = chain.readout, np.random.default_rng(0)
     mean_e, screen = chain.simulate(0).frame.mean_e, chain.screen
     dots, number = screen.ideal.shape[:2], np.float32 if screen.single else np.float64
-    first, planes = (empty_planes(count, *dots, dtype=number) for count in (1 if screen.ideal.ndim == 2 else 3, 3))
+    first, planes = (
+        empty_planes(count, *dots, dtype=number)
+        for count in (1 if screen.ideal.ndim == 2 else 3, 3)
+    )
     first[...] = planes[...] = 0.5
     relative = np.full((3, *dots), 0.5, number)
 
     def roots() -> None:
         for rows, work in strips_of(relative.shape, number, STRIP_DOTS):
             for plane, out in zip(relative[:, rows], work, strict=True):
-                scielab._single_f(plane, *scielab.CIE_LAB[:2], out) if screen.single else np.cbrt(plane, out=out)
+                (
+                    scielab._single_f(plane, *scielab.CIE_LAB[:2], out)
+                    if screen.single
+                    else np.cbrt(plane, out=out)
+                )
 
     drawn = np.empty(mean_e.shape)
     normals = [spread for spread in (p.prnu, p.physics.offset_fpn_e, p.noise_floor_e) if spread]
     return {
         "normals": lambda: [rng.standard_normal(out=drawn) for _ in normals],
-        "gamma": lambda: rng.gamma(p.dark_spread.dsnu**-2, p.dark_spread.dsnu**2, mean_e.shape) if p.dark_spread.dsnu else None,
+        "gamma": lambda: (
+            rng.gamma(p.dark_spread.dsnu**-2, p.dark_spread.dsnu**2, mean_e.shape)
+            if p.dark_spread.dsnu
+            else None
+        ),
         "Poisson": lambda: rng.poisson(mean_e),
         "DCTs": lambda: (dct(first), inverse_dct(planes)),
         "cube roots": roots,
@@ -157,7 +193,9 @@ def stages(chain: ImagingChain) -> dict[str, Work]:
     sensor = chain.sensor(1)
     return {
         "fixed pattern (normals, gamma)": lambda: chain.sensor(1),
-        "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), partial(stream, 1, "correction")),
+        "frame (Poisson, normals)": lambda: chain.capture_by(
+            sensor, stream(1, "frame"), partial(stream, 1, "correction")
+        ),
         "light of the dots": lambda: chain.development.light(frame),
         "codes of the dots": lambda: display_image(
             scratch, display, in_place=True
@@ -168,20 +206,30 @@ def stages(chain: ImagingChain) -> dict[str, Work]:
 
 
 COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
-LENSED = {"height_um": 3.0, "index": 1.5, "microlens": "square"}  # not shifted: what is collected varies over the field
+LENSED = {
+    "height_um": 3.0,
+    "index": 1.5,
+    "microlens": "square",
+}  # not shifted: what is collected varies over the field
 ROUNDS = 15
 
 
 def parts() -> None:
-    """Least times of processors in turns that alternate between the whole and its parts, and the median of the turns' ratios.
+    """Least times of processors in turns that alternate between the whole and its parts, and the
+    median of the turns' ratios.
 
     Other programs disturb both alike in a turn, but a long piece of work less often not at all.
     """
-    print(f"\nan evaluation, ms of processors: {'whole':>12} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
+    print(
+        f"\nan evaluation, ms of processors: {'whole':>12} {'parts':>8} {'ratio':>6}  at most"
+        f" {MAX_TIMES_PARTS:g}"
+    )
     film = chart(1024)
     cases = {f"{pitch_um:g} µm": Pixel(pitch_um=pitch_um) for pitch_um in PITCHES_UM}
     cases |= {
-        "5.3 µm, colour": Pixel(technology="4t-bsi", pitch_um=5.3, stack={"enabled": False}, colour=COLOUR),
+        "5.3 µm, colour": Pixel(
+            technology="4t-bsi", pitch_um=5.3, stack={"enabled": False}, colour=COLOUR
+        ),
         "5.3 µm, stack": Pixel(technology="4t-fsi", pitch_um=5.3, stack=LENSED),
     }
     for name, pixel in cases.items():
@@ -197,7 +245,10 @@ def parts() -> None:
         text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
         sum_ = sum(seconds.values())
         print(f"{name:>17}: {1e3 * whole:12.1f} {1e3 * sum_:8.1f} {ratio:6.2f}  {text}", flush=True)
-        print(f"{'':19}{', '.join(f'{stage} {1e3 * min(times):.1f}' for stage, times in turns(stages(chain)).items())}", flush=True)
+        print(
+            f"{'':19}{', '.join(f'{stage} {1e3 * min(times):.1f}' for stage, times in turns(stages(chain)).items())}",
+            flush=True,
+        )
 
 
 def turns(works: dict[str, Work]) -> dict[str, list[float]]:
@@ -213,7 +264,8 @@ def turns(works: dict[str, Work]) -> dict[str, list[float]]:
 
 
 def lenses() -> None:
-    """The light behind a lens whose blur varies over the field: once for all pitches and sensors, after its rays are traced.
+    """The light behind a lens whose blur varies over the field: once for all pitches and sensors,
+    after its rays are traced.
 
     Of two pictures in turns, since a lens remembers the last one.
     """
@@ -227,11 +279,17 @@ def lenses() -> None:
     for n in (1024, 2048):
         film = chart(n)
         spectra, pictures = film.factors
-        mirrored = SpectralImage(NM, 10.0, film.pitch_um, factors=(spectra, pictures[:, ::-1].copy()), header=film.header)
+        mirrored = SpectralImage(
+            NM, 10.0, film.pitch_um, factors=(spectra, pictures[:, ::-1].copy()), header=film.header
+        )
         films = cycle([film, mirrored])
         first_s = seconds_of(partial(behind, films, phone))
         thin_s, phone_s = (median_s(partial(behind, films, camera), 4) for camera in (thin, phone))
-        print(f"{n:20}²: {thin_s:10.3f} {phone_s:8.3f} {phone_s / thin_s:6.1f} {first_s - phone_s:8.2f}", flush=True)
+        print(
+            f"{n:20}²: {thin_s:10.3f} {phone_s:8.3f} {phone_s / thin_s:6.1f}"
+            f" {first_s - phone_s:8.2f}",
+            flush=True,
+        )
 
 
 ROLLING = Exposure(shutter="rolling", line_time_us=5.0)
@@ -245,11 +303,18 @@ VELOCITIES = {
 
 
 def motion() -> None:
-    """Evaluations of light that moves against those of light that stands still: one frame, or some, of each integration time."""
-    print("\nframes of light that moves, times those of light that stands still: median of turns, and ms of processors")
+    """Evaluations of light that moves against those of light that stands still: one frame, or some,
+    of each integration time.
+    """
+    print(
+        "\nframes of light that moves, times those of light that stands still: median of turns, and"
+        " ms of processors"
+    )
     film, numbers = chart(1024), itertools.count()
     for pitch_um, frames in product(PITCHES_UM, (1, 8)):
-        still = imaging(CAMERA, Pixel(pitch_um=pitch_um), EXPOSURE, DISPLAY, single=True, border_um=100.0)
+        still = imaging(
+            CAMERA, Pixel(pitch_um=pitch_um), EXPOSURE, DISPLAY, single=True, border_um=100.0
+        )
         room = prepare_scene(still, SceneLight(film))
         room.store_integrals()
 
@@ -262,13 +327,20 @@ def motion() -> None:
         ) -> None:
             longer = 1 + 1e-6 * next(numbers)  # as of another time
             x, y = longer * velocity[0], longer * velocity[1]
-            chain = make_chain(still.changed(exposure=exposure, motion=Motion(image_um_per_s=(x, y))), room)
+            chain = make_chain(
+                still.changed(exposure=exposure, motion=Motion(image_um_per_s=(x, y))), room
+            )
             for frame in range(frames):
                 chain.simulate(frame).statistics()
 
         times = turns({name: partial(evaluation, *own) for name, own in VELOCITIES.items()})
-        ratios = {name: median(a / b for a, b in zip(each, times["still"], strict=True)) for name, each in times.items()}
-        text = ", ".join(f"{name} {ratio:.2f} ({1e3 * min(times[name]):.1f})" for name, ratio in ratios.items())
+        ratios = {
+            name: median(a / b for a, b in zip(each, times["still"], strict=True))
+            for name, each in times.items()
+        }
+        text = ", ".join(
+            f"{name} {ratio:.2f} ({1e3 * min(times[name]):.1f})" for name, ratio in ratios.items()
+        )
         print(f"{frames:8} frames of {pitch_um:g} µm: {text}", flush=True)
 
 
@@ -277,8 +349,13 @@ MAX_COLOUR_RATIO = 2.5  # of the time of an evaluation with colour filters to th
 
 def colour() -> None:
     """An evaluation of 1024² pixels with a Bayer mosaic, bilinear demosaicing, and without."""
-    print(f"\n1024² pixels, s: {'grey':>8} {'colour':>8} {'ratio':>6}  at most {MAX_COLOUR_RATIO:g}")
-    film, sheet = chart(1024), {"technology": "4t-bsi", "pitch_um": CAMERA.die_um[1] / 1024, "stack": {"enabled": False}}
+    print(
+        f"\n1024² pixels, s: {'grey':>8} {'colour':>8} {'ratio':>6}  at most {MAX_COLOUR_RATIO:g}"
+    )
+    film, sheet = (
+        chart(1024),
+        {"technology": "4t-bsi", "pitch_um": CAMERA.die_um[1] / 1024, "stack": {"enabled": False}},
+    )
     for dots in (512, 1024):
         display = DISPLAY.model_copy(update={"dots": dots})
         seconds = []
@@ -292,7 +369,10 @@ def colour() -> None:
                 make_chain(asked, light).simulate(1).statistics()
 
             seconds.append(median_s(evaluation, 7))
-        print(f"{dots:10} dots: {seconds[0]:8.3f} {seconds[1]:8.3f} {seconds[1] / seconds[0]:6.2f}", flush=True)
+        print(
+            f"{dots:10} dots: {seconds[0]:8.3f} {seconds[1]:8.3f} {seconds[1] / seconds[0]:6.2f}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
@@ -300,5 +380,8 @@ if __name__ == "__main__":
     parts()
     colour()
     motion()
-    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, {FOLDER_VARIABLE: folder}):  # no PSFs of a run before
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.dict(os.environ, {FOLDER_VARIABLE: folder}),
+    ):  # no PSFs of a run before
         lenses()

@@ -1,11 +1,13 @@
 """Time and error of a real lens's blur: python tests/benchmarks/lens_cost.py [LENS ...]
 
-For each lens on the default die, a film of 1024² and a pixel of 2 µm: seconds of all processor cores together (which other
-programs on the machine raise) and by the clock, for the command `pixsim lens`, for the trace, for the plan's choice, for a first
-picture and for one whose PSFs come from the cache; the memory of the process; and the blurred picture against superposition at 64
-points. Superposition takes the PSF of each lit point of random dots from its own pupil, within 97 cells and without tiles; light
-from further away counts as even. For the packaged chart csf, lit everywhere, the picture of 129 × 129 tiles stands for it. Errors
-are relative to the rms of the blurred picture about its mean. The part of the tiles alone is the difference from 129 × 129 tiles
+For each lens on the default die, a film of 1024² and a pixel of 2 µm: seconds of all processor
+cores together (which other programs on the machine raise) and by the clock, for the command
+`pixsim lens`, for the trace, for the plan's choice, for a first picture and for one whose PSFs come
+from the cache; the memory of the process; and the blurred picture against superposition at 64
+points. Superposition takes the PSF of each lit point of random dots from its own pupil, within 97
+cells and without tiles; light from further away counts as even. For the packaged chart csf, lit
+everywhere, the picture of 129 × 129 tiles stands for it. Errors are relative to the rms of the
+blurred picture about its mean. The part of the tiles alone is the difference from 129 × 129 tiles
 with PSFs of the same size.
 """
 
@@ -41,7 +43,10 @@ from pixsim.sensor.pixel_options import Pixel
 
 SIDE, POINTS, LIT, TOLERANCE = 1024, 64, 1 / 250, 0.01
 COMPARED, FINEST = (16, 32, 64), 128  # tiles across
-NEAR, WINDOW = 48, 240  # cells: how far from a point its light comes from, and in which a PSF repeats
+NEAR, WINDOW = (
+    48,
+    240,
+)  # cells: how far from a point its light comes from, and in which a PSF repeats
 PIXEL = derive(Pixel(pitch_um=6.5, technology="0.35um"))
 APERTURE_UM = 2.0
 WEIGHT = photons_per_joule(SEEN_NM) * PIXEL.quantum_efficiency(SEEN_NM)
@@ -50,7 +55,11 @@ WEIGHT = photons_per_joule(SEEN_NM) * PIXEL.quantum_efficiency(SEEN_NM)
 def timed(name: str, work: Callable[[], Any]) -> Any:
     clock, cores = time.perf_counter(), used_s()
     result = work()
-    print(f"  {name:46} {used_s() - cores:6.2f} s of cores, {time.perf_counter() - clock:6.2f} s by the clock", flush=True)
+    print(
+        f"  {name:46} {used_s() - cores:6.2f} s of cores, {time.perf_counter() - clock:6.2f} s by"
+        " the clock",
+        flush=True,
+    )
     return result
 
 
@@ -61,7 +70,11 @@ def used_s() -> float:
 
 def page(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-m", "pixsim", "lens", name, "--out", f"{folder}/lens"], check=True, capture_output=True)
+        subprocess.run(
+            [sys.executable, "-m", "pixsim", "lens", name, "--out", f"{folder}/lens"],
+            check=True,
+            capture_output=True,
+        )
 
 
 def forget() -> None:
@@ -71,12 +84,17 @@ def forget() -> None:
 
 def seen_by_pixels(picture: Array, pitch_um: float) -> Array:
     """The picture as square pixels average it, for which the plan's bound is."""
-    along, across = np.fft.fftfreq(picture.shape[0], pitch_um), np.fft.rfftfreq(picture.shape[1], pitch_um)
+    along, across = (
+        np.fft.fftfreq(picture.shape[0], pitch_um),
+        np.fft.rfftfreq(picture.shape[1], pitch_um),
+    )
     averaged = np.sinc(along * APERTURE_UM)[:, None] * np.sinc(across * APERTURE_UM)
     return np.fft.irfft2(np.fft.rfft2(picture) * averaged, picture.shape)
 
 
-def superposed_at(picture: Array, points: Array, light: ChannelWavefronts, pitch_um: float) -> Array:
+def superposed_at(
+    picture: Array, points: Array, light: ChannelWavefronts, pitch_um: float
+) -> Array:
     """The blurred picture at cells (n, 2) as pixels see it, each lit cell with its own PSF."""
 
     def psf_of(source: Array) -> Array:
@@ -85,10 +103,17 @@ def superposed_at(picture: Array, points: Array, light: ChannelWavefronts, pitch
 
     values = []
     for point in points:
-        near = slice(point[0] - NEAR, point[0] + NEAR + 1), slice(point[1] - NEAR, point[1] + NEAR + 1)
+        near = (
+            slice(point[0] - NEAR, point[0] + NEAR + 1),
+            slice(point[1] - NEAR, point[1] + NEAR + 1),
+        )
         lit = np.argwhere(picture[near]) + point - NEAR
-        here = np.roll(psf_of(point), (NEAR, NEAR), axis=(0, 1))[: 2 * NEAR + 1, : 2 * NEAR + 1].sum()
-        from_lit = sum(picture[tuple(source)] * float(psf_of(source)[tuple(point - source)]) for source in lit)
+        here = np.roll(psf_of(point), (NEAR, NEAR), axis=(0, 1))[
+            : 2 * NEAR + 1, : 2 * NEAR + 1
+        ].sum()
+        from_lit = sum(
+            picture[tuple(source)] * float(psf_of(source)[tuple(point - source)]) for source in lit
+        )
         values.append(from_lit + picture.mean() * (1 - here))
     return np.array(values)
 
@@ -135,7 +160,10 @@ def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int 
     parts = {}
     for tiles in (SIDE / tiling.cells(pitch_um)[0], *COMPARED):
         found = seen(tiles)
-        parts[tiles] = [relative((one - fine)[NEAR:-NEAR, NEAR:-NEAR], fine) for one, fine in zip(found, finest, strict=True)]
+        parts[tiles] = [
+            relative((one - fine)[NEAR:-NEAR, NEAR:-NEAR], fine)
+            for one, fine in zip(found, finest, strict=True)
+        ]
         total = relative(found[0][tuple(places.T)] - exact, found[0])
         print(
             f"  {tiles:4.0f} tiles: error of random dots {total:.3%} in all; of the tiles alone "
@@ -148,19 +176,34 @@ def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int 
 
 def measure(name: str) -> None:
     (camera, pitch_um), shape = setting(name), (SIDE, SIDE)
-    print(f"{name} at f/{camera.f_number:.3g} on {camera.die_mm:g} mm, film of {SIDE}² cells of {pitch_um:.3g} µm")
+    print(
+        f"{name} at f/{camera.f_number:.3g} on {camera.die_mm:g} mm, film of {SIDE}² cells of"
+        f" {pitch_um:.3g} µm"
+    )
     timed(f"pixsim lens {name}, a new process", lambda: page(name))
     lens = load_lens(name)
     x, y = np.meshgrid(np.linspace(-1, 1, 64), np.linspace(-1, 1, 64))
-    fields, nm = np.linspace(0, lens.max_field_deg, 17)[:, None, None, None], np.linspace(430, 680, 8)[:, None, None]
-    timed("OPD of 17 fields × 8 wavelengths on 64² pupils", lambda: lens.opd_waves(fields, nm, x, y))
+    fields, nm = (
+        np.linspace(0, lens.max_field_deg, 17)[:, None, None, None],
+        np.linspace(430, 680, 8)[:, None, None],
+    )
+    timed(
+        "OPD of 17 fields × 8 wavelengths on 64² pupils", lambda: lens.opd_waves(fields, nm, x, y)
+    )
     seen = tuple(SEEN_NM.tolist()), tuple(WEIGHT.tolist())
-    tiling: Tiling = timed("choice of tiles", lambda: choose_tiling(camera, shape, pitch_um, *seen, APERTURE_UM, TOLERANCE))
+    tiling: Tiling = timed(
+        "choice of tiles",
+        lambda: choose_tiling(camera, shape, pitch_um, *seen, APERTURE_UM, TOLERANCE),
+    )
     spacing, cells = tiling.cells(pitch_um)
     print(
-        f"  {SIDE / spacing:.0f} tiles across, PSFs of {cells} cells, {tiling.wavelengths} wavelengths, {tiling.nodes} wavefronts"
+        f"  {SIDE / spacing:.0f} tiles across, PSFs of {cells} cells, {tiling.wavelengths}"
+        f" wavelengths, {tiling.nodes} wavefronts"
     )
-    print(f"  bound {tiling.error:.2%}, {tiling.worst:.2%} at the worst place; lacking in a PSF", end=" ")
+    print(
+        f"  bound {tiling.error:.2%}, {tiling.worst:.2%} at the worst place; lacking in a PSF",
+        end=" ",
+    )
     forget()
     dots, chart, _ = pictures()
 
@@ -179,13 +222,22 @@ def measure(name: str) -> None:
     for tiles in (32, 64):
         blur = first(at(tiles))
         blur._last.clear()
-        timed(f"picture of {tiles + 1}² tiles, PSFs from the cache", lambda blur=blur: blur.blurred(chart))
+        timed(
+            f"picture of {tiles + 1}² tiles, PSFs from the cache",
+            lambda blur=blur: blur.blurred(chart),
+        )
     measure_errors(camera, pitch_um, tiling)
-    print(f"  memory of the process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20):.2f} GiB")
+    print(
+        "  memory of the process"
+        f" {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20):.2f} GiB"
+    )
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder, mock.patch.dict("os.environ", PIXSIM_CACHE_DIR=folder):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.dict("os.environ", PIXSIM_CACHE_DIR=folder),
+    ):
         for name in sys.argv[1:] or ["phone", "cooke_triplet"]:
             measure(name)
 

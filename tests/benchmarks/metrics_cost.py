@@ -1,10 +1,11 @@
-"""What further metrics add to the cost of an evaluation: processor time over that of ΔE alone, in turns.
+"""What further metrics add to the cost of an evaluation: processor time over that of ΔE alone, in
+turns.
 
     OMP_NUM_THREADS=1 python tests/benchmarks/metrics_cost.py [--turns 15]
 
-An evaluation is that of a study: pixels of 5.3 µm (512²) on 512 dots, with a registration of its own, in single precision. With
-fewer sensors of a size than the registrations that detectability asks for, 16, each evaluation has several of them. The light
-without the target is an even field.
+An evaluation is that of a study: pixels of 5.3 µm (512²) on 512 dots, with a registration of its
+own, in single precision. With fewer sensors of a size than the registrations that detectability
+asks for, 16, each evaluation has several of them. The light without the target is an even field.
 """
 
 from __future__ import annotations
@@ -37,14 +38,25 @@ ASKED = {
 }
 
 
-def prepared(names: list[str], repeats: int, light: SpectralImage, camera: pixsim.Camera) -> tuple[Imaging, PreparedScene]:
+def prepared(
+    names: list[str], repeats: int, light: SpectralImage, camera: pixsim.Camera
+) -> tuple[Imaging, PreparedScene]:
     """What an evaluation begins with: settings, and the light behind the lens."""
-    pixel, display = pixsim.Pixel(pitch_um=5.3, black_level_dn=16), pixsim.Display(white_cd_per_m2=1000)
+    pixel, display = (
+        pixsim.Pixel(pitch_um=5.3, black_level_dn=16),
+        pixsim.Display(white_cd_per_m2=1000),
+    )
     judging = MetricRequest(metrics_named(names), METRIC_OPTIONS, repeats)
     asked = imaging(camera, pixel, display=display, metrics=judging, single=True, border_um=20.0)
-    even = np.broadcast_to(light.mean_spectrum().astype(np.float32), (*light.shape[:2], light.wavelength_nm.size))
+    even = np.broadcast_to(
+        light.mean_spectrum().astype(np.float32), (*light.shape[:2], light.wavelength_nm.size)
+    )
     without = SpectralImage(
-        light.wavelength_nm, light.band_width_nm, light.pitch_um, data=np.ascontiguousarray(even), header=light.header
+        light.wavelength_nm,
+        light.band_width_nm,
+        light.pitch_um,
+        data=np.ascontiguousarray(even),
+        header=light.header,
     )
     scene = prepare_scene(asked, SceneLight(light, without))
     scene.store_integrals()
@@ -61,7 +73,9 @@ def evaluation_s(asked: Imaging, scene: PreparedScene, repeat: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--turns", type=int, default=15)
     turns = parser.parse_args().turns
     scene = pixsim.load_scene("csf", resolution=1024)
@@ -73,7 +87,9 @@ def main() -> None:
         asked = prepared(names, repeats, light, camera)
         for each in (alone, asked):
             evaluation_s(*each, 0)  # tables of the pixels
-        ratios = [evaluation_s(*asked, turn) / evaluation_s(*alone, turn) for turn in range(1, turns + 1)]
+        ratios = [
+            evaluation_s(*asked, turn) / evaluation_s(*alone, turn) for turn in range(1, turns + 1)
+        ]
         low, middle, high = statistics.quantiles(ratios, n=4)
         print(f"{name:42} {middle:5.2f} ({low:.2f} to {high:.2f})", flush=True)
 

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/paper_types.py [--draws 64] [--response literal] [--out DIR] [--jobs 2]
 
-Draws what is not known of all processes of `chen2000` together (the ranges of the technology files, as `--uncertainty` does), runs
-the study for each draw, and prints the share of draws in which each statement holds, that in which all hold, and the numbers of the
-draw with most. Each draw has 8 pixel sizes with 4 sensors; statements on the optimum are those of its fitted curve.
+Draws what is not known of all processes of `chen2000` together (the ranges of the technology files,
+as `--uncertainty` does), runs the study for each draw, and prints the share of draws in which each
+statement holds, that in which all hold, and the numbers of the draw with most. Each draw has 8
+pixel sizes with 4 sensors; statements on the optimum are those of its fitted curve.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ def study_of(draws: int, response: str) -> tuple[pixsim.Study, list[dict[str, An
     table["pitch"]["count"] = SIZES
     table["name"], table["streams"] = f"chen2000-types-{response}", base.stream_name
     values = [{"label": f"{number}", "set": each} for number, each in enumerate(settings, 1)]
-    return pixsim.Study.model_validate(table | {"axis": [{"name": "draw", "values": values}]}), settings
+    return (
+        pixsim.Study.model_validate(table | {"axis": [{"name": "draw", "values": values}]}),
+        settings,
+    )
 
 
 def main() -> None:
@@ -52,14 +56,25 @@ def main() -> None:
         print(f"| {statement} | {sum(own[statement] for own in holds) / count:.0%} |")
     print(f"| all | {sum(all(own.values()) for own in holds) / count:.0%} |")
     never = [statement for statement in holds[0] if not any(own[statement] for own in holds)]
-    rest = [[agrees for statement, agrees in own.items() if statement not in never] for own in holds]
+    rest = [
+        [agrees for statement, agrees in own.items() if statement not in never] for own in holds
+    ]
     print(f"never: {'; '.join(never) or 'none'}")
     print(f"all others: {sum(map(all, rest)) / count:.0%}")
     best = max(range(count), key=lambda number: sum(holds[number].values()))
-    print(f"most, {sum(holds[best].values())} of {len(holds[best])}, in draw {best + 1}: {json.dumps(settings[best])}")
+    print(
+        f"most, {sum(holds[best].values())} of {len(holds[best])}, in draw {best + 1}:"
+        f" {json.dumps(settings[best])}"
+    )
     for curve in result.parts[best].curves:
-        print(f"  {curve.label}: {curve.optimum.pitch_um:.2f} µm, mean ΔE {curve.optimum.mean_delta_e:.3f}")
-    print("without", "; ".join(statement for statement, agrees in holds[best].items() if not agrees) or "none")
+        print(
+            f"  {curve.label}: {curve.optimum.pitch_um:.2f} µm, mean ΔE"
+            f" {curve.optimum.mean_delta_e:.3f}"
+        )
+    print(
+        "without",
+        "; ".join(statement for statement, agrees in holds[best].items() if not agrees) or "none",
+    )
 
 
 if __name__ == "__main__":

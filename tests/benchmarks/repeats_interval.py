@@ -1,12 +1,14 @@
-"""How often the interval of `pixsim run --repeats` holds the mean over all registrations, and how long it is.
+"""How often the interval of `pixsim run --repeats` holds the mean over all registrations, and how
+long it is.
 
     OMP_NUM_THREADS=1 python tests/benchmarks/repeats_interval.py [--trials 200]
 
-Each trial adds a random shift to the sequence of registrations, and has its own sensors. Its interval is that of a run:
-`spread_interval` of 4 or of 8 repeats, and of four sensors at the registration of the first one. The truth is the mean of 64
-registrations. A line has the share of the intervals that hold it, and the median half length over the 95 % quantile of the errors
-of the stated mean: at least 93 %, and at most 4. An interval of just 95 % is 1 long; Student's t of the repeats alone, as of
-independent ones, is in the last column.
+Each trial adds a random shift to the sequence of registrations, and has its own sensors. Its
+interval is that of a run: `spread_interval` of 4 or of 8 repeats, and of four sensors at the
+registration of the first one. The truth is the mean of 64 registrations. A line has the share of
+the intervals that hold it, and the median half length over the 95 % quantile of the errors of the
+stated mean: at least 93 %, and at most 4. An interval of just 95 % is 1 long; Student's t of the
+repeats alone, as of independent ones, is in the last column.
 """
 
 from __future__ import annotations
@@ -51,13 +53,17 @@ def shifted(count: int, shift: Array) -> list[tuple[float, float]]:
 
 
 def small_run(pitch_um: float) -> RunResult:
-    """A chart on a small die, where the registration of pixels of 6 µm changes mean ΔE by several per cent."""
+    """A chart on a small die, where the registration of pixels of 6 µm changes mean ΔE by several
+    per cent.
+    """
     table = {"technology": "4t-bsi", "pitch_um": pitch_um}
     return pixsim.run("csf", pixel=table, camera={"die_mm": 0.6}, display={"dots": 128})
 
 
 def intervals(result: RunResult, trials: int) -> tuple[float, dict[int, list[tuple[Array, Array]]]]:
-    """Return the mean over registrations, and of each number of repeats the values of each trial: repeats, and at the first."""
+    """Return the mean over registrations, and of each number of repeats the values of each trial:
+    repeats, and at the first.
+    """
     sensors, rng = Trials(result), np.random.default_rng(1)
     truth = float(sensors.delta_e(shifted(TRUTH, np.zeros(2)), "truth").mean())
     values: dict[int, list[tuple[Array, Array]]] = {count: [] for count in REPEATS}
@@ -85,8 +91,13 @@ def main() -> None:
             students = np.array([mean_interval(repeats) for repeats, _ in of_trials])
             held = np.mean((lows <= truth) & (truth <= highs))
             error = np.quantile(errors, 0.95)
-            half, student = np.median(highs - means) / error, np.median(students[:, 2] - students[:, 1]) / error
-            print(f"{pitch_um:9g}  {count:7}  {held:5.1%}  {half:11.2f}  {student:11.2f}", flush=True)
+            half, student = (
+                np.median(highs - means) / error,
+                np.median(students[:, 2] - students[:, 1]) / error,
+            )
+            print(
+                f"{pitch_um:9g}  {count:7}  {held:5.1%}  {half:11.2f}  {student:11.2f}", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Wall time, processor time and peak memory of commands in new processes, with an empty and a filled cache.
+"""Wall time, processor time and peak memory of commands in new processes, with an empty and a
+filled cache.
 
     python tests/benchmarks/time_to_answer.py [--runs 3] [--only csf] [--against PATH]
 
-Medians of several runs. Each run has a cache of its own, empty unless ROWS gives a command to run before. With --against the same
-commands run in turns with the pixsim of another checkout, by the same Python, and the median ratios of the pairs are printed too:
-they hold on a machine that other programs use.
+Medians of several runs. Each run has a cache of its own, empty unless ROWS gives a command to run
+before. With --against the same commands run in turns with the pixsim of another checkout, by the
+same Python, and the median ratios of the pairs are printed too: they hold on a machine that other
+programs use.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ ROWS = (
     Row("run csf, another pixel", (*RUN, "--pixel.pitch-um", "5.6"), RUN),
     Row("run csf --variant scalar_spectral", (*RUN, "--variant", "scalar_spectral")),
     Row("study chen2000 --quick", (*STUDY, "--quick")),
-    Row("study chen2000 --quick, again", (*STUDY, "--quick"), (*STUDY, "--quick"), same_folder=True),
+    Row(
+        "study chen2000 --quick, again", (*STUDY, "--quick"), (*STUDY, "--quick"), same_folder=True
+    ),
     Row("study chen2000, film 1024", (*STUDY, *FILM)),
     Row("study chen2000, film 1024, again", (*STUDY, *FILM), (*STUDY, *FILM), same_folder=True),
     Row("study chen2000, film 1024, other display", (*OTHER_DISPLAY, *FILM), (*STUDY, *FILM)),
@@ -57,7 +61,9 @@ ROWS = (
 
 
 class Cost(NamedTuple):
-    """Seconds, seconds of processors of the command and of the processes that it waits for, and GiB of the largest of them."""
+    """Seconds, seconds of processors of the command and of the processes that it waits for, and GiB
+    of the largest of them.
+    """
 
     wall_s: float
     cpu_s: float
@@ -69,22 +75,36 @@ class Checkout:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        known = subprocess.run(self.line(("run", "--help")), cwd=path, env=self.environment(), capture_output=True, text=True)
-        self.has_films = FILM[0] in known.stdout or "--help-all" in known.stdout  # which shows all options, of later checkouts
+        known = subprocess.run(
+            self.line(("run", "--help")),
+            cwd=path,
+            env=self.environment(),
+            capture_output=True,
+            text=True,
+        )
+        self.has_films = (
+            FILM[0] in known.stdout or "--help-all" in known.stdout
+        )  # which shows all options, of later checkouts
 
     def line(self, words: Words) -> list[str]:
         return [sys.executable, "-m", "pixsim", *words]
 
     def environment(self, folder: Path | None = None) -> dict[str, str]:
-        own = {"PYTHONPATH": str(self.path)} | ({"PIXSIM_CACHE_DIR": str(folder / "cache")} if folder else {})
+        own = {"PYTHONPATH": str(self.path)} | (
+            {"PIXSIM_CACHE_DIR": str(folder / "cache")} if folder else {}
+        )
         environment = os.environ | own
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # users have the bytecode, without which imports take half a second more
+        environment.pop(
+            "PYTHONDONTWRITEBYTECODE", None
+        )  # users have the bytecode, without which imports take half a second more
         return environment
 
     def run(self, words: Words, folder: Path, out: str) -> Cost:
         """Run a command with the cache of a folder."""
         if words[:2] == OTHER_DISPLAY:
-            known = next((self.path / "pixsim").rglob("chen2000.toml")).read_text(encoding="utf-8")  # wherever a checkout has it
+            known = next((self.path / "pixsim").rglob("chen2000.toml")).read_text(
+                encoding="utf-8"
+            )  # wherever a checkout has it
             study = folder / "display.toml"
             study.write_text(known.replace("[display]", "[display]\ngamma = 1.8"), encoding="utf-8")
             words = ("study", str(study), *words[2:])
@@ -94,14 +114,20 @@ class Checkout:
         start = time.perf_counter()
         pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
         line = self.line((*words, *more))
-        with subprocess.Popen(line, cwd=self.path, env=self.environment(folder), **pipes) as process:
+        with subprocess.Popen(
+            line, cwd=self.path, env=self.environment(folder), **pipes
+        ) as process:
             assert process.stderr
             errors = process.stderr.read()  # to its end
             _, status, used = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
-            raise SystemExit(f"{self.path}: pixsim {' '.join(words)}: {errors.decode(errors='replace')}")
-        return Cost(time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / (1 << 20))
+            raise SystemExit(
+                f"{self.path}: pixsim {' '.join(words)}: {errors.decode(errors='replace')}"
+            )
+        return Cost(
+            time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss / (1 << 20)
+        )
 
     def measure(self, row: Row, prepared: Path, work: Path) -> Cost:
         """Run a row's command on a copy of what the command before it left."""
@@ -121,7 +147,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="rows whose names contain this text")
     parser.add_argument("--against", type=Path, help="another checkout")
     options = parser.parse_args()
-    checkouts = [Checkout(HERE), *([Checkout(options.against.resolve())] if options.against else [])]
+    checkouts = [
+        Checkout(HERE),
+        *([Checkout(options.against.resolve())] if options.against else []),
+    ]
     checkouts[0].run(("--help",), Path(tempfile.gettempdir()), "")  # which compiles it
     print(
         f"median of {options.runs}: {'pixsim …':44} {'s':>7} {'CPU s':>7} {'GiB':>5}"
@@ -133,12 +162,23 @@ def main() -> None:
             for _ in range(options.runs):
                 places = [Path(folder) / str(number) for number in range(len(checkouts))]
                 costs.append(
-                    [checkout.measure(row, place, Path(folder) / "work") for checkout, place in zip(checkouts, places, strict=True)]
+                    [
+                        checkout.measure(row, place, Path(folder) / "work")
+                        for checkout, place in zip(checkouts, places, strict=True)
+                    ]
                 )
-        own = Cost(*(statistics.median(values) for values in zip(*(pair[0] for pair in costs), strict=True)))
+        own = Cost(
+            *(
+                statistics.median(values)
+                for values in zip(*(pair[0] for pair in costs), strict=True)
+            )
+        )
         text = f"{'':13} {row.name:44} {own.wall_s:7.2f} {own.cpu_s:7.2f} {own.peak_gib:5.2f}"
         if options.against:
-            ratios = [statistics.median(pair[0][part] / pair[1][part] for pair in costs) for part in (0, 1)]
+            ratios = [
+                statistics.median(pair[0][part] / pair[1][part] for pair in costs)
+                for part in (0, 1)
+            ]
             text += f"  {ratios[0]:10.2f} {ratios[1]:6.2f}"
         print(text, flush=True)
 

@@ -24,12 +24,18 @@ RUN_FILES = {
     "report.html",
 }  # fmt: skip
 SMALL = "--resolution 64 --display.dots 64"
-SHEET = "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_current_e_per_s = 8\nquantum_efficiency = 0.6\n"
+SHEET = (
+    "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_current_e_per_s ="
+    " 8\nquantum_efficiency = 0.6\n"
+)
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
     """All files below a folder, including hidden ones."""
-    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
+    return {
+        str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
+        for p in sorted(folder.rglob("*"))
+    }
 
 
 @pytest.fixture
@@ -49,7 +55,10 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "scalar.toml": "pixel = 3\n",
         "not.toml": "pitch_um == 6\n",
         "study_few.toml": 'name = "s"\npitch = { values_um = [6, 7, 8] }\n',
-        "study_large.toml": 'name = "s"\nscene.parameters.resolution = 64\npitch = { values_um = [6, 7, 8, 9, 3000] }\n',
+        "study_large.toml": (
+            'name = "s"\nscene.parameters.resolution = 64\npitch = { values_um = [6, 7, 8, 9,'
+            " 3000] }\n"
+        ),
         "sheet.toml": SHEET,
         "sheet_wide.toml": SHEET.replace("pitch_um = 4", 'pitch_um = "wide"'),
         "sheet_key.toml": SHEET + "[exposure]\nmax_integration = 3\n",
@@ -66,8 +75,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 INVALID = {
-    # command line: texts of the message (the given value, what is allowed or how to fix it). What else a scene, a chart, a pixel, a
-    # technology or a lens refuses is tested in its folder.
+    # command line: texts of the message (the given value, what is allowed or how to fix it). What
+    # else a scene, a chart, a pixel, a technology or a lens refuses is tested in its folder.
     "run perspective.xml": ["'perspective'", "thinlens", "aperture_radius"],
     f"run turned_away.xml {SMALL}": ["black", "that lamps face them"],
     "run flat -D chart=nan.exr": ["nan.exr", "nan at row 1, column 2", "0 or more"],
@@ -85,7 +94,10 @@ INVALID = {
     f"run flat {SMALL} -D emitter_scale=-1": ["-1"],
     f"run flat {SMALL} --out taken": ["taken", "cannot be written", "--out"],
     f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
-    "run flat --config sheet_curve.toml": ["sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'", "Divide percentages by 100"],
+    "run flat --config sheet_curve.toml": [
+        "sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'",
+        "Divide percentages by 100",
+    ],
     "study chen2000 --quick --pixel.prnu-um 2": ["pixel.prnu_um: got 2", "at least 44.4 µm²"],
     "datasheet --exposure.gain-db 60": ["exposure.gain_db: got 60", "Lower exposure.gain_db"],
     "run sheet.toml": ["a TOML file", "pixsim run csf --config"],
@@ -100,11 +112,19 @@ INVALID = {
     "look": ["look", "run, explore, plan, study, compare, accuracy, datasheet, lens"],
     "study nowhere": ["nowhere", "chen2000"],
     "study sheet.toml": ["the file of a sensor", "pixsim study pixel-size --config"],
-    "study pixel-size --config sheet_wide.toml": ["sheet_wide.toml: pixel.pitch_um: got 'wide'; allowed: a valid number."],
-    "study pixel-size --config sheet_key.toml": ["sheet_key.toml: exposure.max_integration", "max_integration_s"],
+    "study pixel-size --config sheet_wide.toml": [
+        "sheet_wide.toml: pixel.pitch_um: got 'wide'; allowed: a valid number."
+    ],
+    "study pixel-size --config sheet_key.toml": [
+        "sheet_key.toml: exposure.max_integration",
+        "max_integration_s",
+    ],
     "study pixel-size --config sheet.toml --render-noise 0": ["render_noise", "1e-06"],
     "study study_errors.toml": [
-        *("study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.", "Did you mean 'count'?"),
+        *(
+            "study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.",
+            "Did you mean 'count'?",
+        ),
         "study_errors.toml: pitch.cuont: unknown name;",
     ],
     "study fewer.toml --quick": ["fewer.quick.toml: repeats: got 1"],
@@ -116,16 +136,26 @@ INVALID = {
     "datasheet nothing": ["technology: got 'nothing'"],
     "datasheet --pixel.bits 2": ["pixel.bits: got 2"],
     "datasheet --wavelength-nm 2000": ["--wavelength-nm: got 2000"],
-    "datasheet --wavelength-nm nan": ["--wavelength-nm: got nan; allowed: a wavelength with a response, such as"],
+    "datasheet --wavelength-nm nan": [
+        "--wavelength-nm: got nan; allowed: a wavelength with a response, such as"
+    ],
     "lens": ["FILE"],
     "lens phone --f-number 2.8": ["f_number: got 2.8", "at least 3.5, the widest of 'phone'"],
     "lens phone --focal-length-mm -5": ["--focal-length-mm: got -5", "above 0"],
-    "lens phone --field-deg 80": ["field_deg: got", "where the chief ray", "the largest of its file is 31.76 degrees"],
-    f"lens phone{' --wavelength-nm 500' * 25}": ["--wavelength-nm: got 25 of them; allowed: at most 24"],
+    "lens phone --field-deg 80": [
+        "field_deg: got",
+        "where the chief ray",
+        "the largest of its file is 31.76 degrees",
+    ],
+    f"lens phone{' --wavelength-nm 500' * 25}": [
+        "--wavelength-nm: got 25 of them; allowed: at most 24"
+    ],
     "lens phone --focus-nm nan": ["--focus-nm: got nan; allowed: a number above 0"],
     "lens phone --reflectance 2": ["--reflectance: got 2; allowed: a number from 0 to below 1"],
     "sfr edge.exr --saturation nan": ["--saturation: got nan; allowed: a finite number"],
-    "study chen2000 --quick --uncertainty 8 --smaller-than nan": ["--smaller-than: got nan; allowed: a size above 0 µm"],
+    "study chen2000 --quick --uncertainty 8 --smaller-than nan": [
+        "--smaller-than: got nan; allowed: a size above 0 µm"
+    ],
     "lens phone --configuration two": ["configuration: got 'two'"],
     "lens phone --semi-diameters yes": ["semi_diameters: got 'yes'; allowed: 'ignore' or 'clip'"],
     "lens phone --glass-catalogues none.agf": ["none.agf"],
@@ -136,11 +166,15 @@ INVALID = {
     "template lens": ["kind: got 'lens'; allowed: sensor or study"],
     "template sensor -o key.toml": ["key.toml", "exists already"],
     "template sensor -o a.txt": ["a.txt", ".toml"],
-    "chart flat --colour-axis red-green -o x.xml": ["--colour-axis: got with flat; allowed: the chart csf"],
+    "chart flat --colour-axis red-green -o x.xml": [
+        "--colour-axis: got with flat; allowed: the chart csf"
+    ],
     "chart csf --colour-axis red-green -o x.exr": ["x.exr", "ends in .xml"],
     "chart csf --colour-axis red-green -o gone/x.xml": ["gone/x.xml", "can be written"],
     "chart csf --colour-axis red-green -o $x.xml": ["$x.xml", "without $"],
-    "chart csf --colour-axis red-green --linear -o x.xml": ["--linear: got with csf; allowed: a picture"],
+    "chart csf --colour-axis red-green --linear -o x.xml": [
+        "--linear: got with csf; allowed: a picture"
+    ],
 }
 
 
@@ -159,28 +193,41 @@ def test_run_failure_preserves_earlier_results(desk: Path) -> None:
     assert contents(desk) == before
 
 
-@pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", pytest.param("run perspective.xml", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "line",
+    ["run flat -D chart=nan.exr", pytest.param("run perspective.xml", marks=pytest.mark.slow)],
+)
 def test_installed_command_invalid_input_gives_same_message(line: str, desk: Path) -> None:
     before = contents(desk)
     code, out, err = forked(line)
     # Without LLVM every command warns that it renders with scalar_spectral.
-    err = SIGN_OF_LIFE.sub("", re.sub("^warning: rendering with scalar_spectral.*\n", "", err, flags=re.MULTILINE))
+    err = SIGN_OF_LIFE.sub(
+        "", re.sub("^warning: rendering with scalar_spectral.*\n", "", err, flags=re.MULTILINE)
+    )
     assert (code, out, err) == command(line)
     assert contents(desk) == before
 
 
-QUADRANTS = np.array([[1.0, 0.25], [0.5, 0.75]])  # all different, so that a flip or transposition shows
+QUADRANTS = np.array(
+    [[1.0, 0.25], [0.5, 0.75]]
+)  # all different, so that a flip or transposition shows
 
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of four grey quadrants with a sensor without dark current and non-uniformities."""
     folder = tmp_path_factory.mktemp("picture")
-    pixsim.write_chart(folder / "quadrants.exr", np.kron(QUADRANTS, np.ones((32, 32))).astype(np.float32))
-    ideal = " ".join(f"--pixel.{name} 0" for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s"))
+    pixsim.write_chart(
+        folder / "quadrants.exr", np.kron(QUADRANTS, np.ones((32, 32))).astype(np.float32)
+    )
+    ideal = " ".join(
+        f"--pixel.{name} 0"
+        for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s")
+    )
     code, out, err = command(
-        f"run csf -D chart={folder / 'quadrants.exr'} --resolution 128 --display.dots 128 --seed 7 --json "
-        f"--pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e 40000 {ideal} --out {folder / 'out'}"
+        f"run csf -D chart={folder / 'quadrants.exr'} --resolution 128 --display.dots 128 --seed 7"
+        " --json --pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e"
+        f" 40000 {ideal} --out {folder / 'out'}"
     )
     assert (code, err) == (0, "")
     (folder / "stdout").write_text(out, encoding="utf-8")
@@ -188,11 +235,16 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def expected_quadrants(count: int) -> np.ndarray:
-    """(count, count) relative luminance: the chart under the thin lens's fall-off, 1 on the axis at texel value 1."""
+    """(count, count) relative luminance: the chart under the thin lens's fall-off, 1 on the axis at
+    texel value 1.
+    """
     camera = pixsim.Camera()
     x_mm = ((np.arange(count) + 0.5) / count - 0.5) * camera.die_mm
     tan_field = np.hypot(*np.meshgrid(x_mm, x_mm)) / camera.image_distance_mm
-    factor = [pixsim.optics.irradiance_factor(camera.f_number, t, camera.magnification) for t in (tan_field, 0.0)]
+    factor = [
+        pixsim.optics.irradiance_factor(camera.f_number, t, camera.magnification)
+        for t in (tan_field, 0.0)
+    ]
     return np.kron(QUADRANTS, np.ones((count // 2, count // 2))) * factor[0] / factor[1]
 
 
@@ -206,14 +258,20 @@ def test_run_json_equals_score_json(picture: Path) -> None:
     score = json.loads((picture / "stdout").read_text(encoding="utf-8"))
     assert score == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
-    assert delta_e.shape == tuple(score["scored_dots"]) == (126, 126)  # without a border of 1.5 pixels, 12 µm, in whole dots
+    assert (
+        delta_e.shape == tuple(score["scored_dots"]) == (126, 126)
+    )  # without a border of 1.5 pixels, 12 µm, in whole dots
     assert score["border_um"] == pytest.approx([21.2, 21.2])
-    assert score["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
+    assert score["mean_delta_e"] == pytest.approx(
+        delta_e.mean(dtype=float), rel=1e-6
+    )  # the file is float32
     assert score["pitch_um"] == 8.0
 
 
 def test_run_ideal_png_decodes_to_luminance(picture: Path) -> None:
-    """8 bits with gamma 2.2 in display and PNG: half a code of rounding, a quarter for the error of the render, 0.1 %."""
+    """8 bits with gamma 2.2 in display and PNG: half a code of rounding, a quarter for the error of
+    the render, 0.1 %.
+    """
     png = imread(picture / "out/ideal.png")[:, :, :3]
     assert png.shape == (126, 126, 3)
     assert np.ptp(png, axis=2).max() == 0, "grey"
@@ -222,11 +280,16 @@ def test_run_ideal_png_decodes_to_luminance(picture: Path) -> None:
 
 
 def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
-    """Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below 0.5 %."""
-    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # the border of one dot is not shown
+    """Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below
+    0.5 %.
+    """
+    png = np.pad(
+        imread(picture / "out/image.png")[:, :, 0].astype(float), 1
+    )  # the border of one dot is not shown
     middles = np.where(away_from_edges(128), 1.0, np.nan)
     shown, expected = (
-        np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3)) for image in (png**2.2, expected_quadrants(128))
+        np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3))
+        for image in (png**2.2, expected_quadrants(128))
     )
     np.testing.assert_allclose(shown, expected, rtol=0.005)
     assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and colour bar"
@@ -241,7 +304,9 @@ def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
     assert np.array_equal(dn, np.rint(dn))
     assert 0 <= dn.min() <= dn.max() <= 4095
     assert (header["bits"], header["black_level_dn"], header["pitch_um"]) == (12, 64, 8)
-    assert header["dn_per_e"] == pytest.approx((4095 - 64) / 40_000, rel=1e-6)  # the full well is the top code
+    assert header["dn_per_e"] == pytest.approx(
+        (4095 - 64) / 40_000, rel=1e-6
+    )  # the full well is the top code
     assert header["integration_s"] == pytest.approx(score["integration_s"], rel=1e-6)
     electrons = (dn.mean(dtype=float) - header["black_level_dn"]) / header["dn_per_e"]
     # 339² pixels of shot and reset noise below 200 e: 0.6 e on a mean of about 20 000.
@@ -257,31 +322,62 @@ main()
 
 
 @pytest.mark.slow  # test_render_threads_are_bit_identical has the render
-def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_run_is_reproducible_on_one_core_and_elsewhere(
+    desk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     line = f"run csf {SMALL} --seed 3 --out "
     assert command(line + "here")[0] == 0
-    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=HANG_S)
+    subprocess.run(
+        [sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")],
+        cwd=elsewhere,
+        check=True,
+        timeout=HANG_S,
+    )
     here, there = contents(desk / "here"), contents(elsewhere / "there")
     assert here.keys() == there.keys() == RUN_FILES
-    assert [name for name in here if here[name] != there[name]] in ([], ["pixsim.json"])  # it contains times
+    assert [name for name in here if here[name] != there[name]] in (
+        [],
+        ["pixsim.json"],
+    )  # it contains times
     assert command(f"run csf {SMALL} --seed 4 --out other")[0] == 0
     assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
 
 
 def test_run_config_precedence(desk: Path) -> None:
-    Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
-    Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
+    Path("first.toml").write_text(
+        "seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution"
+        " = 32"
+    )
+    Path("second.toml").write_text(
+        "[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4"
+    )
     with warnings.catch_warnings(action="always"):
-        code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
+        code, out, err = command(
+            "run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64"
+            " --json"
+        )
     assert code == 0, err
     score = json.loads(out)
     pixel, irradiance = score["pixel"], score["irradiance"]
-    assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (10, 0, 12)  # option, second file, first file
+    assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (
+        10,
+        0,
+        12,
+    )  # option, second file, first file
     assert irradiance["parameters"] == {"resolution": "64", "spp": "4"}
-    assert (irradiance["camera"]["f_number"], score["seed"], score["display"]["dots"]) == (2.8, 5, 32)
-    assert (irradiance["camera"]["focal_length_mm"], pixel["technology"]) == (3.86, "0.35um")  # the scene's, the default
-    assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES  # the default folder
+    assert (irradiance["camera"]["f_number"], score["seed"], score["display"]["dots"]) == (
+        2.8,
+        5,
+        32,
+    )
+    assert (irradiance["camera"]["focal_length_mm"], pixel["technology"]) == (
+        3.86,
+        "0.35um",
+    )  # the scene's, the default
+    assert {
+        path.name for path in (desk / "pixsim-out/flat").iterdir()
+    } == RUN_FILES  # the default folder
 
 
 @pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge", "target"])
@@ -293,12 +389,23 @@ def test_chart_writes_make_chart(kind: str, desk: Path) -> None:
 
 
 def test_chart_draws_target_of_its_options(desk: Path) -> None:
-    assert command("chart target --shape bar --size-um 40 --contrast 0.2 --direction horizontal --die-mm 2 -o x.exr")[0] == 0
+    assert (
+        command(
+            "chart target --shape bar --size-um 40 --contrast 0.2 --direction horizontal --die-mm 2"
+            " -o x.exr"
+        )[0]
+        == 0
+    )
     wanted = {"shape": "bar", "size_um": 40, "contrast": 0.2, "direction": "horizontal"}
-    np.testing.assert_array_equal(read_channels("x.exr")[0]["Y"], pixsim.make_chart("target", die_mm=2.0, **wanted))
+    np.testing.assert_array_equal(
+        read_channels("x.exr")[0]["Y"], pixsim.make_chart("target", die_mm=2.0, **wanted)
+    )
     assert command("chart target --shape edge -o edge.exr")[0] == 0, "it needs no size"
     code, _, err = command("chart flat --contrast 0.2 --size-um 3 -o y.exr")
-    assert (code, "--size-um, --contrast: got with flat; allowed: the chart target" in err) == (2, True)
+    assert (code, "--size-um, --contrast: got with flat; allowed: the chart target" in err) == (
+        2,
+        True,
+    )
 
 
 @pytest.mark.parametrize(("axis", "first"), [("red-green", "red"), ("blue-yellow", "blue")])
@@ -313,7 +420,9 @@ def test_chart_colour_axis_states_its_modulation(axis: str, first: str, desk: Pa
     assert 0.05 < result["opponent_amplitude"] < 0.5
 
 
-@pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])
+@pytest.mark.parametrize(
+    "statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"]
+)
 def test_import_is_lazy(statement: str) -> None:
     """Import times: Mitsuba 0.3 s, matplotlib 0.5 s, colour 2.6 s."""
     script = f"""
@@ -323,14 +432,18 @@ atexit.register(lambda: print("slow:", sorted(slow & set(sys.modules))))
 sys.argv = ["pixsim", "--help"]
 {statement}
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S
+    )
     assert done.stdout.endswith("slow: []\n")
 
 
 def test_cameras_are_listed_with_what_they_are() -> None:
     code, out, _ = command("cameras")
     assert code == 0
-    assert re.search(r"^Canon_EOS_R5 +measured +RGB +380-780 nm, peaks .*Canon EOS R5$", out, re.MULTILINE)
+    assert re.search(
+        r"^Canon_EOS_R5 +measured +RGB +380-780 nm, peaks .*Canon EOS R5$", out, re.MULTILINE
+    )
     assert re.search(r"^Nikon_D5100 +measured.*ratio between channels lost$", out, re.MULTILINE)
     assert re.search(r"^Typical_RGB_NIR +typical +RGBN ", out, re.MULTILINE)
     listed = json.loads(command("cameras --json")[1])["cameras"]

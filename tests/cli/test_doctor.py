@@ -23,7 +23,11 @@ from pixsim.scene import trial
 from pixsim.scene.variants import graphics, variant
 from pixsim.show import render
 
-OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
+OLD_LLVM = [
+    str(path)
+    for major in (14, 15)
+    for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))
+]
 HIDES_THE_WHEEL = """
 from importlib import metadata
 def hidden(function):
@@ -50,7 +54,9 @@ class Visit:
 
     @property
     def problems(self) -> list[str]:
-        return [finding["subject"] for finding in self.result["findings"] if finding["mark"] == PROBLEM]
+        return [
+            finding["subject"] for finding in self.result["findings"] if finding["mark"] == PROBLEM
+        ]
 
 
 def visit(line: str = f"doctor --json --limit-s {HANG_S}", **changes: str | None) -> Visit:
@@ -62,7 +68,9 @@ def visit(line: str = f"doctor --json --limit-s {HANG_S}", **changes: str | None
 
 def before(folder: Path) -> dict[str, str]:
     """Environment in which modules in a folder take precedence."""
-    return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
+    return {
+        "PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    }
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
@@ -76,7 +84,18 @@ def written(root: Path, files: dict[str, str]) -> Path:
 # --- This machine ---
 
 
-SUBJECTS = "pixsim", "Python", "packages", "LLVM", "graphics card", "test render", "processors", "memory", "cache", "results"
+SUBJECTS = (
+    "pixsim",
+    "Python",
+    "packages",
+    "LLVM",
+    "graphics card",
+    "test render",
+    "processors",
+    "memory",
+    "cache",
+    "results",
+)
 
 
 @pytest.mark.slow  # a test render in a new process; the findings are tested one by one
@@ -88,18 +107,24 @@ def test_doctor_working_machine_has_no_problems():
     assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < trial.MAX_MEAN_ERROR
     assert facts["seconds"] > 0
     versions = visited.about("packages")["facts"]
-    assert {"mitsuba", "drjit", "numpy", "scipy", "colour-science", "openexr"} <= {name.lower() for name in versions}
+    assert {"mitsuba", "drjit", "numpy", "scipy", "colour-science", "openexr"} <= {
+        name.lower() for name in versions
+    }
     # The library that the render used is the one that is said to be in use.
     assert visited.about("LLVM")["facts"]["path"] == facts["llvm"]
 
 
 def test_closed_form_lx_matches_hand_calculation():
-    """Calculated by hand: mean 0.5125 of 1000 cd/m², π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
+    """Calculated by hand: mean 0.5125 of 1000 cd/m², π/(1 + 4·16·1.00387²) sr on the axis at f/4, f
+    = 3.86 mm, 1 m.
+    """
     camera = Camera()
     illuminance_lx = trial.closed_form_lx(camera, 16)
     magnification = 3.86e-3 / (1 - 3.86e-3)
     on_axis = np.pi / (1 + 64 * (1 + magnification) ** 2)
-    assert illuminance_lx[7:9, 7:9].mean() / (512.5 * on_axis) == pytest.approx(1, abs=0.1)  # contrast 0.1 there
+    assert illuminance_lx[7:9, 7:9].mean() / (512.5 * on_axis) == pytest.approx(
+        1, abs=0.1
+    )  # contrast 0.1 there
     cos4 = np.cos(np.arctan(camera.die_mm / 2 / camera.image_distance_mm)) ** 4
     assert illuminance_lx[:, 0].mean() < illuminance_lx[:, 7:9].mean()
     assert cos4 < illuminance_lx.mean() / (512.5 * on_axis) < 1
@@ -120,7 +145,9 @@ def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
     assert visited.about("test render")["facts"]["variant"] == "scalar_spectral"
     assert [visited.about(subject)["mark"] for subject in ("LLVM", "cache")] == [NOTE] * 2
     assert "karellen-llvm-core" in visited.about("LLVM")["mend"]
-    picture = visit(f"run flat --resolution 8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking)
+    picture = visit(
+        f"run flat --resolution 8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking
+    )
     assert picture.code == 0
     assert "rendering with scalar_spectral, since no LLVM 17" in picture.err
 
@@ -139,12 +166,22 @@ def test_llvm_invalid_variable_is_problem(tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("text", "limit_s", "fault"),
     [
-        ("raise ImportError('libfoo.so.3 is not there')", HANG_S, "fails: ImportError: libfoo.so.3 is not there"),
-        (f"import time; time.sleep({HANG_S})", 2, r"hangs: stopped after 2 s; a machine under load may need longer: --limit-s 6"),
+        (
+            "raise ImportError('libfoo.so.3 is not there')",
+            HANG_S,
+            "fails: ImportError: libfoo.so.3 is not there",
+        ),
+        (
+            f"import time; time.sleep({HANG_S})",
+            2,
+            r"hangs: stopped after 2 s; a machine under load may need longer: --limit-s 6",
+        ),
     ],
     ids=["import", "hang"],
 )
-def test_render_broken_mitsuba_is_problem(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_render_broken_mitsuba_is_problem(
+    text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.syspath_prepend(written(tmp_path / "broken", {"mitsuba.py": text}))
     finding = doctor._test_render(limit_s)
     assert finding.mark == PROBLEM
@@ -199,7 +236,9 @@ VERSION_1 = {
 
 @pytest.mark.parametrize("files", [VERSION_2, VERSION_1], ids=["version 2", "version 1"])
 def test_machine_container_limits_apply(files: dict[str, str], tmp_path: Path):
-    root = written(tmp_path, files | {"proc/meminfo": "MemTotal: 4194304 kB\nMemAvailable: 2097152 kB\n"})
+    root = written(
+        tmp_path, files | {"proc/meminfo": "MemTotal: 4194304 kB\nMemAvailable: 2097152 kB\n"}
+    )
     assert machine.processors(root).granted == 1.5
     assert machine.processors(root).usable == 1
     assert machine.memory(root) == machine.Memory(4 << 30, 2 << 30, 512 << 20)
@@ -209,7 +248,14 @@ def test_machine_container_limits_apply(files: dict[str, str], tmp_path: Path):
 def test_machine_unknown_limits_are_none(tmp_path: Path):
     assert machine.processors(tmp_path).granted is None
     assert machine.memory(tmp_path) == machine.Memory(None, None, None)
-    broken = written(tmp_path, {"proc/self/cgroup": "0::/\n", "sys/fs/cgroup/cpu.max": "max", "sys/fs/cgroup/memory.max": ""})
+    broken = written(
+        tmp_path,
+        {
+            "proc/self/cgroup": "0::/\n",
+            "sys/fs/cgroup/cpu.max": "max",
+            "sys/fs/cgroup/memory.max": "",
+        },
+    )
     assert machine.processors(broken).granted is None
     assert machine.memory(broken).usable is None
 
@@ -231,7 +277,9 @@ def test_check_folder_leaves_no_files(tmp_path: Path):
         ("PIXSIM_CACHE_DIR", "/dev/null/there", NOTE, "export PIXSIM_CACHE_DIR=FOLDER"),
     ],
 )
-def test_cache_settings_give_mark_and_fix(name: str, value: str, mark: str, fix: str | None, monkeypatch: pytest.MonkeyPatch):
+def test_cache_settings_give_mark_and_fix(
+    name: str, value: str, mark: str, fix: str | None, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setenv(name, value)
     finding = doctor._cache()
     assert (finding.mark, finding.mend) == (mark, fix)
@@ -240,7 +288,9 @@ def test_cache_settings_give_mark_and_fix(name: str, value: str, mark: str, fix:
 def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("PIXSIM_CACHE_DIR")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
+    monkeypatch.setattr(
+        Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory."))
+    )
     assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, None)
 
 
@@ -257,4 +307,7 @@ def test_report_wraps_text_but_not_commands():
     assert any(line.strip() == f"to fix it: {mend}" for line in lines)
     assert max(len(line) for line in lines if mend not in line) <= 80
     assert lines[-1] == "pixsim does not work on this machine"
-    assert render.text(doctor_document(findings[::2])).splitlines()[-1] == "renders work on this machine"
+    assert (
+        render.text(doctor_document(findings[::2])).splitlines()[-1]
+        == "renders work on this machine"
+    )

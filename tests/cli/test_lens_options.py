@@ -1,4 +1,6 @@
-"""Real lenses on the command line, in TOML and in Python: one setting however it is spelt, and one error for what is wrong."""
+"""Real lenses on the command line, in TOML and in Python: one setting however it is spelt, and one
+error for what is wrong.
+"""
 
 import json
 import re
@@ -21,13 +23,28 @@ from pixsim.sensor.pixel_options import Pixel
 WILD = Path(__file__).parents[1] / "data" / "lenses" / "wild"
 FIXED = str(WILD / "fixed.zmx")
 PLAN = "plan csf --pixel.technology 4t-bsi --pixel.pitch-um 26 --camera.f-number"
-SLOW = f"{PLAN} 100 -D resolution"  # with one lens, of one tiling, which the cache has after the first
-# Settings of [lens] and [camera], and what the error names; tests/optics has what else may be wrong with them, and with files.
+SLOW = (
+    f"{PLAN} 100 -D resolution"  # with one lens, of one tiling, which the cache has after the first
+)
+# Settings of [lens] and [camera], and what the error names; tests/optics has what else may be wrong
+# with them, and with files.
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
-    ({"file": "phone"}, {"focal_length_mm": 4.0}, "camera.focal_length_mm: got a value beside lens.file = 'phone'"),
-    ({"file": "phone"}, {"f_number": 1.0}, "camera.f_number: got 1; allowed: at least 3.5, the widest of 'phone'"),
+    (
+        {"file": "phone"},
+        {"focal_length_mm": 4.0},
+        "camera.focal_length_mm: got a value beside lens.file = 'phone'",
+    ),
+    (
+        {"file": "phone"},
+        {"f_number": 1.0},
+        "camera.f_number: got 1; allowed: at least 3.5, the widest of 'phone'",
+    ),
     ({"file": "phone", "refocus": "best"}, {}, "refocus: got 'best'"),
-    ({"file": "phone", "focus_nm": 850.0}, {}, "lens.focus_nm: wavelength_nm: got 850; allowed: 400 to 750, where the glass"),
+    (
+        {"file": "phone", "focus_nm": 850.0},
+        {},
+        "lens.focus_nm: wavelength_nm: got 850; allowed: 400 to 750, where the glass",
+    ),
     ({"file": "singlet", "focal_length_mm": 2000.0}, {}, "whose image is"),
 ]
 ZMX = """VERS 1
@@ -54,13 +71,25 @@ SINGLET = packaged("data/lenses")["singlet"].read_text(encoding="utf-8")
 # Files, and what their error names: line and surface where it stands there.
 FILES: dict[str, tuple[str, bytes, str]] = {
     "toml in UTF-16": (".toml", SINGLET.encode("utf-16"), "allowed: a readable TOML file in UTF-8"),
-    "zmx in UTF-16": (".zmx", ZMX.replace("BK7", "BK8").encode("utf-16"), "surface 1 (line 8), line 11: GLAS: got the unknown"),
-    "empty toml": (".toml", b"", "lens.toml: aperture: missing; it is required, as in [aperture] with type"),
+    "zmx in UTF-16": (
+        ".zmx",
+        ZMX.replace("BK7", "BK8").encode("utf-16"),
+        "surface 1 (line 8), line 11: GLAS: got the unknown",
+    ),
+    "empty toml": (
+        ".toml",
+        b"",
+        "lens.toml: aperture: missing; it is required, as in [aperture] with type",
+    ),
     "no thickness": (
         *(".toml", re.sub(r"(?m)^thickness_mm = .*\n", "", SINGLET, count=1).encode()),
         "surface 1 (line 26): thickness_mm: missing; it is required",
     ),
-    "total reflection": (".zmx", ZMX.encode(), "a marginal ray that is totally reflected at surface 2"),
+    "total reflection": (
+        ".zmx",
+        ZMX.encode(),
+        "a marginal ray that is totally reflected at surface 2",
+    ),
 }
 
 
@@ -77,14 +106,23 @@ def assert_named(named: str, line: str, *words: str) -> None:
     assert named in " ".join(err.split())
 
 
-@pytest.mark.parametrize(("lens", "camera", "named"), WRONG, ids=[named[:30] for *_, named in WRONG])
+@pytest.mark.parametrize(
+    ("lens", "camera", "named"), WRONG, ids=[named[:30] for *_, named in WRONG]
+)
 def test_wrong_lenses_are_one_error_in_toml_on_the_command_line_and_in_python(
     folder: Path, lens: dict[str, Any], camera: dict[str, Any], named: str
 ) -> None:
     tables = {"lens": lens, "camera": camera}
-    text = "".join(f"[{table}]\n" + "".join(f"{key} = {value!r}\n" for key, value in tables[table].items()) for table in tables)
+    text = "".join(
+        f"[{table}]\n" + "".join(f"{key} = {value!r}\n" for key, value in tables[table].items())
+        for table in tables
+    )
     (folder / "run.toml").write_text(text, encoding="utf-8")
-    options = [(f"--{table}.{key.replace('_', '-')}", str(tables[table][key])) for table in tables for key in tables[table]]
+    options = [
+        (f"--{table}.{key.replace('_', '-')}", str(tables[table][key]))
+        for table in tables
+        for key in tables[table]
+    ]
     for words in (["--config", "run.toml"], [*chain.from_iterable(options)]):
         assert_named(named, "plan csf -D resolution=16", *words)
     with pytest.raises(PixsimError, match=re.escape(named)):
@@ -105,7 +143,9 @@ def test_what_is_wrong_with_a_file_is_named_by_every_route(folder: Path, case: s
 
 
 def test_a_slow_lens_has_one_blur_however_fine_the_film_is() -> None:
-    """Its PSFs were once found on film cells, of which a film of 8192 has more than a window holds."""
+    """Its PSFs were once found on film cells, of which a film of 8192 has more than a window
+    holds.
+    """
     lens, camera = LensOptions(file=FIXED), CameraOptions(f_number=100.0)
     pixel = Pixel(pitch_um=26.0, technology="4t-bsi")
     tilings = []
@@ -120,9 +160,18 @@ def test_a_slow_lens_has_one_blur_however_fine_the_film_is() -> None:
 
 def test_a_lens_may_be_named_shortly_beside_its_other_options() -> None:
     wanted = ["plan", "csf", "--lens.file", "phone", "--lens.focal-length-mm", "3"]
-    assert with_whole_options(["plan", "csf", "--lens", "phone", "--lens.focal-length-mm", "3"]) == wanted
-    assert with_whole_options(["--lens=phone", "lens", "phone"]) == ["--lens.file=phone", "lens", "phone"]
-    assert_named("the widest of 'phone'", "plan csf --lens phone --lens.refocus field --camera.f-number 1")
+    assert (
+        with_whole_options(["plan", "csf", "--lens", "phone", "--lens.focal-length-mm", "3"])
+        == wanted
+    )
+    assert with_whole_options(["--lens=phone", "lens", "phone"]) == [
+        "--lens.file=phone",
+        "lens",
+        "phone",
+    ]
+    assert_named(
+        "the widest of 'phone'", "plan csf --lens phone --lens.refocus field --camera.f-number 1"
+    )
 
 
 def test_an_option_or_a_later_file_replaces_the_thin_lens_of_a_file(folder: Path) -> None:
@@ -140,7 +189,9 @@ def test_an_option_or_a_later_file_replaces_the_thin_lens_of_a_file(folder: Path
         assert (code, out) == plain[:2], err
     option = "--camera.focal-length-mm 4"
     for words in ("--config both.toml", f"--lens phone {option}", f"--config lens.toml {option}"):
-        assert_named("camera.focal_length_mm: got a value beside lens.file = '", f"{PLAN} 8 {words}")
+        assert_named(
+            "camera.focal_length_mm: got a value beside lens.file = '", f"{PLAN} 8 {words}"
+        )
 
 
 def test_reading_options_reach_the_camera(folder: Path) -> None:
@@ -153,8 +204,13 @@ def test_reading_options_reach_the_camera(folder: Path) -> None:
     )
     (folder / "sub" / "my.agf").write_text("\n".join(lines), encoding="utf-8")
     bk7 = str(WILD / "bk7.zmx")
-    (folder / "sub" / "run.toml").write_text(f"[lens]\nfile = {bk7!r}\nglass_catalogues = ['my.agf']\n", encoding="utf-8")
-    for words in (["--config", "sub/run.toml"], ["--lens", bk7, "--lens.glass-catalogues", "sub/my.agf"]):
+    (folder / "sub" / "run.toml").write_text(
+        f"[lens]\nfile = {bk7!r}\nglass_catalogues = ['my.agf']\n", encoding="utf-8"
+    )
+    for words in (
+        ["--config", "sub/run.toml"],
+        ["--lens", bk7, "--lens.glass-catalogues", "sub/my.agf"],
+    ):
         # Past its unknown glass, and before it takes long.
         assert_named("camera.f_number: got 1; allowed: at least 4, the widest", f"{PLAN} 1", *words)
     scene, camera = load_scene("csf", resolution=16), CameraOptions()
@@ -168,7 +224,9 @@ def test_reading_options_reach_the_camera(folder: Path) -> None:
 
 
 def test_notes_of_a_file_are_told_by_every_command() -> None:
-    note = "lens 'fixed': fixed semi-diameters of 2 surfaces stop no rays, since they are no apertures"
+    note = (
+        "lens 'fixed': fixed semi-diameters of 2 surfaces stop no rays, since they are no apertures"
+    )
     assert note in command(f"{PLAN} 1 --lens", FIXED)[2]  # though it is refused afterwards
     code, out, err = command("lens", FIXED)
     assert code == 0
@@ -185,5 +243,9 @@ def test_fields_without_light_have_a_dash(folder: Path) -> None:
     assert [row[4:] for row in last] == [["0", "–", "–", "–", "–", "–"]]
     summary = (folder / "out" / "summary.json").read_text(encoding="utf-8")
     dark = json.loads(summary)["fields"][-1]
-    assert (dark["rms_spot_um"], dark["rms_wavefront_waves"], dark["mtf"][0]["tangential"]) == (None, None, None)
+    assert (dark["rms_spot_um"], dark["rms_wavefront_waves"], dark["mtf"][0]["tangential"]) == (
+        None,
+        None,
+        None,
+    )
     assert "NaN" not in summary

@@ -32,11 +32,16 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     first, second = tmp_path / "a.toml", tmp_path / "b c.toml"
     first.write_text('[pixel]\nbitz = 3\nprnu = 2\n[camera]\nf_number = "wide"\n', encoding="utf-8")
     second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
-    code, out, err = command("run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second)
+    code, out, err = command(
+        "run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second
+    )
     assert (code, out) == (2, "")
     expected = [
         rf"{first}: camera.f_number: got 'wide'; .*",
-        rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\. In per cent\? Write prnu = 0\.02\.",
+        (
+            rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\. In per cent\?"
+            r" Write prnu = 0\.02\."
+        ),
         r"pixel.dsnu: got 'much'; .*",
         rf"{first}: pixel.bitz: unknown name; .* Did you mean 'bits'\?",
         rf"{second}: display.dots: got 1; allowed: greater than or equal to 8\.",
@@ -45,18 +50,26 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     ]
     lines = err.removeprefix("pixsim: ").splitlines()
     assert len(lines) == len(expected)
-    assert all(re.fullmatch(pattern, line) for pattern, line in zip(expected, lines, strict=True)), err
+    assert all(
+        re.fullmatch(pattern, line) for pattern, line in zip(expected, lines, strict=True)
+    ), err
 
 
 @pytest.mark.parametrize(
     ("failure", "code", "message"),
     [
-        (RuntimeError("the moon is out"), 1, "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose"),
+        (
+            RuntimeError("the moon is out"),
+            1,
+            "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose",
+        ),
         (MemoryError(), 1, "the system is out of memory; use a coarser film (--resolution 512)"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_main_exception_sets_exit_code(failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_main_exception_sets_exit_code(
+    failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Codes 0 and 2 are checked in other tests."""
     monkeypatch.setattr("pixsim.report.commands.run.prepare", Mock(side_effect=failure))
     found, out, err = command("run csf")
@@ -69,7 +82,10 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     cache.store_arrays("render", "a", {"x": np.zeros(1 << 20, np.uint8)})
     size = sum(entry.size_bytes for entry in cache.entries())
-    assert command("cache")[1].splitlines() == [f"{tmp_path}: 1.0 MiB of 4096.0 MiB", "  render  1 entry  1.0 MiB"]
+    assert command("cache")[1].splitlines() == [
+        f"{tmp_path}: 1.0 MiB of 4096.0 MiB",
+        "  render  1 entry  1.0 MiB",
+    ]
     assert_refused(*command("cache --kind frame"), ["--kind: got 'frame'; allowed: render"])
     code, out, _ = command("cache --clear --json")
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, size, {})
@@ -77,7 +93,18 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_help_shows_usage_and_json() -> None:
     """That of each command is in test_options."""
-    assert {"run", "study", "plan", "accuracy", "datasheet", "lens", "sfr", "chart", "cache", "template"} <= set(app)
+    assert {
+        "run",
+        "study",
+        "plan",
+        "accuracy",
+        "datasheet",
+        "lens",
+        "sfr",
+        "chart",
+        "cache",
+        "template",
+    } <= set(app)
     assert command("--version") == (0, f"{pixsim.__version__}\n", "")
     code, text, err = command("--help")
     assert (code, err) == (0, "")
@@ -87,14 +114,19 @@ def test_help_shows_usage_and_json() -> None:
 
 def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     # Brighter than display white, which gives a warning.
-    line = f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
+    line = (
+        f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out"
+        f" {tmp_path / 'out'}"
+    )
     code, plain, err = forked(f"{line} --json")
     assert code == 0, err
     assert json.loads(plain)["pitch_um"] == 6.5
     assert "warning: " in err
     code, out, err = command(f"{line} --json --quiet")
     assert (code, out) == (0, plain)
-    assert [words for words in err.splitlines() if "warning: " not in words] == [], "quiet: only what makes a number doubtful"
+    assert [words for words in err.splitlines() if "warning: " not in words] == [], (
+        "quiet: only what makes a number doubtful"
+    )
     code, out, err = command(f"-v {line}")
     assert code == 0
     assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)
@@ -102,7 +134,11 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["run nothing", *(pytest.param(line, marks=pytest.mark.slow) for line in ("run --help", "--help", "cache"))]
+    "line",
+    [
+        "run nothing",
+        *(pytest.param(line, marks=pytest.mark.slow) for line in ("run --help", "--help", "cache")),
+    ],
 )
 def test_output_without_terminal_has_no_colours(line: str) -> None:
     done = process(line, FORCE_COLOR="", TERM="xterm-256color")
@@ -110,31 +146,47 @@ def test_output_without_terminal_has_no_colours(line: str) -> None:
 
 
 # The shells differ in Cyclopts alone, and each takes a second.
-@pytest.mark.parametrize("shell", ["bash", *(pytest.param(other, marks=pytest.mark.slow) for other in ("zsh", "fish"))])
+@pytest.mark.parametrize(
+    "shell", ["bash", *(pytest.param(other, marks=pytest.mark.slow) for other in ("zsh", "fish"))]
+)
 def test_completion_prints_valid_script(shell: str) -> None:
     code, out, _ = command(f"completion {shell}")
     assert code == 0
-    for word in ("run", "study", "pixsim", "__complete"):  # the last asks for names of scenes and files
+    for word in (
+        "run",
+        "study",
+        "pixsim",
+        "__complete",
+    ):  # the last asks for names of scenes and files
         assert word in out
     if program := shutil.which(shell):
-        subprocess.run([program, "-n"], input=out, text=True, check=True, capture_output=True, timeout=HANG_S)
+        subprocess.run(
+            [program, "-n"], input=out, text=True, check=True, capture_output=True, timeout=HANG_S
+        )
 
 
 @pytest.mark.parametrize(
     "line",
     [
         f"run csf {SMALL} --out {{out}}/run",
-        pytest.param("study {study} --jobs 2 --out {out}/study", marks=pytest.mark.slow),  # three processes and their figures
+        pytest.param(
+            "study {study} --jobs 2 --out {out}/study", marks=pytest.mark.slow
+        ),  # three processes and their figures
     ],
 )
 def test_commands_write_only_to_output_and_cache(line: str, tmp_path: Path) -> None:
     home, here, cache, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     home.mkdir()
     here.mkdir()
-    environment = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
+    environment = {
+        name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))
+    }
     environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(cache)}
     (study := tmp_path / "s.toml").write_text(tiny_toml(), encoding="utf-8")
-    for variable, name in (("MPLCONFIGDIR", "matplotlib"), ("DRJIT_CACHE_DIR", "kernels")):  # new ones take seconds
+    for variable, name in (
+        ("MPLCONFIGDIR", "matplotlib"),
+        ("DRJIT_CACHE_DIR", "kernels"),
+    ):  # new ones take seconds
         shutil.copytree(os.environ[variable], cache / name)
     done = process(line.format(out=out, study=study), folder=here, **environment)
     assert done.returncode == 0, done.stderr
@@ -143,7 +195,9 @@ def test_commands_write_only_to_output_and_cache(line: str, tmp_path: Path) -> N
     assert {path.name for path in cache.iterdir()} > {"kernels", "matplotlib"}
 
 
-def test_set_cache_folders_respects_user_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_set_cache_folders_respects_user_variables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("DRJIT_CACHE_DIR", "mine")
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))

@@ -1,4 +1,6 @@
-"""Every option of a command has its Python form: an argument of the same name of the function of the command's name."""
+"""Every option of a command has its Python form: an argument of the same name of the function of
+the command's name.
+"""
 
 from __future__ import annotations
 
@@ -34,16 +36,27 @@ FOR_THE_TERMINAL = {
     "json": "the result has `as_dict`",
     "out": "the result is written where one likes, by `write`; tested below",
     "raw": "`pixsim.write_frame` writes the frame of `result.score` in any of its formats",
-    "irradiance": "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns",
+    "irradiance": (
+        "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns"
+    ),
     "figures": "an argument of `write`",
     "dry_run": "tells a person what a command would take, before it begins",
 }
 
 
 def options_of(command: str) -> set[str]:
-    """Names of the options of a command, of tables that of the table, as arguments of a function have them."""
-    named = [each for each in app[command].assemble_argument_collection() if each.field_info.kind is inspect.Parameter.KEYWORD_ONLY]
-    words = (next((word for word in each.names if word.startswith("--") and word[:8] != "--empty-"), "") for each in named)
+    """Names of the options of a command, of tables that of the table, as arguments of a function
+    have them.
+    """
+    named = [
+        each
+        for each in app[command].assemble_argument_collection()
+        if each.field_info.kind is inspect.Parameter.KEYWORD_ONLY
+    ]
+    words = (
+        next((word for word in each.names if word.startswith("--") and word[:8] != "--empty-"), "")
+        for each in named
+    )
     return {word.removeprefix("--").partition(".")[0].replace("-", "_") for word in words if word}
 
 
@@ -53,7 +66,9 @@ def test_every_option_has_an_argument_of_its_name(command: str) -> None:
     names = {*inspect.signature(function).parameters, *(record.model_fields if record else ())}
     options = options_of(command)
     assert len(options) > 5
-    missing = {option for option in options - names if RENAMED.get(option) not in names} - FOR_THE_TERMINAL.keys()
+    missing = {
+        option for option in options - names if RENAMED.get(option) not in names
+    } - FOR_THE_TERMINAL.keys()
     assert not missing
 
 

@@ -1,6 +1,8 @@
-"""Docstrings of public names state shapes, units, errors and sources: a few rules, with their exceptions in one table.
+"""Docstrings of public names state shapes, units, errors and sources: a few rules, with their
+exceptions in one table.
 
-A parameter counts as described if its name is in the docstring. The quality of a description is not checked.
+A parameter counts as described if its name is in the docstring. The quality of a description is not
+checked.
 """
 
 from __future__ import annotations
@@ -24,20 +26,72 @@ from pixsim.base.records import Record
 
 # Units at the end of names.
 UNITS = (
-    *("nm", "um", "mm", "m", "s", "k", "v", "ff", "e", "dn", "px", "deg", "um2", "e2", "dn2", "lx", "lx_s", "db", "delta_e"),
-    *("e_per_s", "e_per_s_um2", "na_per_cm2", "dn_per_e", "cd_per_m2", "w_per_m2_nm", "lp_per_mm", "cy_per_mm", "cy_per_px"),
-    *("seconds", "samples_per_deg", "per_joule", "xyz", "lab", "fraction", "features", "factor", "law", "otf", "mtf"),
+    *(
+        "nm",
+        "um",
+        "mm",
+        "m",
+        "s",
+        "k",
+        "v",
+        "ff",
+        "e",
+        "dn",
+        "px",
+        "deg",
+        "um2",
+        "e2",
+        "dn2",
+        "lx",
+        "lx_s",
+        "db",
+        "delta_e",
+    ),
+    *(
+        "e_per_s",
+        "e_per_s_um2",
+        "na_per_cm2",
+        "dn_per_e",
+        "cd_per_m2",
+        "w_per_m2_nm",
+        "lp_per_mm",
+        "cy_per_mm",
+        "cy_per_px",
+    ),
+    *(
+        "seconds",
+        "samples_per_deg",
+        "per_joule",
+        "xyz",
+        "lab",
+        "fraction",
+        "features",
+        "factor",
+        "law",
+        "otf",
+        "mtf",
+    ),
 )
-DIMENSIONLESS = {"f_number", "fill_factor", "quantum_efficiency", "gamma", "magnification", "contrast"}
+DIMENSIONLESS = {
+    "f_number",
+    "fill_factor",
+    "quantum_efficiency",
+    "gamma",
+    "magnification",
+    "contrast",
+}
 # Words that state a unit, or that there is none.
 UNIT_WORDS = re.compile(
     r"µm|nm\b|\bmm\b|W m|lx|cd/m²|lp/mm|\be-|[Ee]lectrons|\bDN\b|\bsr\b|%|\bdB\b|ΔE|°|kT/q|"
-    r"\b([Rr]atio|[Rr]elative|[Nn]umber|tangent|fraction|share|shares|times|QE|CIELAB|XYZ|in its unit|same unit|"
+    r"\b([Rr]atio|[Rr]elative|[Nn]umber|tangent|fraction|share|shares|times|QE|CIELAB|XYZ|in its"
+    r" unit|same unit|"
     r"any unit|one unit|unit of|0 to 1|in \[0, 1\]|1 for|of 1|1 on)\b|\bmean \d"
 )
 ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Floats|Picture)\b")
 SHAPE = re.compile(r"\((?:\.\.\.|…|[\w+() ]+)(?:, ?(?:\.\.\.|[\w+() ]*))+\)|\(\.\.\.\)|broadcast")
-SOURCE = re.compile(r"\b(1[89]|20)\d\d\b|\[(ZW|CIE)\]|\b(ISO|CIE|EMVA|ISETCam|Goodman|Foote|SI of)\b")
+SOURCE = re.compile(
+    r"\b(1[89]|20)\d\d\b|\[(ZW|CIE)\]|\b(ISO|CIE|EMVA|ISETCam|Goodman|Foote|SI of)\b"
+)
 REFERENCE = re.compile(r"`([a-z_0-9]+)`")  # to another kernel, which names the source
 OURS = "Camera|Pixel|Exposure|Display|Study|Scene|Plan|Technology|PixelPhysics|Readout|Sensor|Frame|RawFrame|SpectralImage|Diode"
 RECORD = re.compile(rf"\b({OURS})\b")
@@ -51,7 +105,13 @@ KERNELS = (
         "sensor.photodiode",
         "sensor.readout",
     ),
-    *("scene.charts", "viewer.colour_matrix", "viewer.demosaic", "viewer.display", "viewer.scielab"),
+    *(
+        "scene.charts",
+        "viewer.colour_matrix",
+        "viewer.demosaic",
+        "viewer.display",
+        "viewer.scielab",
+    ),
     *(f"viewer.judges.{name}" for name in ("information_density", "non_prewhitening", "sharpness")),
     *(f"viewer.denoising.{name}" for name in ("anscombe", "filters", "wiener")),
 )
@@ -79,20 +139,35 @@ def tree_of(module: str) -> ast.Module:
 @cache
 def raising(module: str) -> frozenset[str]:
     """Functions of a module that raise PixsimError, or call one of the module that does."""
-    functions = {node.name: node for node in tree_of(module).body if isinstance(node, ast.FunctionDef)}
+    functions = {
+        node.name: node for node in tree_of(module).body if isinstance(node, ast.FunctionDef)
+    }
     names = {name for name, node in functions.items() if raises(node)}
-    while more := {name for name, node in functions.items() if name not in names and called(node) & names}:
+    while more := {
+        name for name, node in functions.items() if name not in names and called(node) & names
+    }:
         names |= more
     return frozenset(names)
 
 
 def raises(node: ast.AST) -> bool:
-    raised = [part.exc.func for part in ast.walk(node) if isinstance(part, ast.Raise) and isinstance(part.exc, ast.Call)]
-    return any(isinstance(function, ast.Name) and function.id in ("invalid", "PixsimError") for function in raised)
+    raised = [
+        part.exc.func
+        for part in ast.walk(node)
+        if isinstance(part, ast.Raise) and isinstance(part.exc, ast.Call)
+    ]
+    return any(
+        isinstance(function, ast.Name) and function.id in ("invalid", "PixsimError")
+        for function in raised
+    )
 
 
 def called(node: ast.AST) -> set[str]:
-    return {part.func.id for part in ast.walk(node) if isinstance(part, ast.Call) and isinstance(part.func, ast.Name)}
+    return {
+        part.func.id
+        for part in ast.walk(node)
+        if isinstance(part, ast.Call) and isinstance(part.func, ast.Name)
+    }
 
 
 def function_of(thing: Any) -> Any:
@@ -109,28 +184,41 @@ def has_unit(name: str) -> bool:
 
 
 def description_of(name: str, text: str) -> str:
-    """The entry `name : …` with its continuation lines, or the whole text if the name is in the prose."""
+    """The entry `name : …` with its continuation lines, or the whole text if the name is in the
+    prose.
+    """
     entry = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* : (.*(?:\n +.*)*)", text, re.MULTILINE)
     if entry:
         return entry[1]
     return text if re.search(rf"\b{name}\b", text) else ""
 
 
-def complaints(name: str, function: Callable[..., Any], tree: ast.FunctionDef | None = None) -> Iterator[tuple[str, str]]:
+def complaints(
+    name: str, function: Callable[..., Any], tree: ast.FunctionDef | None = None
+) -> Iterator[tuple[str, str]]:
     """(rule, what is missing) for a function or a property's getter."""
     text = inspect.cleandoc(function.__doc__ or "")
     if not text:
         yield "docstring", "missing"
         return
-    hints = {parameter: without_bounds(str(hint), function) for parameter, hint in function.__annotations__.items()}
+    hints = {
+        parameter: without_bounds(str(hint), function)
+        for parameter, hint in function.__annotations__.items()
+    }
     result, short_name = hints.pop("return", "None"), name.rpartition(".")[2]
     for parameter, hint in hints.items():
         description = description_of(parameter, text)
         if not (description or has_unit(parameter) or RECORD.search(hint)):
             yield "parameter", f"{parameter} has no description"
-        if re.search(r"\bfloat\b", hint) and not has_unit(parameter) and not UNIT_WORDS.search(description):
+        if (
+            re.search(r"\bfloat\b", hint)
+            and not has_unit(parameter)
+            and not UNIT_WORDS.search(description)
+        ):
             yield "unit", f"{parameter} has none in its name or its description"
-    if re.fullmatch(r"float( \| None)?", result) and not (has_unit(short_name) or UNIT_WORDS.search(text)):
+    if re.fullmatch(r"float( \| None)?", result) and not (
+        has_unit(short_name) or UNIT_WORDS.search(text)
+    ):
         yield "unit", "of the result"
     arrays = [value for value, hint in {**hints, "result": result}.items() if ARRAY.search(hint)]
     if arrays and not SHAPE.search(text):
@@ -138,10 +226,18 @@ def complaints(name: str, function: Callable[..., Any], tree: ast.FunctionDef | 
     if ARRAY.search(result) and not (has_unit(short_name) or UNIT_WORDS.search(text)):
         yield "unit", "of the result"
     module = function.__module__
-    raised = raises(tree) or called(tree) & raising(module) if tree else function.__name__ in raising(module)
+    raised = (
+        raises(tree) or called(tree) & raising(module)
+        if tree
+        else function.__name__ in raising(module)
+    )
     if raised and "PixsimError" not in text:
         yield "errors", "it can raise PixsimError"
-    kernel = module.removeprefix("pixsim.") in KERNELS and function.__qualname__ == function.__name__ and ARRAY.search(result)
+    kernel = (
+        module.removeprefix("pixsim.") in KERNELS
+        and function.__qualname__ == function.__name__
+        and ARRAY.search(result)
+    )
     if kernel and not RECORD.search(" ".join(hints.values())) and not names_source(text, module):
         yield "source", "missing"
 
@@ -149,7 +245,11 @@ def complaints(name: str, function: Callable[..., Any], tree: ast.FunctionDef | 
 def names_source(text: str, module: str) -> bool:
     """Whether a docstring names its source, or refers to a kernel of the module that does."""
     scope = vars(importlib.import_module(module))
-    others = (inspect.getdoc(scope[name]) or "" for name in REFERENCE.findall(text) if inspect.isfunction(scope.get(name)))
+    others = (
+        inspect.getdoc(scope[name]) or ""
+        for name in REFERENCE.findall(text)
+        if inspect.isfunction(scope.get(name))
+    )
     return any(SOURCE.search(docstring) for docstring in (text, *others))
 
 
@@ -158,14 +258,22 @@ FUNCTIONS = {name: function for name, thing in PUBLIC.items() if (function := fu
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_function_docstring_is_complete(name: str) -> None:
-    assert not [f"{rule}: {what}" for rule, what in complaints(name, FUNCTIONS[name]) if (rule, name) not in EXCEPTIONS]
+    assert not [
+        f"{rule}: {what}"
+        for rule, what in complaints(name, FUNCTIONS[name])
+        if (rule, name) not in EXCEPTIONS
+    ]
 
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_class_docstring_describes_fields(name: str) -> None:
-    """A record by the descriptions of its fields, a dataclass in its docstring, or in that of the class that has the field."""
+    """A record by the descriptions of its fields, a dataclass in its docstring, or in that of the
+    class that has the field.
+    """
     kind = CLASSES[name]
-    own = [each for each in kind.__mro__ if each.__module__.startswith("pixsim")]  # a base describes its own fields
+    own = [
+        each for each in kind.__mro__ if each.__module__.startswith("pixsim")
+    ]  # a base describes its own fields
     text = "\n".join(inspect.cleandoc(vars(each).get("__doc__") or "") for each in own)
     assert vars(kind).get("__doc__")
     assert not text.startswith(f"{kind.__name__}("), "the default of @dataclass"
@@ -180,7 +288,11 @@ def test_class_docstring_describes_fields(name: str) -> None:
 
 def test_exceptions_are_needed() -> None:
     """Remove names that were fixed or deleted from the table."""
-    needed = {(rule, name) for name, function in FUNCTIONS.items() for rule, _ in complaints(name, function)}
+    needed = {
+        (rule, name)
+        for name, function in FUNCTIONS.items()
+        for rule, _ in complaints(name, function)
+    }
     assert set(EXCEPTIONS) <= needed
 
 
@@ -190,26 +302,60 @@ def bad(source: str) -> set[str]:
     source = "from __future__ import annotations\n" + textwrap.dedent(source)
     exec(compile(source, "bad", "exec", dont_inherit=True), scope)
     (tree,) = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
-    return {rule for rule, _ in complaints(f"pixsim.optics.thin_lens.{tree.name}", scope[tree.name], tree)}
+    return {
+        rule
+        for rule, _ in complaints(f"pixsim.optics.thin_lens.{tree.name}", scope[tree.name], tree)
+    }
 
 
 def test_rules_reject_incomplete_docstrings() -> None:
     assert bad("def f(x: Array) -> Array: pass") == {"docstring"}
-    assert bad('def f(x: Array) -> Array:\n    """Of light."""') == {"parameter", "shape", "unit", "source"}
+    assert bad('def f(x: Array) -> Array:\n    """Of light."""') == {
+        "parameter",
+        "shape",
+        "unit",
+        "source",
+    }
     assert bad('def f(x: Array) -> Array:\n    """Of x, (H, W) sr. Foote 1915."""') == set()
     assert bad('def f(speed: float) -> int:\n    """At a speed."""') == {"unit"}
     assert bad('def f(x_nm: float) -> int:\n    """More."""') == set()
-    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    raise invalid(1, 2, "3")') == {"errors"}
-    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    return irradiance_factor(x_nm, 0)') == {"errors"}
-    assert bad('def f(x_nm: float) -> int:\n    """Raises PixsimError for 3."""\n    raise invalid(1, 2, "3")') == set()
+    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    raise invalid(1, 2, "3")') == {
+        "errors"
+    }
+    assert bad(
+        'def f(x_nm: float) -> int:\n    """More."""\n    return irradiance_factor(x_nm, 0)'
+    ) == {"errors"}
+    assert (
+        bad(
+            'def f(x_nm: float) -> int:\n    """Raises PixsimError for 3."""\n    raise invalid(1,'
+            ' 2, "3")'
+        )
+        == set()
+    )
 
 
 # Functions for beginners, and kernels with a published number.
 SHOWN = (
-    *("load_scene", "render", "evaluate", "study", "Camera", "derive", "make_sensor", "capture", "delta_e_map", "read_exr"),
+    *(
+        "load_scene",
+        "render",
+        "evaluate",
+        "study",
+        "Camera",
+        "derive",
+        "make_sensor",
+        "capture",
+        "delta_e_map",
+        "read_exr",
+    ),
     *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
     *("compare", "datasheet", "accuracy", "sfr", "lens"),
-    *("optics.irradiance_factor", "optics.diffraction_otf", "photodiode.collected_charge_e", "pixel.fill_factor_law"),
+    *(
+        "optics.irradiance_factor",
+        "optics.diffraction_otf",
+        "photodiode.collected_charge_e",
+        "pixel.fill_factor_law",
+    ),
 )
 
 

@@ -12,7 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.documents import MADE_ON, ROOT, Page, alike_pictures, blocks_of, difference, differs_from_made_on, first_study, updated
+from helpers.documents import (
+    MADE_ON,
+    ROOT,
+    Page,
+    alike_pictures,
+    blocks_of,
+    difference,
+    differs_from_made_on,
+    first_study,
+    updated,
+)
 
 import pixsim
 from pixsim.optics.camera import Camera
@@ -30,13 +40,27 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import Score
 
 README = ROOT / "README.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/gallery").glob("*.md"))]
+PAGES = [
+    README,
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs/gallery").glob("*.md")),
+]
 # First, so that in the end no worker waits for one of them.
 LONGEST = (
-    *("inspection_line.md", "pixel_stack.md", "own_scene.md", "first_sensor.md", "compare.md", "colour.md", "rendering.md"),
+    *(
+        "inspection_line.md",
+        "pixel_stack.md",
+        "own_scene.md",
+        "first_sensor.md",
+        "compare.md",
+        "colour.md",
+        "rendering.md",
+    ),
     *("questions.md", "not_known.md", "how_small.md"),
 )
-LONGEST_FIRST = sorted(PAGES, key=lambda path: LONGEST.index(path.name) if path.name in LONGEST else len(LONGEST))
+LONGEST_FIRST = sorted(
+    PAGES, key=lambda path: LONGEST.index(path.name) if path.name in LONGEST else len(LONGEST)
+)
 
 
 def text_of(path: Path) -> str:
@@ -47,13 +71,17 @@ def text_of(path: Path) -> str:
 def exact() -> bool:
     """Whether this is the machine of docs/made_on.toml; if not, a notice says what is compared."""
     if found := differs_from_made_on():
-        warnings.warn(f"pages are compared within their intervals, not in every digit: {found}", stacklevel=1)
+        warnings.warn(
+            f"pages are compared within their intervals, not in every digit: {found}", stacklevel=1
+        )
     return not found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", LONGEST_FIRST, ids=lambda path: path.name)
-def test_page_blocks_give_shown_output(path: Path, exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_blocks_give_shown_output(
+    path: Path, exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Part of `.ci/run`."""
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = Page(path, tmp_path, exact)
@@ -63,7 +91,9 @@ def test_page_blocks_give_shown_output(path: Path, exact: bool, tmp_path: Path, 
         assert 1e6 < report.stat().st_size < 5e6, "what an e-mail takes"
     for shown, created in page.pictures:
         assert shown.is_file(), f"{path.name} shows {shown.name}, which does not exist"
-        assert alike_pictures(shown, created, exact), f"{shown} is outdated: run python tests/helpers/documents.py {path}"
+        assert alike_pictures(shown, created, exact), (
+            f"{shown} is outdated: run python tests/helpers/documents.py {path}"
+        )
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -72,11 +102,18 @@ def test_page_with_numbers_names_machine(path: Path) -> None:
         assert f"]({os.path.relpath(MADE_ON, path.parent)})" in text_of(path)
 
 
-LIMITS = re.compile(r"(?:at most|estimate of|limit of|up to|more than) \d+ (?:GiB|MiB|MB)")  # not measured
-TIMES = re.compile(r"\d (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|(?:two|2) cores|\b(?:a|half a) minute\b")
+LIMITS = re.compile(
+    r"(?:at most|estimate of|limit of|up to|more than) \d+ (?:GiB|MiB|MB)"
+)  # not measured
+TIMES = re.compile(
+    r"\d (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|(?:two|2) cores|\b(?:a|half a)"
+    r" minute\b"
+)
 
 
-@pytest.mark.parametrize("path", [page for page in PAGES if page.name != "costs.md"], ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", [page for page in PAGES if page.name != "costs.md"], ids=lambda path: path.name
+)
 def test_page_states_no_run_time_or_memory(path: Path) -> None:
     """They depend on the machine: docs/costs.md has them, with the machine and the commands.
 
@@ -85,7 +122,11 @@ def test_page_states_no_run_time_or_memory(path: Path) -> None:
     inside, found = False, []
     for line in text_of(path).splitlines():
         inside ^= line.startswith("```")
-        if not inside and not line.startswith("**It takes**") and (time := TIMES.search(LIMITS.sub("", line))):
+        if (
+            not inside
+            and not line.startswith("**It takes**")
+            and (time := TIMES.search(LIMITS.sub("", line)))
+        ):
             found.append(f"{time[0]!r} in {line!r}")
     assert not found
 
@@ -98,16 +139,24 @@ def test_page_blocks_are_all_checked(path: Path) -> None:
         if "elsewhere" in block.comments:
             other = ROOT / block.comments["elsewhere"].partition(",")[0]
             assert other.is_file(), where
-            assert other.suffix != ".md" or block.text in text_of(other), f"{where}: not in {other.name} word for word"
-        elif block.language not in ("sh", "python", "picture") and not block.language.startswith("{"):  # a directive of the site
+            assert other.suffix != ".md" or block.text in text_of(other), (
+                f"{where}: not in {other.name} word for word"
+            )
+        elif block.language not in ("sh", "python", "picture") and not block.language.startswith(
+            "{"
+        ):  # a directive of the site
             assert {"file", "output"} & block.comments.keys(), f"{where}: neither run nor compared"
 
 
 @pytest.mark.slow
-def test_readme_first_study_gives_shown_output(exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first study of README gives the output and the first picture that it shows, and what the paper says.
+def test_readme_first_study_gives_shown_output(
+    exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first study of README gives the output and the first picture that it shows, and what the
+    paper says.
 
-    Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and display: ± 0.6 µm.
+    Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and
+    display: ± 0.6 µm.
     """
     shown = Page(first_study(README, tmp_path), tmp_path, exact)
     shown.check()
@@ -122,28 +171,59 @@ def test_readme_first_study_gives_shown_output(exact: bool, tmp_path: Path, monk
     assert mean[-1] > 1.3 * best.mean_delta_e, "blur: 15 µm"
 
 
-# --- Glossary of the paper's terms ---------------------------------------------------------------------------------------
+# --- Glossary of the paper's terms
+# ---------------------------------------------------------------------------------------
 
 HOMES: dict[str, object] = {
     kind.__name__: kind
-    for kind in (Pixel, PixelPhysics, Readout, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
+    for kind in (
+        Pixel,
+        PixelPhysics,
+        Readout,
+        ImagingChain,
+        Frame,
+        Exposure,
+        Technology,
+        Junction,
+        Camera,
+        Display,
+    )
 }
 HOMES |= {kind.__name__: kind for kind in (Score, Study, Curve)} | {"optics": pixsim.optics}
 INNER = {"optimum": Optimum}
-WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(ROOT / "docs/terms.md"), re.MULTILINE)
+WORDS = re.findall(
+    r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$",
+    text_of(ROOT / "docs/terms.md"),
+    re.MULTILINE,
+)
 
 
-UNIT_OF = {"_um": "µm", "_mm": "mm", "_s": "s", "_e": "electrons", "_db": "dB", "_cd_per_m2": "cd/m²", "_ff": "fF", "_v": "V"}
+UNIT_OF = {
+    "_um": "µm",
+    "_mm": "mm",
+    "_s": "s",
+    "_e": "electrons",
+    "_db": "dB",
+    "_cd_per_m2": "cd/m²",
+    "_ff": "fF",
+    "_v": "V",
+}
 UNIT_OF |= {"_e_per_s": "electrons/s", "delta_e": "ΔE", "_per_deg": "dots/degree"}
 
 
-@pytest.mark.parametrize(("words", "ours", "unit", "home"), [row for row in WORDS if row[3] in HOMES], ids=lambda word: word[:20])
+@pytest.mark.parametrize(
+    ("words", "ours", "unit", "home"),
+    [row for row in WORDS if row[3] in HOMES],
+    ids=lambda word: word[:20],
+)
 def test_glossary_names_exist(words: str, ours: str, unit: str, home: str) -> None:
     names = re.findall(r"`([\w.]+)`", ours)
     assert names
     for name in names:
         endings = [ending for ending in UNIT_OF if name.endswith(ending)]
-        assert not endings or UNIT_OF[max(endings, key=len)] in unit, f"{name} is in {UNIT_OF[max(endings, key=len)]}"
+        assert not endings or UNIT_OF[max(endings, key=len)] in unit, (
+            f"{name} is in {UNIT_OF[max(endings, key=len)]}"
+        )
     for name in names:
         first, _, second = name.partition(".")
         assert has(HOMES[home], first), f"{home} has no {first}"
@@ -151,24 +231,51 @@ def test_glossary_names_exist(words: str, ours: str, unit: str, home: str) -> No
 
 
 def has(home: object, name: str) -> bool:
-    return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) or hasattr(home, name)
+    return name in getattr(home, "model_fields", {}) | getattr(
+        home, "__dataclass_fields__", {}
+    ) or hasattr(home, name)
 
 
 def test_glossary_has_all_symbols() -> None:
     terms = " ".join(row[0] for row in WORDS)
-    for symbol in ("q_max", "i_dc", "i_ph", "t_int", "σ_r²", "DR", "SNR", "fill factor", "MTF", "f/#", "ΔE"):
+    for symbol in (
+        "q_max",
+        "i_dc",
+        "i_ph",
+        "t_int",
+        "σ_r²",
+        "DR",
+        "SNR",
+        "fill factor",
+        "MTF",
+        "f/#",
+        "ΔE",
+    ):
         assert symbol in terms, symbol
 
 
-# --- The runner itself ---------------------------------------------------------------------------------------
+# --- The runner itself
+# ---------------------------------------------------------------------------------------
 
 
 def test_blocks_of_parses_comments() -> None:
-    text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg -->\n![a](b.svg)\n"
+    text = (
+        "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg"
+        " -->\n![a](b.svg)\n"
+    )
     file, command, picture = blocks_of(text)
-    assert (file.language, file.text, file.comments, file.line) == ("toml", "x = 1\n", {"file": "a.toml"}, 2)
+    assert (file.language, file.text, file.comments, file.line) == (
+        "toml",
+        "x = 1\n",
+        {"file": "a.toml"},
+        2,
+    )
     assert (command.language, command.comments) == ("sh", {})
-    assert (picture.language, picture.text, picture.comments) == ("picture", "b.svg", {"picture": "made.svg"})
+    assert (picture.language, picture.text, picture.comments) == (
+        "picture",
+        "b.svg",
+        {"picture": "made.svg"},
+    )
 
 
 @pytest.mark.parametrize(
@@ -199,7 +306,8 @@ def test_difference_compares_output(expected: str, printed: str, same: bool) -> 
 
 
 @pytest.mark.parametrize(
-    ("printed", "same"), [("a 1.00\nb\nc 2.0", True), ("a 1.01\nb\nc 2.0", False), ("a 1.00\nb\nc 2.1", False)]
+    ("printed", "same"),
+    [("a 1.00\nb\nc 2.0", True), ("a 1.01\nb\nc 2.0", False), ("a 1.00\nb\nc 2.1", False)],
 )
 def test_difference_exact_compares_digits(printed: str, same: bool) -> None:
     assert (difference("a 1.00\n…\nc 2.0", printed) == "") == same
@@ -207,7 +315,9 @@ def test_difference_exact_compares_digits(printed: str, same: bool) -> None:
 
 def test_updated_page_has_new_output(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("```sh\nprintf '1\\n2'\n```\n\n<!-- output -->\n```text\nold\n```\nend\n", encoding="utf-8")
+    page.write_text(
+        "```sh\nprintf '1\\n2'\n```\n\n<!-- output -->\n```text\nold\n```\nend\n", encoding="utf-8"
+    )
     run = Page(page, tmp_path)
     run.run()
     page.write_text(updated(page, run.outputs), encoding="utf-8")
@@ -220,7 +330,10 @@ def test_updated_page_has_new_output(tmp_path: Path) -> None:
     [
         "```sh\nexit 3\n```\n",
         "```sh\necho 'the time limit of 120 s ended rendering' >&2\n```\n",
-        "```python\nimport warnings\nwarnings.warn('the time limit of 120 s ended rendering')\n```\n",
+        (
+            "```python\nimport warnings\nwarnings.warn('the time limit of 120 s ended"
+            " rendering')\n```\n"
+        ),
         "```python\nassert 1 == 2\n```\n",
         "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n",
         "```python\nprint(1)\n```\n",
@@ -244,7 +357,14 @@ def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
     grey = np.full((20, 30), 100, np.uint8)
     halves = np.where(np.arange(30) < 15, grey, 130).astype(np.uint8)
     noise, stripes = (grey + size * (-1) ** np.arange(30) for size in (10, 14))
-    pictures = {"a": grey, "b": grey + 1, "c": halves, "d": grey[:10], "noise": noise, "stripes": stripes}
+    pictures = {
+        "a": grey,
+        "b": grey + 1,
+        "c": halves,
+        "d": grey[:10],
+        "noise": noise,
+        "stripes": stripes,
+    }
     for name, picture in pictures.items():
         Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{name}.png")
     Image.fromarray(np.stack([grey + 9, grey - 9, grey], axis=2)).save(tmp_path / "hue.png")
@@ -255,5 +375,8 @@ def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
         x = {"b": 1.001, "c": 9.0}.get(name, 1.0)
         (tmp_path / f"{name}.svg").write_text(f'<{start}="M {x} 2.0"/>', encoding="utf-8")
     for kind in ("png", "svg"):
-        same = {name: alike_pictures(tmp_path / f"a.{kind}", tmp_path / f"{name}.{kind}") for name in "abcd"}
+        same = {
+            name: alike_pictures(tmp_path / f"a.{kind}", tmp_path / f"{name}.{kind}")
+            for name in "abcd"
+        }
         assert same == {"a": True, "b": True, "c": False, "d": False}

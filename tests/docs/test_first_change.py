@@ -21,7 +21,10 @@ from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study
 
 PAGE = ROOT / "docs/first_change.md"
-TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation or in_the_help"
+TESTS = (
+    "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"
+    " or in_the_help"
+)
 OF_METRICS = "viewer/test_score.py", "viewer/test_metrics.py", "studies/test_own_metrics.py"
 FILES = ("sensor/test_readout.py", "viewer/test_without_effect.py", *OF_METRICS)
 
@@ -31,7 +34,9 @@ def changes(page: str) -> Iterator[tuple[str, str, str]]:
     for block in blocks_of(page):
         if block.language == "diff":
             first, *lines = block.text.splitlines()
-            before, after = ("\n".join(line[1:] for line in lines if line[:1] != sign) for sign in "+-")
+            before, after = (
+                "\n".join(line[1:] for line in lines if line[:1] != sign) for sign in "+-"
+            )
             yield first.removeprefix("--- "), before, after
 
 
@@ -54,13 +59,26 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
 
     def run(*words: str) -> str:
         done = subprocess.run(
-            [sys.executable, "-m", *words], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=HANG_S
+            [sys.executable, "-m", *words],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=HANG_S,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
     assert " passed" in run(
-        "pytest", "-q", "-p", "no:cacheprovider", "--basetemp", "runs", "-k", TESTS, *(f"tests/{name}" for name in FILES)
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--basetemp",
+        "runs",
+        "-k",
+        TESTS,
+        *(f"tests/{name}" for name in FILES),
     )
     small = ["--resolution", "64", "--display.dots", "32", "--pixel.pitch-um", "21.2"]
     judged = ["--metric", "delta_e", "--metric", "rms_luminance"]
@@ -76,13 +94,28 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
     with (tmp_path / "c/results.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert "rms_of_white" in rows[0]
-    found = {gain: [row for row in rows if float(row["display.gain"]) == gain] for gain in (1.0, 1.1)}
-    for right, bright in zip(*found.values(), strict=True):  # the same frames, of which no dot is at the end of the codes
-        assert float(bright["rms_of_white"]) == pytest.approx(1.1 * float(right["rms_of_white"]), rel=1e-4)
+    found = {
+        gain: [row for row in rows if float(row["display.gain"]) == gain] for gain in (1.0, 1.1)
+    }
+    for right, bright in zip(
+        *found.values(), strict=True
+    ):  # the same frames, of which no dot is at the end of the codes
+        assert float(bright["rms_of_white"]) == pytest.approx(
+            1.1 * float(right["rms_of_white"]), rel=1e-4
+        )
 
 
 def test_axis_in_python_has_a_case_of_each_value() -> None:
-    (block,) = (block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if block.language == "python")
+    (block,) = (
+        block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if block.language == "python"
+    )
     studies: list[Study] = []
-    exec(block.text, {"pixsim": SimpleNamespace(study=lambda name, out, quick, **more: studies.append(load_study(name, **more)))})
+    exec(
+        block.text,
+        {
+            "pixsim": SimpleNamespace(
+                study=lambda name, out, quick, **more: studies.append(load_study(name, **more))
+            )
+        },
+    )
     assert [case.settings.pixel.row_noise_e for case in cases_of(studies[0])] == [0.0, 3.0, 10.0]

@@ -13,13 +13,19 @@ from helpers.documents import ROOT
 
 import pixsim
 
-MIGRATION = "\n".join((ROOT / name).read_text(encoding="utf-8") for name in ("docs/migration.md", "CHANGELOG.md"))
+MIGRATION = "\n".join(
+    (ROOT / name).read_text(encoding="utf-8") for name in ("docs/migration.md", "CHANGELOG.md")
+)
 PYTHON = MIGRATION.partition("## Files")[0]
 ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", PYTHON, re.MULTILINE)
 # Several names of a record that are in another one now.
-for names, record, more in re.findall(r"^\| `([\w.]+`(?:, `\.\w+`)+) \| in `([\w.]+)`(.*) \|$", PYTHON, re.MULTILINE):
+for names, record, more in re.findall(
+    r"^\| `([\w.]+`(?:, `\.\w+`)+) \| in `([\w.]+)`(.*) \|$", PYTHON, re.MULTILINE
+):
     place, _, _ = names.partition("`")[0].rpartition(".")
-    ROWS += [(f"{place}.{name}", f"{record}.{name}", more) for name in re.findall(r"\.(\w+)`", names)]
+    ROWS += [
+        (f"{place}.{name}", f"{record}.{name}", more) for name in re.findall(r"\.(\w+)`", names)
+    ]
 
 
 def found(name: str) -> bool:
@@ -27,7 +33,10 @@ def found(name: str) -> bool:
     first, *rest = name.split(".")
     thing: object = pixsim
     for depth, part in enumerate(rest, 1):
-        if part in {**getattr(thing, "__dataclass_fields__", {}), **getattr(thing, "model_fields", {})}:
+        if part in {
+            **getattr(thing, "__dataclass_fields__", {}),
+            **getattr(thing, "model_fields", {}),
+        }:
             return depth == len(rest)
         if not hasattr(thing, part):
             try:
@@ -46,7 +55,12 @@ def test_renamed_name_is_there_and_the_old_one_gone(old: str, new: str) -> None:
 
 def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
     """Those of its reference: functions, classes, methods, properties and fields."""
-    names = [f"pixsim.{name}" for name in (ROOT / "tests/data/release_1_0_0/public_names.txt").read_text(encoding="utf-8").split()]
+    names = [
+        f"pixsim.{name}"
+        for name in (
+            (ROOT / "tests/data/release_1_0_0/public_names.txt").read_text(encoding="utf-8").split()
+        )
+    ]
     assert len(names) > 600
     moved = {old: new for old, new, _ in ROWS}
 
@@ -71,10 +85,18 @@ def test_names_are_read_from_the_page() -> None:
 def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     """Of the newest release; what is "(unreleased)" above it has no day."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    newest, day = re.findall(r"^## (\S+) \((\d.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)[0]
-    assert [*re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest] == [pixsim.__version__] * 2
-    assert re.findall(r"^  version = \{(.+)\},$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE) == [newest]
-    assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"]
+    newest, day = re.findall(
+        r"^## (\S+) \((\d.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+    )[0]
+    assert [*re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest] == [
+        pixsim.__version__
+    ] * 2
+    assert re.findall(
+        r"^  version = \{(.+)\},$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    ) == [newest]
+    assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [
+        f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"
+    ]
 
 
 def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None:
@@ -85,11 +107,17 @@ def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None
     assert {name for name in packages if f"| `{name}` |" not in text} == set()
     judges = {path.name for path in (ROOT / "tests/judges").glob("test_*.py")} - {"test_table.py"}
     assert {name for name in judges if f"`tests/judges/{name}`" not in text} == set()
-    assert f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `judges/test_scielab_judge.py`" in text
+    assert (
+        f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `judges/test_scielab_judge.py`"
+        in text
+    )
     assert "|  |" not in text, "a file without a docstring"
 
 
 def test_validation_counts_tests_of_a_file(tmp_path: Path) -> None:
     file = tmp_path / "test_made_up.py"
-    file.write_text('"""A line.\n\nMore."""\n\ndef test_one():\n    def helper(): pass\n\ndef no(): pass\n\ndef test_two(): pass\n')
+    file.write_text(
+        '"""A line.\n\nMore."""\n\ndef test_one():\n    def helper(): pass\n\ndef no(): pass\n\ndef'
+        " test_two(): pass\n"
+    )
     assert (validation.first_line(file), validation.count(file)) == ("A line", 2)

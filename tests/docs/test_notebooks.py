@@ -26,13 +26,22 @@ def test_notebook_is_small_and_has_been_run_in_order(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (find_spec("nbclient") and find_spec("ipykernel")), reason="nbclient or ipykernel is not installed")
+@pytest.mark.skipif(
+    not (find_spec("nbclient") and find_spec("ipykernel")),
+    reason="nbclient or ipykernel is not installed",
+)
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_gives_shown_output(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numbers within 2 %, or within the interval printed with them; results show themselves with a picture and no scripts."""
+def test_notebook_gives_shown_output(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers within 2 %, or within the interval printed with them; results show themselves with a
+    picture and no scripts.
+    """
     import nbformat
 
-    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / ".ipython"))  # both processes make one, else at home
+    monkeypatch.setenv(
+        "IPYTHONDIR", str(tmp_path / ".ipython")
+    )  # both processes make one, else at home
     shown, made = outputs(nbformat.read(path, as_version=4)), outputs(executed(path, tmp_path))
     assert [output[:2] for output in shown] == [output[:2] for output in made]
     assert any(kind == "text/html" for _, kind, _ in made)

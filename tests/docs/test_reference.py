@@ -28,14 +28,20 @@ def test_text_is_up_to_date(path: Path) -> None:
 
 def test_text_has_every_public_name() -> None:
     """The site's own test looks for the same names there, and for the fields of records."""
-    headings = {name for path in PAGES for name in re.findall(r"^#+ `([\w.]+)`$", path.read_text(encoding="utf-8"), re.MULTILINE)}
+    headings = {
+        name
+        for path in PAGES
+        for name in re.findall(r"^#+ `([\w.]+)`$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
     described = [reference_text.thing_of(name) for name in headings if name.startswith("pixsim.")]
     for name, thing in PUBLIC.items():
         owner, _, member = name.rpartition(".")
         if owner in CLASSES:  # a method stands under its class, or under one that it comes from
             assert {f"{kind.__name__}.{member}" for kind in CLASSES[owner].__mro__} & headings, name
         else:
-            function = inspect.unwrap(thing) if inspect.isfunction(thing) else thing  # without the checks of its arguments
+            function = (
+                inspect.unwrap(thing) if inspect.isfunction(thing) else thing
+            )  # without the checks of its arguments
             assert any(function is described_thing for described_thing in described), name
 
 
@@ -51,7 +57,9 @@ def test_site_has_a_directive_for_each_text() -> None:
 def test_text_of_a_function() -> None:
     """The signature as in the source, then arguments, errors and the example."""
     text = reference_text.text_of("pixsim.delta_e_map", None)
-    assert text.startswith("### `pixsim.delta_e_map`\n\n```python\ndelta_e_map(\n    reference_xyz: ArrayLike,\n")
+    assert text.startswith(
+        "### `pixsim.delta_e_map`\n\n```python\ndelta_e_map(\n    reference_xyz: ArrayLike,\n"
+    )
     assert "    *,\n    white_xyz: ArrayLike,\n" in text
     assert "\n- `white_xyz`: (3,) XYZ of the white that the viewer is adapted to\n" in text
     assert "\nRaises `PixsimError` " in text

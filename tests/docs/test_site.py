@@ -1,4 +1,6 @@
-"""The documentation site builds without warnings, has no dead links, and works from disk and on narrow screens."""
+"""The documentation site builds without warnings, has no dead links, and works from disk and on
+narrow screens.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +40,27 @@ MARKDOWN = [*(ROOT / name for name in PAGES_ELSEWHERE), *sorted(DOCS.rglob("*.md
 
 def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:
     """Build the site with a builder of Sphinx."""
-    command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", builder, "-d", str(out / "../trees")]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "-n",
+        "--keep-going",
+        "-q",
+        "-b",
+        builder,
+        "-d",
+        str(out / "../trees"),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run([*command, str(DOCS), str(out)], capture_output=True, encoding="utf-8", env=environment, timeout=HANG_S)
+    return subprocess.run(
+        [*command, str(DOCS), str(out)],
+        capture_output=True,
+        encoding="utf-8",
+        env=environment,
+        timeout=HANG_S,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +90,16 @@ class Page(HTMLParser):
         self.ids |= {values[name] for name in ("id", "name") if name in values}
         if tag == "a" and "href" in values:
             self.links.append(values["href"])
-        if tag in self.FETCHED and values.get("rel", "stylesheet") in ("stylesheet", "icon", "preload", "prefetch", "manifest"):
-            self.fetched += [values[name] for name in ("src", "href", "srcset", "data") if name in values]
+        if tag in self.FETCHED and values.get("rel", "stylesheet") in (
+            "stylesheet",
+            "icon",
+            "preload",
+            "prefetch",
+            "manifest",
+        ):
+            self.fetched += [
+                values[name] for name in ("src", "href", "srcset", "data") if name in values
+            ]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +109,11 @@ def pages(site: Path) -> dict[Path, Page]:
 
 def written(pages: dict[Path, Page]) -> list[Path]:
     """Pages without indices and source code."""
-    return [path for path in pages if "_modules" not in path.parts and path.stem not in ("genindex", "py-modindex", "search")]
+    return [
+        path
+        for path in pages
+        if "_modules" not in path.parts and path.stem not in ("genindex", "py-modindex", "search")
+    ]
 
 
 def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
@@ -109,14 +141,28 @@ def test_site_has_no_dead_links(pages: dict[Path, Page]) -> None:
 
 def test_dead_links_detects_missing_targets(tmp_path: Path) -> None:
     path = tmp_path.resolve() / "a.html"
-    path.write_text('<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>', encoding="utf-8")
-    assert dead_links({path: Page(path)}) == (["a.html: a.html#gone, no such anchor", "a.html: b.html"], 3)
+    path.write_text(
+        '<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>',
+        encoding="utf-8",
+    )
+    assert dead_links({path: Page(path)}) == (
+        ["a.html: a.html#gone, no such anchor", "a.html: b.html"],
+        3,
+    )
 
 
 def test_site_external_links_are_well_formed(pages: dict[Path, Page]) -> None:
-    elsewhere = {link for page in pages.values() for link in page.links if urlsplit(link).scheme not in ("", "mailto")}
+    elsewhere = {
+        link
+        for page in pages.values()
+        for link in page.links
+        if urlsplit(link).scheme not in ("", "mailto")
+    }
     assert elsewhere
-    assert all(urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc) for link in elsewhere)
+    assert all(
+        urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc)
+        for link in elsewhere
+    )
 
 
 def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) -> None:
@@ -128,60 +174,112 @@ def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) ->
         assert not parts.netloc, link
         assert parts.scheme or (path.parent / unquote(parts.path)).is_file(), link
     for style in site.rglob("*.css"):
-        assert not re.search(r"(url\(\s*['\"]?|@import\s+['\"]?)(https?:)?//", style.read_text(encoding="utf-8")), style
+        assert not re.search(
+            r"(url\(\s*['\"]?|@import\s+['\"]?)(https?:)?//", style.read_text(encoding="utf-8")
+        ), style
     for script in site.rglob("*.js"):
-        code = re.sub(r"/\*.*?\*/|(?<![:'\"])//[^\n]*", "", script.read_text(encoding="utf-8"), flags=re.DOTALL)
-        assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), script
+        code = re.sub(
+            r"/\*.*?\*/|(?<![:'\"])//[^\n]*",
+            "",
+            script.read_text(encoding="utf-8"),
+            flags=re.DOTALL,
+        )
+        assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), (
+            script
+        )
 
 
 def test_reference_has_every_public_name(site: Path, pages: dict[Path, Page]) -> None:
-    """Functions, classes, methods and fields of records; what a record inherits is described with either."""
-    entries = {anchor for path, page in pages.items() if "reference" in path.parts for anchor in page.ids}
+    """Functions, classes, methods and fields of records; what a record inherits is described with
+    either.
+    """
+    entries = {
+        anchor for path, page in pages.items() if "reference" in path.parts for anchor in page.ids
+    }
     public = [getattr(pixsim, name) for name in pixsim.__all__]
-    heirs = [kind for kind in CLASSES.values() if any(kind in getattr(thing, "__mro__", ())[1:] for thing in public)]
+    heirs = [
+        kind
+        for kind in CLASSES.values()
+        if any(kind in getattr(thing, "__mro__", ())[1:] for thing in public)
+    ]
     names = set(PUBLIC)
-    names |= {f"{name}.{field}" for name, kind in CLASSES.items() if kind not in heirs for field in fields(kind)}
+    names |= {
+        f"{name}.{field}"
+        for name, kind in CLASSES.items()
+        if kind not in heirs
+        for field in fields(kind)
+    }
 
     def described_with_base(name: str) -> bool:
         owner, _, attribute = name.rpartition(".")
         bases = CLASSES[owner].__mro__[1:] if owner in CLASSES else ()
-        return any(f"{base.__module__}.{base.__qualname__}.{attribute}" in entries for base in bases)
+        return any(
+            f"{base.__module__}.{base.__qualname__}.{attribute}" in entries for base in bases
+        )
 
     def described_at_home(name: str) -> bool:
-        """Whether a function of a module with a short name, as `pixsim.display`, stands under the name of its module."""
+        """Whether a function of a module with a short name, as `pixsim.display`, stands under the
+        name of its module.
+        """
         function = inspect.unwrap(PUBLIC[name]) if inspect.isfunction(PUBLIC.get(name)) else None
         return function is not None and f"{function.__module__}.{function.__qualname__}" in entries
 
-    assert {name for name in names - entries if not (described_with_base(name) or described_at_home(name))} == set()
+    assert {
+        name
+        for name in names - entries
+        if not (described_with_base(name) or described_at_home(name))
+    } == set()
     assert "pixsim.base.records.Record.content_hash" in entries
 
 
 @pytest.mark.parametrize("name", [name for name in app if not name.startswith("-")])
 def test_reference_has_every_command_and_option(name: str, site: Path) -> None:
-    text = re.sub(r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8"))
-    words = {word for argument in app[name].assemble_argument_collection() if argument.show for word in argument.names}
-    words = {word for word in words if not word.startswith(("--no-", "--empty-"))}  # the app has none
+    text = re.sub(
+        r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8")
+    )
+    words = {
+        word
+        for argument in app[name].assemble_argument_collection()
+        if argument.show
+        for word in argument.names
+    }
+    words = {
+        word for word in words if not word.startswith(("--no-", "--empty-"))
+    }  # the app has none
     assert words
     section = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
     assert {word for word in words if word not in section} == set()
     assert f"\npixsim {name} " in section, "no usage"
-    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", section, re.MULTILINE), "an option without a description"
+    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", section, re.MULTILINE), (
+        "an option without a description"
+    )
 
 
 def anchors(path: Path) -> set[str]:
     """Anchors of the headings of a Markdown file, as on GitHub."""
-    text = re.sub(r"^(```|~~~).*?^\1", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^(```|~~~).*?^\1", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
     slugs: set[str] = set()
     for heading in re.findall(r"^#{1,6} +(.+?)\s*#*$", text, re.MULTILINE):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
         slug = re.sub(r"[^\w\- ]", "", words.lower()).strip().replace(" ", "-")
-        slugs.add(slug if slug not in slugs else f"{slug}-{sum(other.startswith(slug) for other in slugs)}")
+        slugs.add(
+            slug
+            if slug not in slugs
+            else f"{slug}-{sum(other.startswith(slug) for other in slugs)}"
+        )
     return slugs
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_markdown_has_no_dead_links(path: Path) -> None:
-    text = re.sub(r"^(```|~~~).*?^\1|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^(```|~~~).*?^\1|`[^`\n]*`",
+        "",
+        path.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )
     for link in re.findall(r"\]\(([^()\s]+)\)", text):
         parts = urlsplit(link)
         if parts.scheme:
@@ -192,8 +290,12 @@ def test_markdown_has_no_dead_links(path: Path) -> None:
         assert not parts.fragment or parts.fragment in anchors(target), link
 
 
-def test_rewritten_converts_markdown_links(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A link to a page stays a link; a link to another file becomes its path; a dead link is logged."""
+def test_rewritten_converts_markdown_links(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link to a page stays a link; a link to another file becomes its path; a dead link is
+    logged.
+    """
     monkeypatch.syspath_prepend(str(DOCS))
     from from_markdown import rewritten
 
@@ -204,10 +306,16 @@ def test_rewritten_converts_markdown_links(caplog: pytest.LogCaptureFixture, mon
         "see [lens](../pixsim/optics/thin_lens.py)": "see lens (`pixsim/optics/thin_lens.py`)",
         "see [`csf.xml`](csf.xml)": "see `csf.xml` (`scenes/csf.xml`)",
         "![optimum](../docs/pictures/optimum.svg)": "![optimum](../pictures/optimum.svg)",
-        "[![optimum](../docs/pictures/optimum.svg)](../CHANGELOG.md)": "[![optimum](../pictures/optimum.svg)](changelog.md)",
-        "[far](https://example.org/a.md) [here](#charts)": "[far](https://example.org/a.md) [here](#charts)",
+        "[![optimum](../docs/pictures/optimum.svg)](../CHANGELOG.md)": (
+            "[![optimum](../pictures/optimum.svg)](changelog.md)"
+        ),
+        "[far](https://example.org/a.md) [here](#charts)": (
+            "[far](https://example.org/a.md) [here](#charts)"
+        ),
         "see [two\nlines](../CHANGELOG.md)": "see [two\nlines](changelog.md)",
-        "```md\n[not](nothing.md)\n```\n`[nor](this.md)`": "```md\n[not](nothing.md)\n```\n`[nor](this.md)`",
+        "```md\n[not](nothing.md)\n```\n`[nor](this.md)`": (
+            "```md\n[not](nothing.md)\n```\n`[nor](this.md)`"
+        ),
     }.items():
         assert rewritten(text, scenes, "repository/scenes") == f"{expected}\n"
     assert not caplog.records
@@ -229,9 +337,13 @@ onload = () => {{
 
 
 def measured(shown: list[Path], width: int, folder: Path) -> list[Any]:
-    """[available width, needed width, title, missing pictures, overflowing elements] of each page."""
+    """[available width, needed width, title, missing pictures, overflowing elements] of each
+    page.
+    """
     sources = [f'width="{width}" src="{path.as_uri()}"' for path in shown]
-    return in_frames(FRAMES, sources, 900, folder, "--allow-file-access-from-files")  # frames may read pages on disk
+    return in_frames(
+        FRAMES, sources, 900, folder, "--allow-file-access-from-files"
+    )  # frames may read pages on disk
 
 
 @needs_browser
@@ -240,7 +352,9 @@ def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Pat
     """On a telephone and a desktop; wide tables and code scroll."""
     shown = written(pages)
     assert len(shown) > 15
-    for path, (available, needed, name, missing, out) in zip(shown, measured(shown, width, tmp_path), strict=True):
+    for path, (available, needed, name, missing, out) in zip(
+        shown, measured(shown, width, tmp_path), strict=True
+    ):
         assert name, path
         assert width - 20 <= available <= width, "the frame has its width, except for a scroll bar"
         assert needed <= available, path
@@ -251,15 +365,31 @@ def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Pat
 @needs_browser
 def test_measured_detects_overflow(tmp_path: Path) -> None:
     page = tmp_path / "wide.html"
-    page.write_text('<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>', encoding="utf-8")
+    page.write_text(
+        '<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>',
+        encoding="utf-8",
+    )
     ((available, needed, _, missing, out),) = measured([page], 400, tmp_path)
     assert available <= 400 < needed
     assert len(missing) == len(out) == 1
 
 
 PRINTED = {
-    "reference/kernels/optics": ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"),
-    "how_small": ("How small should my pixel be?", "full_well_e = 10500", "Why: light against detail", "The decision"),
+    "reference/kernels/optics": (
+        "Optics",
+        "irradiance_factor",
+        "Foote",
+        "Goodman",
+        "E/L in sr",
+        "0.048332",
+        "square_aperture_mtf",
+    ),
+    "how_small": (
+        "How small should my pixel be?",
+        "full_well_e = 10500",
+        "Why: light against detail",
+        "The decision",
+    ),
 }
 
 
@@ -276,7 +406,9 @@ def test_printed_page_contains_text(name: str, site: Path, tmp_path: Path) -> No
 
 
 def test_site_build_is_reproducible(site: Path, tmp_path: Path) -> None:
-    """Pages as they are read twice, which is ours; what becomes of them in HTML is Sphinx's, and takes two thirds of a build."""
+    """Pages as they are read twice, which is ours; what becomes of them in HTML is Sphinx's, and
+    takes two thirds of a build.
+    """
     read, again = site.parent / "xml", tmp_path / "xml"
     for out in (read, again):
         assert sphinx("xml", out).returncode == 0

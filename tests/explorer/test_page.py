@@ -1,4 +1,6 @@
-"""The page in headless Chromium: a slider moves and the picture changes, by hand and by keyboard, at any width, light and dark."""
+"""The page in headless Chromium: a slider moves and the picture changes, by hand and by keyboard,
+at any width, light and dark.
+"""
 
 import json
 import threading
@@ -44,7 +46,9 @@ def done(tab: Tab) -> None:
 
 
 def changed(tab: Tab, script: str, before: str) -> str:
-    """The right picture after a script, once its errors are known; it differs from the one before."""
+    """The right picture after a script, once its errors are known; it differs from the one
+    before.
+    """
     tab.value(script)
     tab.wait(lambda: tab.value(UNDER) != before)
     done(tab)
@@ -67,8 +71,12 @@ def test_slider_moves_and_picture_changes_and_reset_brings_it_back(tab):
 
 def test_typed_number_is_taken_as_it_is(tab):
     first = tab.value(UNDER)
-    moved = changed(tab, f"{NUMBER}.value = '39.87654321'; {NUMBER}.dispatchEvent(new Event('change'))", first)
-    assert "--pixel.pitch-um=39.87654321 " in tab.value("document.getElementById('command').textContent")
+    moved = changed(
+        tab, f"{NUMBER}.value = '39.87654321'; {NUMBER}.dispatchEvent(new Event('change'))", first
+    )
+    assert "--pixel.pitch-um=39.87654321 " in tab.value(
+        "document.getElementById('command').textContent"
+    )
     changed(tab, "document.getElementById('reset').click()", moved)
 
 
@@ -105,38 +113,71 @@ def test_keyboard_moves_a_slider_and_the_wipe(tab):
 
 
 def test_two_sensors_curve_and_metric(tab):
-    tab.value("document.getElementById('two').click(); document.querySelector('#metrics [value=acutance]').click()")
-    tab.value("document.querySelector('[name=which][value=\"1\"]').click(); document.getElementById('curve').click()")
+    tab.value(
+        "document.getElementById('two').click(); document.querySelector('#metrics"
+        " [value=acutance]').click()"
+    )
+    tab.value(
+        "document.querySelector('[name=which][value=\"1\"]').click();"
+        " document.getElementById('curve').click()"
+    )
     tab.value(f"{NUMBER}.value = '60'; {NUMBER}.dispatchEvent(new Event('change'))")
     tab.wait(lambda: tab.value("document.querySelectorAll('svg g.b line').length") > 2)
     done(tab)
-    answers = tab.value("[...document.querySelectorAll('#answers > div')].map(each => each.textContent)")
+    answers = tab.value(
+        "[...document.querySelectorAll('#answers > div')].map(each => each.textContent)"
+    )
     assert len(answers) == 2
     assert "of 42.4 µm" in answers[0]
     assert "of 60 µm" in answers[1]
     assert all("acutance" in answer and "±" in answer for answer in answers)
-    assert tab.value("document.getElementById('under').alt").startswith("sensor's picture, sensor B")
+    assert tab.value("document.getElementById('under').alt").startswith(
+        "sensor's picture, sensor B"
+    )
     assert tab.value("document.querySelector('svg').getAttribute('aria-label')").count("±") > 4
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "light"), (1280, "light"), (1280, "dark")])
 def test_page_fits_and_axe_finds_nothing(width, scheme, tab):
     """After the test above, with all parts of the page in use."""
-    tab.call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
-    tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    tab.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width,
+        height=1000,
+        deviceScaleFactor=1,
+        mobile=False,
+    )
+    tab.call(
+        "Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}]
+    )
     for whole in (False, True):
-        tab.value(f"document.getElementById('whole').checked !== {json.dumps(whole)} && document.getElementById('whole').click()")
-        root = tab.value("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+        tab.value(
+            f"document.getElementById('whole').checked !== {json.dumps(whole)} &&"
+            " document.getElementById('whole').click()"
+        )
+        root = tab.value(
+            "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+        )
         assert root[0] <= root[1] == width or root[1] >= width - 20 >= root[0] - 20
-    sizes = "[document.getElementById('under').naturalWidth, document.getElementById('under').clientWidth]"
+    sizes = (
+        "[document.getElementById('under').naturalWidth,"
+        " document.getElementById('under').clientWidth]"
+    )
     natural, shown = tab.value(sizes)
     assert natural == shown, "zoom 1:1"
-    texts = "[...document.querySelectorAll('body *')].filter(each => each.checkVisibility() && each.innerText)"
-    assert tab.value(f"Math.min(...{texts}.map(each => parseFloat(getComputedStyle(each).fontSize)))") >= MIN_TEXT_PX
+    texts = (
+        "[...document.querySelectorAll('body *')].filter(each => each.checkVisibility() &&"
+        " each.innerText)"
+    )
+    assert (
+        tab.value(f"Math.min(...{texts}.map(each => parseFloat(getComputedStyle(each).fontSize)))")
+        >= MIN_TEXT_PX
+    )
     if not tab.value("typeof axe === 'object'"):
         tab.value(f"{Path(AXE).read_text(encoding='utf-8')}; 1")
     found: list[Any] = tab.value(
-        f"axe.run(document, {{resultTypes: ['violations'], runOnly: {json.dumps(AXE_TAGS)}}}).then(found => "
-        "found.violations.flatMap(each => each.nodes.map(node => [each.id, node.target.join(' '), node.failureSummary])))"
+        "axe.run(document, {resultTypes: ['violations'], runOnly:"
+        f" {json.dumps(AXE_TAGS)}}}).then(found => found.violations.flatMap(each =>"
+        " each.nodes.map(node => [each.id, node.target.join(' '), node.failureSummary])))"
     )
     assert found == []

@@ -62,7 +62,9 @@ def connect_to(port: int, host: str) -> http.client.HTTPConnection:
 def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
     """A WebSocket as a page of an origin opens it, by a name of this machine."""
     own = socket.create_connection(("127.0.0.1", port))
-    return connect(f"ws://{host or '127.0.0.1'}:{port}/socket", sock=own, origin=origin, open_timeout=HANG_S)  # type: ignore[arg-type]
+    return connect(
+        f"ws://{host or '127.0.0.1'}:{port}/socket", sock=own, origin=origin, open_timeout=HANG_S
+    )  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +78,9 @@ def test_file_that_leads_to_the_page_is_private(page):
     assert len(page.token) >= 32
 
 
-@pytest.mark.parametrize(("host", "status"), [("127.0.0.1", 200), ("localhost", 200), ("pixsim.example", 403)])
+@pytest.mark.parametrize(
+    ("host", "status"), [("127.0.0.1", 200), ("localhost", 200), ("pixsim.example", 403)]
+)
 def test_page_is_served_under_its_own_names_only(host, status, page):
     """Another name that leads to 127.0.0.1 is how a foreign site would read the page."""
     answer = connect_to(page.port, host).getresponse()
@@ -107,7 +111,10 @@ def test_foreign_host_is_refused(page):
     assert refused.value.response.status_code == 403
 
 
-@pytest.mark.parametrize("first", ['{"token": "wrong"}', '{"token": ""}', "[]", "no JSON", '{"number": 1, "sensors": []}'])
+@pytest.mark.parametrize(
+    "first",
+    ['{"token": "wrong"}', '{"token": ""}', "[]", "no JSON", '{"number": 1, "sensors": []}'],
+)
 def test_wrong_token_is_refused(first, page):
     with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
         opened.send(first)
@@ -121,7 +128,11 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
         assert json.loads(opened.recv(timeout=HANG_S))["hello"]["title"] == "csf"
         opened.send('{"number": 1}')
         assert "no request" in json.loads(opened.recv(timeout=HANG_S))["error"]
-        opened.send(json.dumps({"number": 2, "sensors": [{"preset": 0, "set": {}}], "metrics": [], "curve": False}))
+        opened.send(
+            json.dumps(
+                {"number": 2, "sensors": [{"preset": 0, "set": {}}], "metrics": [], "curve": False}
+            )
+        )
         found: list[dict[str, Any]] = []
         while not (found and found[-1].get("done")):
             found.append(json.loads(opened.recv(timeout=HANG_S)))
@@ -140,12 +151,16 @@ def test_closed_page_ends_the_session(monkeypatch):
     assert not page.file.exists()
 
 
-# --- the command ------------------------------------------------------------------------------------------------------------------
+# --- the command
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def test_command_prints_the_file_and_ends_by_an_interruption():
     running = subprocess.Popen(
-        [COMMAND, "explore", "csf", *OPTIONS.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [COMMAND, "explore", "csf", *OPTIONS.split()],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     file = Path(running.stdout.readline().strip().removeprefix("page: "))
     port, token = address_in(file)
@@ -161,14 +176,21 @@ def test_command_prints_the_file_and_ends_by_an_interruption():
 def test_browser_gets_the_file_and_no_token(tmp_path):
     """All users of a machine see the arguments of a process."""
     script = tmp_path / "browser"
-    script.write_text(f"#!{sys.executable}\nimport sys\nprint(*sys.argv[1:], file=open('{tmp_path}/told', 'w'))\n")
+    script.write_text(
+        f"#!{sys.executable}\nimport sys\nprint(*sys.argv[1:], file=open('{tmp_path}/told', 'w'))\n"
+    )
     script.chmod(0o755)
     options = OPTIONS.replace("--no-browser", "").split()
     environment = os.environ | {"BROWSER": f"{script} %s"}
-    running = subprocess.Popen([COMMAND, "explore", "csf", *options], env=environment, stderr=subprocess.DEVNULL)
+    running = subprocess.Popen(
+        [COMMAND, "explore", "csf", *options], env=environment, stderr=subprocess.DEVNULL
+    )
     try:
         deadline = time.monotonic() + HANG_S
-        while not ((told := tmp_path / "told").exists() and told.read_text().endswith("\n")) and time.monotonic() < deadline:
+        while (
+            not ((told := tmp_path / "told").exists() and told.read_text().endswith("\n"))
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.05)
         file = Path(told.read_text().strip().removeprefix("file://"))
         _, token = address_in(file)

@@ -21,9 +21,22 @@ from pixsim.show.pictures import display_codes
 from pixsim.studies.run import run
 from pixsim.viewer.setting import Run
 
-SMALL = {"resolution": 64, "display": {"dots": 32}, "pixel": {"pitch_um": 42.4}}  # two pixels a dot; its film is measured
-TURNED = {"pixel.pitch_um": 40.0, "camera.f_number": 5.6, "exposure.gain_db": 6.1, "scene.luminance_cd_per_m2": 300.0}
-TURNED |= {"motion.image_um_per_s": 500.0, "develop.denoise": "nlm", "develop.denoise_strength": 1.5}
+SMALL = {
+    "resolution": 64,
+    "display": {"dots": 32},
+    "pixel": {"pitch_um": 42.4},
+}  # two pixels a dot; its film is measured
+TURNED = {
+    "pixel.pitch_um": 40.0,
+    "camera.f_number": 5.6,
+    "exposure.gain_db": 6.1,
+    "scene.luminance_cd_per_m2": 300.0,
+}
+TURNED |= {
+    "motion.image_um_per_s": 500.0,
+    "develop.denoise": "nlm",
+    "develop.denoise_strength": 1.5,
+}
 
 
 def answers(session: Session, asked: PageRequest) -> list[dict[str, Any]]:
@@ -60,11 +73,24 @@ def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
 
 def test_first_number_is_that_of_one_sensor(answered):
     first = next(message for message in answered[1] if "pictures" in message)
-    own = {**SMALL, "pixel": {"pitch_um": 40.0}, "camera": {"f_number": 5.6}, "exposure": {"gain_db": 6.1}}
-    own |= {"motion": {"image_um_per_s": (500.0, 0.0)}, "develop": {"denoise": "nlm", "denoise_strength": 1.5}}
-    one, several = (run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=count, **own) for count in (1, 4))
+    own = {
+        **SMALL,
+        "pixel": {"pitch_um": 40.0},
+        "camera": {"f_number": 5.6},
+        "exposure": {"gain_db": 6.1},
+    }
+    own |= {
+        "motion": {"image_um_per_s": (500.0, 0.0)},
+        "develop": {"denoise": "nlm", "denoise_strength": 1.5},
+    }
+    one, several = (
+        run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=count, **own)
+        for count in (1, 4)
+    )
     assert f"mean ΔE {one.mean_delta_e:.3f} of one sensor" in first["lines"][0]
-    assert f"{one.mean_delta_e:.3f}" != f"{several.mean_delta_e:.3f}", "the mean of four differs in what is shown"
+    assert f"{one.mean_delta_e:.3f}" != f"{several.mean_delta_e:.3f}", (
+        "the mean of four differs in what is shown"
+    )
 
 
 @pytest.mark.parametrize("way", ["command", "settings.toml", "Python"])
@@ -73,13 +99,25 @@ def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     shown = next(message for message in sent if "pictures" in message)["pictures"]
     last = next(message for message in sent if message.get("sure"))
     if way == "Python":
-        own = {**SMALL, "pixel": {"pitch_um": 40.0}, "camera": {"f_number": 5.6}, "exposure": {"gain_db": 6.1}}
-        own |= {"motion": {"image_um_per_s": (500.0, 0.0)}, "develop": {"denoise": "nlm", "denoise_strength": 1.5}}
+        own = {
+            **SMALL,
+            "pixel": {"pitch_um": 40.0},
+            "camera": {"f_number": 5.6},
+            "exposure": {"gain_db": 6.1},
+        }
+        own |= {
+            "motion": {"image_um_per_s": (500.0, 0.0)},
+            "develop": {"denoise": "nlm", "denoise_strength": 1.5},
+        }
         result = run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=4, **own)
         ideal, image = (display_codes(each) for each in (result.score.ideal, result.score.image))
     else:
         (tmp_path / "settings.toml").write_text(last["settings"])
-        words = shlex.split(last["command"])[1:] if way == "command" else ["run", "csf", "--config", tmp_path / "settings.toml"]
+        words = (
+            shlex.split(last["command"])[1:]
+            if way == "command"
+            else ["run", "csf", "--config", tmp_path / "settings.toml"]
+        )
         code, _, err = command("", *words, "--irradiance", "none", "--out", tmp_path / "out")
         assert code == 0, err
         ideal, image = (grey(tmp_path / f"out/{name}.png") for name in ("ideal", "image"))
@@ -92,24 +130,40 @@ def test_light_and_ideal_that_are_kept_change_no_bit(answered):
     """Whatever was computed before: other pixels, other light, two sensors, a metric."""
     session, sent = answered
     fresh = next(message for message in sent if "pictures" in message)["pictures"]
-    for values in ({"pixel.pitch_um": 50.0}, {**TURNED, "camera.f_number": 2.8}, {**TURNED, "exposure.gain_db": 0.0}):
-        answers(session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",)))
+    for values in (
+        {"pixel.pitch_um": 50.0},
+        {**TURNED, "camera.f_number": 2.8},
+        {**TURNED, "exposure.gain_db": 0.0},
+    ):
+        answers(
+            session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",))
+        )
         assert len(session._lights) <= MOST_LIGHTS
-    again = next(message for message in answers(session, PageRequest(3, ((0, TURNED),))) if "pictures" in message)["pictures"]
+    again = next(
+        message
+        for message in answers(session, PageRequest(3, ((0, TURNED),)))
+        if "pictures" in message
+    )["pictures"]
     assert again == fresh
 
 
 def test_two_sensors_share_scene_camera_and_display():
     session = Session("csf", (), SMALL)
     both = ({"camera.f_number": 8.0, "pixel.pitch_um": 50.0}, {"camera.f_number": 2.0})
-    last = [message for message in answers(session, PageRequest(1, tuple((0, each) for each in both))) if message.get("sure")]
+    last = [
+        message
+        for message in answers(session, PageRequest(1, tuple((0, each) for each in both)))
+        if message.get("sure")
+    ]
     assert [message["values"]["camera.f_number"] for message in last] == [8.0, 8.0]
     assert [message["values"]["pixel.pitch_um"] for message in last] == [50.0, 42.4]
     assert [message["sensor"] for message in last] == [0, 1]
 
 
 def test_only_the_last_settings_count():
-    """Other settings come while the first ones are computed: nothing more is said of these, and the curve of them ends."""
+    """Other settings come while the first ones are computed: nothing more is said of these, and the
+    curve of them ends.
+    """
     session, sent = Session("csf", (), SMALL), list[dict[str, Any]]()
 
     def send(message: dict[str, Any]) -> None:
@@ -135,18 +189,26 @@ def test_only_the_last_settings_count():
 
 def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
     session = Session("csf", (), {**SMALL, "pixel": {"pitch_um": 6.0}, "camera": {"die_mm": 0.5}})
-    points = [message["point"] for message in answers(session, PageRequest(1, ((0, {}),), (), True)) if "point" in message]
+    points = [
+        message["point"]
+        for message in answers(session, PageRequest(1, ((0, {}),), (), True))
+        if "point" in message
+    ]
     assert [point[0] for point in points][:2] == [5.62, 6.81], "the nearest first"
     assert min(point[0] for point in points) > 5.135, "below, the transistors fill the pixel"
     size, mean, half = points[0]
-    result = run("csf", repeats=4, **{**SMALL, "pixel": {"pitch_um": size}, "camera": {"die_mm": 0.5}})
+    result = run(
+        "csf", repeats=4, **{**SMALL, "pixel": {"pitch_um": size}, "camera": {"die_mm": 0.5}}
+    )
     low, high = result.interval_delta_e
     assert (mean, half) == pytest.approx((result.mean_delta_e, (high - low) / 2), rel=1e-12)
 
 
 def test_what_has_not_converged_stands_in_the_picture():
     session = Session("csf", (), {**SMALL, "resolution": 32})
-    last = [message for message in answers(session, PageRequest(1, ((0, {}),))) if message.get("sure")]
+    last = [
+        message for message in answers(session, PageRequest(1, ((0, {}),))) if message.get("sure")
+    ]
     assert [message["unsure"] for message in last] == ["not converged"]
     assert "not converged" in last[0]["lines"][0]
 
@@ -156,7 +218,9 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
     light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
     header = dict(light.header)
     session = Session(light, (), {"pixel": {"pitch_um": 42.4}, "display": {"dots": 32}})
-    assert not {"lens.file", "scene.luminance_cd_per_m2"} & {control.path for control in session.controls}
+    assert not {"lens.file", "scene.luminance_cd_per_m2"} & {
+        control.path for control in session.controls
+    }
     sent = answers(session, PageRequest(1, ((0, {"exposure.gain_db": 3.0}),)))
     assert light.header == header
     last = next(message for message in sent if message.get("sure"))
@@ -168,14 +232,20 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
     np.testing.assert_array_equal(pixels(shown), grey(tmp_path / "out/image.png"))
 
 
-# --- controls ---------------------------------------------------------------------------------------------------------------------
+# --- controls
+# ---------------------------------------------------------------------------------------------------------------------
 
 
 def test_controls_have_what_their_fields_declare():
     found = {control.path: control for control in controls_of((), ())}
     declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["gain_db"]
     gain = found["exposure.gain_db"]
-    assert (gain.least, gain.most, gain.unit, gain.help) == (0, declared["maximum"], "dB", declared["description"])
+    assert (gain.least, gain.most, gain.unit, gain.help) == (
+        0,
+        declared["maximum"],
+        "dB",
+        declared["description"],
+    )
     assert found["pixel.pitch_um"].unit == "µm"
     assert all(control.help for control in found.values())
     motion = found["motion.image_um_per_s"]
@@ -184,7 +254,9 @@ def test_controls_have_what_their_fields_declare():
 
 def test_controls_of_a_scene_follow_its_parameters():
     assert "scene.lux" in {control.path for control in Session("still_life", (), SMALL).controls}
-    assert "scene.luminance_cd_per_m2" in {control.path for control in Session("flat", (), SMALL).controls}
+    assert "scene.luminance_cd_per_m2" in {
+        control.path for control in Session("flat", (), SMALL).controls
+    }
 
 
 def test_pair_of_numbers_is_turned_by_its_first():
@@ -209,7 +281,9 @@ def test_page_names_no_files_and_no_impossible_values(values, word):
         Session("csf", (), SMALL).answer(PageRequest(1, ((0, values),)))
 
 
-@pytest.mark.parametrize("message", [None, 3, {}, {"number": 1, "sensors": [], "metrics": [], "curve": False}])
+@pytest.mark.parametrize(
+    "message", [None, 3, {}, {"number": 1, "sensors": [], "metrics": [], "curve": False}]
+)
 def test_message_that_is_no_request_is_refused(message):
     with pytest.raises(PixsimError, match="no request"):
         PageRequest.of(message)
@@ -219,10 +293,18 @@ def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
     files = [tmp_path / "one.toml", tmp_path / "two.toml"]
     presets = presets_of(files, {"pixel": {"bits": 12}, "display": {"dots": 64}})
     assert presets[0].config == tuple(files)
-    assert [preset.name for preset in presets if preset.group == "files"] == ["one.toml", "two.toml"]
+    assert [preset.name for preset in presets if preset.group == "files"] == [
+        "one.toml",
+        "two.toml",
+    ]
     (bsi,) = [preset for preset in presets if preset.name == "4t-bsi"]
-    assert (bsi.config, bsi.tables) == ((), {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}})
-    (imx477,) = [preset for preset in presets if preset.group == "sensors" and preset.name == "imx477"]
+    assert (bsi.config, bsi.tables) == (
+        (),
+        {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}},
+    )
+    (imx477,) = [
+        preset for preset in presets if preset.group == "sensors" and preset.name == "imx477"
+    ]
     assert (imx477.tables["pixel"]["full_well_e"], imx477.tables["display"]) == (8180, {"dots": 64})
     assert "Nikon D5100" in [preset.name for preset in presets]
 
@@ -231,6 +313,10 @@ def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
 def test_preset_is_evaluated(name):
     session = Session("csf", (), SMALL)
     place = [preset.name for preset in session.presets].index(name)
-    last = [message for message in answers(session, PageRequest(1, ((place, {"pixel.pitch_um": 42.4}),))) if message.get("sure")]
+    last = [
+        message
+        for message in answers(session, PageRequest(1, ((place, {"pixel.pitch_um": 42.4}),)))
+        if message.get("sure")
+    ]
     assert len(last) == 1
     assert {"imx477": "full-well-e=8180"}.get(name, name.replace(" ", "_")) in last[0]["command"]

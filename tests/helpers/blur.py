@@ -5,12 +5,16 @@ import numpy as np
 from pixsim.optics.field_blur import ChannelWavefronts, Psf, even_window, periodic_psf
 
 
-def point_spread(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
+def point_spread(
+    light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int
+) -> Psf:
     """Return the PSF of an image point, cut off to an odd number of film cells along a side.
 
     x_um, y_um : of the image point, from the optical axis, along columns and rows
     """
-    whole = periodic_psf(light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells))
+    whole = periodic_psf(
+        light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells)
+    )
     reach = cells // 2
     kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]
     return Psf(kernel.astype(np.float32))

@@ -1,4 +1,6 @@
-"""Pages as headless Chromium shows and prints them; tests that need it are skipped if it is missing."""
+"""Pages as headless Chromium shows and prints them; tests that need it are skipped if it is
+missing.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,29 @@ import pytest
 from helpers.processes import HANG_S
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
-LOOKS = ((400, "light"), (1280, "light"), (1280, "dark"))  # a telephone and a desk; in the dark, only colours are looked at
+needs_browser = pytest.mark.skipif(
+    BROWSER is None, reason="neither chromium nor google-chrome is on PATH"
+)
+LOOKS = (
+    (400, "light"),
+    (1280, "light"),
+    (1280, "dark"),
+)  # a telephone and a desk; in the dark, only colours are looked at
 AXE_TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 AXE = Path(__file__).parents[1] / "data/axe/axe.min.js"  # what keyboards and screen readers need
-VIRTUAL_TIME = "--virtual-time-budget=20000"  # ms, which pass at once where nothing is computed: axe works in steps
+# ms, which pass at once where nothing is computed: axe works in steps
+VIRTUAL_TIME = "--virtual-time-budget=20000"
 MIN_TEXT_PX = 12
 FLAGS = ("headless", "no-sandbox", "no-first-run", "window-size=1600,1200", "enable-logging=stderr")
-DISABLED = ("background-networking", "component-update", "sync", "extensions", "default-apps", "quic", "gpu")
+DISABLED = (
+    "background-networking",
+    "component-update",
+    "sync",
+    "extensions",
+    "default-apps",
+    "quic",
+    "gpu",
+)
 
 # Measure the page at every width in one start of the browser; the result is returned as the title.
 FRAMES = """<!DOCTYPE html><title></title>{frames}
@@ -89,16 +106,30 @@ onload = async () => {{
 
 
 def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run Chromium without network services, and with a home folder of its own, where it writes settings and reports."""
+    """Run Chromium without network services, and with a home folder of its own, where it writes
+    settings and reports.
+    """
     flags = [*FLAGS, f"user-data-dir={folder}/profile", *(f"disable-{name}" for name in DISABLED)]
     command = [BROWSER, *(f"--{flag}" for flag in flags), *arguments]
-    own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {"HOME": f"{folder}/profile"}
-    options: dict[str, Any] = {"capture_output": True, "encoding": "utf-8", "errors": "replace", "check": True, "timeout": HANG_S}
+    own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {
+        "HOME": f"{folder}/profile"
+    }
+    options: dict[str, Any] = {
+        "capture_output": True,
+        "encoding": "utf-8",
+        "errors": "replace",
+        "check": True,
+        "timeout": HANG_S,
+    }
     return subprocess.run(command, env=own, **options)
 
 
-def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str, **names: str) -> list[Any]:
-    """Results of a script in frames (`width="…" src="…"`), which it writes to the title as JSON; the console has no errors."""
+def in_frames(
+    script: str, sources: list[str], height: int, folder: Path, *arguments: str, **names: str
+) -> list[Any]:
+    """Results of a script in frames (`width="…" src="…"`), which it writes to the title as JSON;
+    the console has no errors.
+    """
     frame = folder / "frames.html"
     frames = "\n".join(f'<iframe height="{height}" {source}></iframe>' for source in sources)
     frame.write_text(script.format(frames=frames, **names), encoding="utf-8")
@@ -116,7 +147,9 @@ def views_of(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]
     texts = [html.escape(page.read_text(encoding="utf-8")) for page in pages]
     frame = 'width="{}" style="border: 0; color-scheme: {}" srcdoc="{}"'
     sources = [frame.format(*look, text) for text in texts for look in LOOKS]
-    results = in_frames(FRAMES, sources, 20000, folder, VIRTUAL_TIME, axe=AXE.as_uri(), tags=json.dumps(AXE_TAGS))
+    results = in_frames(
+        FRAMES, sources, 20000, folder, VIRTUAL_TIME, axe=AXE.as_uri(), tags=json.dumps(AXE_TAGS)
+    )
     looks = [{"width": width, "scheme": scheme} for _ in pages for width, scheme in LOOKS]
     views = [SimpleNamespace(**look, **result) for look, result in zip(looks, results, strict=True)]
     return [views[first : first + len(LOOKS)] for first in range(0, len(views), len(LOOKS))]
@@ -128,17 +161,27 @@ def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
 
 
 def assert_fit(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]:
-    """At every width, light and dark: nothing overflows, text is legible, tiles are 1:1, and axe finds nothing to object to."""
+    """At every width, light and dark: nothing overflows, text is legible, tiles are 1:1, and axe
+    finds nothing to object to.
+    """
     views = views_of(pages, folder)
-    for view, page in ((view, page) for page, own in zip(pages, views, strict=True) for view in own):
-        assert view.width - 20 <= view.available <= view.width, "the frame has its width, except for a scroll bar"
+    for view, page in (
+        (view, page) for page, own in zip(pages, views, strict=True) for view in own
+    ):
+        assert view.width - 20 <= view.available <= view.width, (
+            "the frame has its width, except for a scroll bar"
+        )
         assert view.needed <= view.available, page
         assert min(view.pictures, default=0) > 0, f"{page}: a picture is missing or did not load"
         assert view.outside == 0, page
         assert view.smallest >= MIN_TEXT_PX, page
-        assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:])), page
+        assert all(
+            natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:])
+        ), page
         assert view.unnamed == 0, page
-        assert all(wide == hint == stop for wide, hint, stop in view.scrolls), "what is wide says so and is a stop of the keyboard"
+        assert all(wide == hint == stop for wide, hint, stop in view.scrolls), (
+            "what is wide says so and is a stop of the keyboard"
+        )
         assert view.findings == [], f"axe on {page} at {view.width} px, {view.scheme}"
         levels = [level for level, _ in view.headings]
         assert (levels[0], levels.count(1)) == (1, 1), page
@@ -146,16 +189,25 @@ def assert_fit(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace
     return views
 
 
-def assert_sliders_move(views: list[SimpleNamespace], pictures: int, left: str = "the ideal image") -> None:
-    """The ideal image (or another picture, `left`) is left of the border, the chosen output right of it."""
+def assert_sliders_move(
+    views: list[SimpleNamespace], pictures: int, left: str = "the ideal image"
+) -> None:
+    """The ideal image (or another picture, `left`) is left of the border, the chosen output right
+    of it.
+    """
     for view in views:
         assert view.sliders
         for slider in view.sliders:
             assert (slider["live"], slider["focusable"]) == (True, True)
             assert len(slider["results"]) == 3 * pictures
-            assert slider["spoken"] == [f"{value} % of the width is {left}" for value, *_ in slider["results"]]
+            assert slider["spoken"] == [
+                f"{value} % of the width is {left}" for value, *_ in slider["results"]
+            ]
             for index, (value, *met) in enumerate(slider["results"]):
-                expected = ["ideal" if share < value else f"out out-{index // 3}" for share in (10, 30, 60, 90)]
+                expected = [
+                    "ideal" if share < value else f"out out-{index // 3}"
+                    for share in (10, 30, 60, 90)
+                ]
                 assert met == expected, (view.width, value)
 
 
@@ -168,9 +220,15 @@ def print_page(page: Path, folder: Path) -> Any:
 
 
 def assert_prints(
-    page: Path, folder: Path, pages: range, texts: list[str], headings: list[str], pictured: list[str] | None = None
+    page: Path,
+    folder: Path,
+    pages: range,
+    texts: list[str],
+    headings: list[str],
+    pictured: list[str] | None = None,
 ) -> None:
-    """The print has the pages and texts expected, no clipped picture, and no heading alone at the foot of a page.
+    """The print has the pages and texts expected, no clipped picture, and no heading alone at the
+    foot of a page.
 
     pictured : headings with a bitmap below them on their page; vector figures stay vectors
     """
@@ -182,12 +240,16 @@ def assert_prints(
         lines: dict[float, str] = {}
         boxes: list[tuple[float, float, float, float]] = []
 
-        def words(part: str, cm: Any, tm: Any, font: Any, size: float, lines: dict[float, str] = lines) -> None:
+        def words(
+            part: str, cm: Any, tm: Any, font: Any, size: float, lines: dict[float, str] = lines
+        ) -> None:
             if part.strip():
                 place = float(round(tm[4] * cm[1] + tm[5] * cm[3] + cm[5]))
                 lines[place] = lines.get(place, "") + part
 
-        def operand(name: bytes, args: Any, cm: Any, tm: Any, boxes: list[Any] = boxes, sheet: Any = sheet) -> None:
+        def operand(
+            name: bytes, args: Any, cm: Any, tm: Any, boxes: list[Any] = boxes, sheet: Any = sheet
+        ) -> None:
             if name == b"Do" and sheet["/Resources"]["/XObject"][args[0]]["/Subtype"] == "/Image":
                 x, y = (sorted((cm[at], cm[at] + cm[at - 4] + cm[at - 2])) for at in (4, 5))
                 boxes.append((x[0], y[0], x[1], y[1]))
@@ -218,20 +280,35 @@ def squeezed(text: str) -> str:
 
 
 class Tab:
-    """A page in a running Chromium, driven by its protocol of debugging; its console must stay empty."""
+    """A page in a running Chromium, driven by its protocol of debugging; its console must stay
+    empty.
+    """
 
     def __init__(self, folder: Path) -> None:
         from websockets.sync.client import connect
 
         profile = folder / "profile"
-        flags = [*FLAGS, f"user-data-dir={profile}", "remote-debugging-port=0", *(f"disable-{name}" for name in DISABLED)]
-        own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {"HOME": str(profile)}
+        flags = [
+            *FLAGS,
+            f"user-data-dir={profile}",
+            "remote-debugging-port=0",
+            *(f"disable-{name}" for name in DISABLED),
+        ]
+        own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {
+            "HOME": str(profile)
+        }
         command = [str(BROWSER), *(f"--{flag}" for flag in flags), "about:blank"]
-        self.process = subprocess.Popen(command, env=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.process = subprocess.Popen(
+            command, env=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         told, self.number = profile / "DevToolsActivePort", 0
         self.wait(lambda: told.exists() and told.read_text().count("\n"))
-        with urllib.request.urlopen(f"http://127.0.0.1:{told.read_text().split()[0]}/json") as listed:
-            address = next(each["webSocketDebuggerUrl"] for each in json.load(listed) if each["type"] == "page")
+        with urllib.request.urlopen(
+            f"http://127.0.0.1:{told.read_text().split()[0]}/json"
+        ) as listed:
+            address = next(
+                each["webSocketDebuggerUrl"] for each in json.load(listed) if each["type"] == "page"
+            )
         self.connecting = connect(address, max_size=None)
         self.socket = self.connecting.__enter__()
         self.call("Runtime.enable")
@@ -241,19 +318,31 @@ class Tab:
         self.number += 1
         self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
         while (answer := json.loads(self.socket.recv(timeout=HANG_S))).get("id") != self.number:
-            assert answer["method"] not in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"), answer
+            assert answer["method"] not in (
+                "Runtime.exceptionThrown",
+                "Runtime.consoleAPICalled",
+                "Log.entryAdded",
+            ), answer
         assert "error" not in answer, answer
         return answer["result"]
 
     def value(self, script: str) -> Any:
         """The value of an expression of JavaScript, or that of its promise."""
-        found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        found = self.call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
     def press(self, key: str) -> None:
         for kind in ("rawKeyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEY_CODES[key])
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=key,
+                code=key,
+                windowsVirtualKeyCode=KEY_CODES[key],
+            )
 
     @staticmethod
     def wait(is_so: Callable[[], object]) -> None:

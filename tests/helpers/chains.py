@@ -1,4 +1,6 @@
-"""Settings between light and score, and what is made of them, for tests that go a part of the way."""
+"""Settings between light and score, and what is made of them, for tests that go a part of the
+way.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,20 @@ from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
 AUTOMATIC, USUAL = Exposure(), Display()
 
 
-def imaging(camera: Camera, pixel: Pixel, exposure: Exposure = AUTOMATIC, display: Display = USUAL, **settings: Any) -> Imaging:
+def imaging(
+    camera: Camera,
+    pixel: Pixel,
+    exposure: Exposure = AUTOMATIC,
+    display: Display = USUAL,
+    **settings: Any,
+) -> Imaging:
     """Settings, with the technology that the pixel names."""
     return Imaging(camera, pixel, load_technology(pixel.technology), exposure, display, **settings)
 
 
-def scene_of(image: SpectralImage, camera: Camera, pixel: Pixel, display: Display = USUAL, **settings: Any) -> PreparedScene:
+def scene_of(
+    image: SpectralImage, camera: Camera, pixel: Pixel, display: Display = USUAL, **settings: Any
+) -> PreparedScene:
     """The light behind the lens for a pixel, with its screen."""
     return prepare_scene(imaging(camera, pixel, display=display, **settings), SceneLight(image))
 
@@ -39,4 +49,6 @@ def imaging_chain(
     **settings: Any,
 ) -> ImagingChain:
     """The imaging chain that `pixsim.evaluate` takes its frame from."""
-    return reviewed_chain(imaging(camera, pixel, exposure, display, **settings), SceneLight(image, background))
+    return reviewed_chain(
+        imaging(camera, pixel, exposure, display, **settings), SceneLight(image, background)
+    )

@@ -1,4 +1,6 @@
-"""Closed forms, quadratures and an implicit solver, apart from the kernels; the table of extreme cases has numbers of them."""
+"""Closed forms, quadratures and an implicit solver, apart from the kernels; the table of extreme
+cases has numbers of them.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +32,21 @@ def gauss(count: int) -> tuple[Array, Array]:
 
 def solid_angle_integral(tan_alpha: float, tan_field: float) -> float:
     """∫ cos θ₁ cos θ₂/r² over a disc of radius tan α at distance 1, seen tan θ off its axis."""
-    share, weight = gauss(60)  # the trapezoidal rule in angle converges exponentially for periodic functions
+    share, weight = gauss(
+        60
+    )  # the trapezoidal rule in angle converges exponentially for periodic functions
     radius = tan_alpha * share
     angle = 2 * np.pi * np.arange(128) / 128
-    distance2 = 1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
+    distance2 = (
+        1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
+    )
     return float((tan_alpha * weight * radius * (1 / distance2**2).mean(axis=1)).sum() * 2 * np.pi)
 
 
 def pupil_overlap(gap: float) -> float:
-    """Overlap of two unit discs over π: (4/π) ∫ √(1-u²) du from 1 - gap to 1, with u = 1 - gap s²."""
+    """Overlap of two unit discs over π: (4/π) ∫ √(1-u²) du from 1 - gap to 1, with u = 1 - gap
+    s².
+    """
     s, weight = gauss(60)
     return float(4 / np.pi * 2 * gap**1.5 * (weight * s**2 * np.sqrt(2 - gap * s**2)).sum())
 
@@ -69,7 +77,9 @@ def saturated_share(readout: Readout) -> float:
     well_e = readout.full_well_e
     counts = np.arange(math.ceil(well_e))
     top_e = (2**readout.physics.pixel.bits - 1.5 - readout.adc.black_level_dn) / readout.dn_per_e
-    noise_e = math.hypot(readout.physics.reset_noise_e, readout.read_noise_e, readout.physics.offset_fpn_e)
+    noise_e = math.hypot(
+        readout.physics.reset_noise_e, readout.read_noise_e, readout.physics.offset_fpn_e
+    )
     raised = poisson.pmf(counts, well_e) * norm.sf((top_e - counts) / noise_e)
     return float(poisson.sf(counts[-1], well_e) + raised.sum())
 
@@ -78,7 +88,9 @@ def saturated_share(readout: Readout) -> float:
 
 
 def spice_ff(diode: Diode, bias_v: ArrayLike) -> Array:
-    """C(V) of the SPICE model, for the forward voltage -V, with its tangent from half of the built-in voltage on."""
+    """C(V) of the SPICE model, for the forward voltage -V, with its tangent from half of the
+    built-in voltage on.
+    """
     area = diode.cj_ff_per_um2 * diode.area_um2, diode.pb_v, diode.mj
     sidewall = diode.cjsw_ff_per_um * diode.perimeter_um, diode.pbsw_v, diode.mjsw
     total = np.full(np.shape(bias_v), diode.node_capacitance_ff)
@@ -90,9 +102,13 @@ def spice_ff(diode: Diode, bias_v: ArrayLike) -> Array:
 
 
 def charge_to_e(diode: Diode, low_v: float) -> float:
-    """∫C dV/q from the reset voltage down to a bias, by Gauss quadrature between the corners of `spice_ff`."""
+    """∫C dV/q from the reset voltage down to a bias, by Gauss quadrature between the corners of
+    `spice_ff`.
+    """
     share, weight = gauss(60)
-    corners = np.clip([low_v, -diode.pb_v / 2, -diode.pbsw_v / 2, diode.reset_voltage_v], low_v, None)
+    corners = np.clip(
+        [low_v, -diode.pb_v / 2, -diode.pbsw_v / 2, diode.reset_voltage_v], low_v, None
+    )
     charge_fc = 0.0
     for low, high in pairwise(np.sort(corners)):
         charge_fc += (high - low) * (weight * spice_ff(diode, low + (high - low) * share)).sum()
@@ -101,15 +117,24 @@ def charge_to_e(diode: Diode, low_v: float) -> float:
 
 def open_circuit_charge_e(photocurrent_e_per_s: float, integration_s: float, diode: Diode) -> float:
     """Charge down to V_oc = -V_T ln(1 + i/I_s), whatever the time."""
-    return charge_to_e(diode, -diode.thermal_v * math.log1p(photocurrent_e_per_s / diode.saturation_current_e_per_s))
+    return charge_to_e(
+        diode,
+        -diode.thermal_v * math.log1p(photocurrent_e_per_s / diode.saturation_current_e_per_s),
+    )
 
 
-def constant_diode_charge_e(photocurrent_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
-    """C(V_0 - V) with e^(V/V_T) = I_s/a + (e^(V_0/V_T) - I_s/a) e^(-at/CV_T), a = i + I_s; log1p for small charges."""
+def constant_diode_charge_e(
+    photocurrent_e_per_s: Array, integration_s: Array, diode: Diode
+) -> Array:
+    """C(V_0 - V) with e^(V/V_T) = I_s/a + (e^(V_0/V_T) - I_s/a) e^(-at/CV_T), a = i + I_s; log1p
+    for small charges.
+    """
     total = photocurrent_e_per_s + diode.saturation_current_e_per_s
     scale_e = E_PER_FC * diode.node_capacitance_ff * diode.thermal_v
     spent = total * integration_s / scale_e
-    log_ratio = np.log(diode.saturation_current_e_per_s / total) - diode.reset_voltage_v / diode.thermal_v
+    log_ratio = (
+        np.log(diode.saturation_current_e_per_s / total) - diode.reset_voltage_v / diode.thermal_v
+    )
     rest = -np.expm1(log_ratio)
     early = np.log1p(rest * np.expm1(-np.minimum(spent, 1)))
     late = np.logaddexp(log_ratio, np.log(rest) - spent)
@@ -119,9 +144,14 @@ def constant_diode_charge_e(photocurrent_e_per_s: Array, integration_s: Array, d
 def implicit_charge_e(photocurrent_e_per_s: float, integration_s: float, diode: Diode) -> float:
     """Charge in e- from C dV/dt = -i by LSODA, an implicit solver.
 
-    The variable is u = ln(1 + t/τ) with τ = C V_T/i at reset, so that it covers seconds to hours in few steps.
+    The variable is u = ln(1 + t/τ) with τ = C V_T/i at reset, so that it covers seconds to hours in
+    few steps.
     """
-    v_t, reset_v, saturation = diode.thermal_v, diode.reset_voltage_v, diode.saturation_current_e_per_s
+    v_t, reset_v, saturation = (
+        diode.thermal_v,
+        diode.reset_voltage_v,
+        diode.saturation_current_e_per_s,
+    )
     tau_s = E_PER_FC * float(spice_ff(diode, reset_v)) * v_t / (photocurrent_e_per_s + saturation)
 
     def slope(u: float, bias_v: Array) -> Array:
@@ -141,13 +171,21 @@ GAUSSIANS = (  # (weight, spread in degrees) of each opponent channel
     ((0.531, 0.0392), (0.330, 0.494)),
     ((0.488, 0.0536), (0.371, 0.386)),
 )
-OPPONENT = np.array([[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]])
+OPPONENT = np.array(
+    [
+        [0.2787336, 0.7218031, -0.1065520],
+        [-0.4487736, 0.2898056, 0.0771569],
+        [0.0859513, -0.5899859, 0.5011089],
+    ]
+)
 THRESHOLD, SLOPE = (6 / 29) ** 3, (29 / 3) ** 3  # CIE 15: of Y/Yn; L* per Y/Yn below it
 
 
 def lab_of(relative: Array) -> Array:
     """CIELAB (..., 3) of X/Xn, Y/Yn, Z/Zn by the two branches of CIE 15."""
-    x, y, z = np.moveaxis(np.where(relative > THRESHOLD, np.cbrt(relative), (SLOPE * relative + 16) / 116), -1, 0)
+    x, y, z = np.moveaxis(
+        np.where(relative > THRESHOLD, np.cbrt(relative), (SLOPE * relative + 16) / 116), -1, 0
+    )
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
@@ -163,7 +201,9 @@ def blurred_grating_lab(samples_per_deg: float, order: int, samples: int = 16) -
     gains = []
     for channel in GAUSSIANS:
         weight, spread_deg = np.transpose(channel)
-        gains.append(np.average(np.exp(-((np.pi * spread_deg * frequency_cy_per_deg) ** 2)), weights=weight))
+        gains.append(
+            np.average(np.exp(-((np.pi * spread_deg * frequency_cy_per_deg) ** 2)), weights=weight)
+        )
     modulation = (grating(order, samples) - 0.5) * WHITE
     filtered = np.linalg.inv(OPPONENT) @ np.diag(gains) @ OPPONENT
     return lab_of(0.5 + modulation @ filtered.T / WHITE)

@@ -29,7 +29,8 @@ from pixsim.cli.options import verbosity
 COMMAND = Path(sys.executable).with_name("pixsim")
 
 
-# Cyclopts builds its options and the checks of their types again for each command: most of the time of many of them here.
+# Cyclopts builds its options and the checks of their types again for each command: most of the time
+# of many of them here.
 adapter_of = functools.cache(pydantic.TypeAdapter)
 groups_of = functools.cache(_collection._resolve_groups_from_callable)
 
@@ -53,7 +54,9 @@ arguments_of = Arguments._from_callable
 ARGUMENTS: dict[Any, Any] = {}
 
 
-def quick_arguments(function: Callable[..., Any], *parameters: Any, reserved: Any = None, **groups: Any) -> Any:
+def quick_arguments(
+    function: Callable[..., Any], *parameters: Any, reserved: Any = None, **groups: Any
+) -> Any:
     """The arguments of a command, unread: copies of those that were made for it first."""
     reserved = tuple(reserved or ())
     key = function, parameters, reserved, tuple(groups.items())
@@ -74,12 +77,16 @@ SIGN_OF_LIFE = re.compile(r"^\[\d+ s\] .*\n", re.MULTILINE)  # of pixsim.base.pr
 
 
 def command(line: str, *words: object) -> tuple[int, str, str]:
-    """Run `pixsim LINE` with further arguments in this process: exit code, stdout, and stderr without its signs of life."""
+    """Run `pixsim LINE` with further arguments in this process: exit code, stdout, and stderr
+    without its signs of life.
+    """
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
         patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
-        patch.setenv("COLUMNS", os.environ.get("COLUMNS", "160"))  # tables are as wide as the terminal, if there is one
+        patch.setenv(
+            "COLUMNS", os.environ.get("COLUMNS", "160")
+        )  # tables are as wide as the terminal, if there is one
         patch.setattr(pydantic, "TypeAdapter", quick_adapter)
         patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
         patch.setattr(Arguments, "_from_callable", quick_arguments)
@@ -88,19 +95,29 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())
 
 
-def process(line: str, *words: object, folder: Path | None = None, **changes: str | None) -> subprocess.CompletedProcess[str]:
+def process(
+    line: str, *words: object, folder: Path | None = None, **changes: str | None
+) -> subprocess.CompletedProcess[str]:
     """Run the installed command, with the arguments of `command`, in a new process.
 
     changes : variables of the environment; None removes one
     """
-    environment = {name: value for name, value in (os.environ | changes).items() if value is not None}
+    environment = {
+        name: value for name, value in (os.environ | changes).items() if value is not None
+    }
     run = [COMMAND, *shlex.split(line), *map(str, words)]
-    return subprocess.run(run, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=environment)
+    return subprocess.run(
+        run, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=environment
+    )
 
 
 def forked(line: str, *words: object, **changes: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command, as of `process`, in a process that need not import pixsim again."""
-    running = forks.Forked(forks.COMMAND, [*shlex.split(line), *map(str, words)], Path.cwd(), os.environ | changes)
+    """Exit code, stdout and stderr of a command, as of `process`, in a process that need not import
+    pixsim again.
+    """
+    running = forks.Forked(
+        forks.COMMAND, [*shlex.split(line), *map(str, words)], Path.cwd(), os.environ | changes
+    )
     out, err = running.communicate()
     return running.wait(), out, err
 

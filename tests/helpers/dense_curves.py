@@ -1,9 +1,9 @@
 """Simulated studies of known curves, for tests and benchmarks of the interval of the optimum.
 
-A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a quadratic plus a twice integrated
-Wiener process in the logarithm of the photodiode width, at the maximum likelihood of stiffness and residual. A simulated
-study draws its pitches, a residual that the sensors of a pitch share, and the noise of each sensor. Curves with a steep flank are
-formulas.
+A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a
+quadratic plus a twice integrated Wiener process in the logarithm of the photodiode width, at the
+maximum likelihood of stiffness and residual. A simulated study draws its pitches, a residual that
+the sensors of a pitch share, and the noise of each sensor. Curves with a steep flank are formulas.
 """
 
 from __future__ import annotations
@@ -27,7 +27,12 @@ from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 # Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.
-TECHNOLOGIES = {"chen2000_0.35um": "0.35um", "near_an_end": "0.5um", "at_the_end": "0.35um", "skewed": "0.18um"}
+TECHNOLOGIES = {
+    "chen2000_0.35um": "0.35um",
+    "near_an_end": "0.5um",
+    "at_the_end": "0.35um",
+    "skewed": "0.18um",
+}
 TECHNOLOGIES["beside_an_end"] = "0.35um"
 SENSORS = 8  # at each pitch of a sweep
 STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
@@ -35,25 +40,46 @@ RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pit
 # Curves with a steep flank below the minimum: the pitches tried, and the mean ΔE of pitches.
 STEEP: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
     "steep_power": (1.0, 10.0, lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 6 * um**-6.0),
-    "steep_exponential": (1.0, 10.0, lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 8 * np.exp((1 - um) / 0.12)),
-    "steep_flat": (0.55, 10.0, lambda um: 0.5 + 0.01 * np.log(um / 3) ** 2 + 5 * np.exp((0.55 - um) / 0.1)),
-    "steep_corner": (1.0, 10.0, lambda um: 0.5 + 0.05 * np.log(um / 1.6) ** 2 + 10 * np.exp((1 - um) / 0.08)),
+    "steep_exponential": (
+        1.0,
+        10.0,
+        lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 8 * np.exp((1 - um) / 0.12),
+    ),
+    "steep_flat": (
+        0.55,
+        10.0,
+        lambda um: 0.5 + 0.01 * np.log(um / 3) ** 2 + 5 * np.exp((0.55 - um) / 0.1),
+    ),
+    "steep_corner": (
+        1.0,
+        10.0,
+        lambda um: 0.5 + 0.05 * np.log(um / 1.6) ** 2 + 10 * np.exp((1 - um) / 0.08),
+    ),
 }
 STEEP_NOISE, STEEP_RESIDUAL = 0.02, 0.005
-# Smooth curves that are known, in the logarithm of the size: a parabola, a skew cubic, a sum of powers. `…_exact` has no scatter.
+# Smooth curves that are known, in the logarithm of the size: a parabola, a skew cubic, a sum of
+# powers. `…_exact` has no scatter.
 FORMS: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
     "parabola": (0.95, 8.2, lambda um: 1 + 0.5 * np.log(um / 2.5) ** 2),
     "cubic": (0.95, 8.2, lambda um: 1 + 0.5 * np.log(um / 2.5) ** 2 + 0.2 * np.log(um / 2.5) ** 3),
     "powers": (0.95, 8.2, lambda um: ((um / 2.5) ** -2.0 + um / 1.25) / 3),
 }
 FORM_NOISE = 0.01
-# Metrics of which more is better, without noise: their reciprocals are fitted, through all values of the sweep.
+# Metrics of which more is better, without noise: their reciprocals are fitted, through all values
+# of the sweep.
 WITHOUT_NOISE = ("information", "information_f8", "detectability", "detectability_f8")
 # The constants of the regression were chosen without these.
-HELD_OUT = tuple(f"{metric}_f{f_number}" for metric in WITHOUT_NOISE[::2] for f_number in ("4", "5_6", "11"))
-EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (1.2, 6.5), 0.2  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
-STEPS_SPREAD = 0.25  # how far the steps between an end of the sizes and the best one are drawn below their number
-# Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 % of the mean ΔE.
+HELD_OUT = tuple(
+    f"{metric}_f{f_number}" for metric in WITHOUT_NOISE[::2] for f_number in ("4", "5_6", "11")
+)
+EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (
+    (1.2, 6.5),
+    0.2,
+)  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
+# how far the steps between an end of the sizes and the best one are drawn below their number
+STEPS_SPREAD = 0.25
+# Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 %
+# of the mean ΔE.
 LOUD_NOISE = 4.0
 PLACES = 20001  # samples of a curve: steps of 0.01 % of a pitch
 Widths = Callable[[Array], Array]
@@ -99,11 +125,27 @@ def truth_of(name: str) -> Truth:
     if name in STEEP:
         low_um, high_um, curve_of = STEEP[name]
         log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
-        return Truth(name, None, math.nan, STEEP_NOISE, STEEP_RESIDUAL, log_pitch, curve_of(np.exp(log_pitch)))
+        return Truth(
+            name,
+            None,
+            math.nan,
+            STEEP_NOISE,
+            STEEP_RESIDUAL,
+            log_pitch,
+            curve_of(np.exp(log_pitch)),
+        )
     if (form := name.removesuffix("_exact")) in FORMS:
         low_um, high_um, curve_of = FORMS[form]
         log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
-        return Truth(name, None, math.nan, FORM_NOISE if form == name else 0.0, 0.0, log_pitch, curve_of(np.exp(log_pitch)))
+        return Truth(
+            name,
+            None,
+            math.nan,
+            FORM_NOISE if form == name else 0.0,
+            0.0,
+            log_pitch,
+            curve_of(np.exp(log_pitch)),
+        )
     if name in (*WITHOUT_NOISE, *HELD_OUT):
         pitch_um, mean, _ = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
         log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
@@ -111,14 +153,18 @@ def truth_of(name: str) -> Truth:
         return Truth(name, None, math.nan, 0.0, 0.0, log_pitch, curve)
     pitch_um, mean, spread = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
     technology = TECHNOLOGIES.get(name)
-    width_um = partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
+    width_um = (
+        partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
+    )
     width = width_um or (lambda pitch: pitch)
     u, least = np.log(width(pitch_um) / width(pitch_um[:1])), float(mean.min())
     noise = float(np.sqrt(np.mean((spread / mean) ** 2)))
     y, basis = mean / least, np.vander(u, 3)
 
     def solve(stiffness: float, residual: float) -> tuple[float, Array, Array]:
-        """Log-likelihood marginalised over the quadratic, coefficients of the quadratic, and weights of the process."""
+        """Log-likelihood marginalised over the quadratic, coefficients of the quadratic, and
+        weights of the process.
+        """
         variance = y**2 * noise**2 / SENSORS * (1 + residual**2)
         inverse = np.linalg.inv(stiffness**2 * integrated_wiener(u, u) + np.diag(variance))
         information = basis.T @ inverse @ basis
@@ -132,8 +178,18 @@ def truth_of(name: str) -> Truth:
     _, beta, weights = solve(stiffness, residual)
     log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
     places = np.maximum(np.log(width(np.exp(log_pitch)) / width(pitch_um[:1])), 0.0)
-    curve = least * (np.vander(places, 3) @ beta + stiffness**2 * integrated_wiener(places, u) @ weights)
-    return Truth(name, width_um, float(stiffness), noise, residual * noise / np.sqrt(SENSORS), log_pitch, curve)
+    curve = least * (
+        np.vander(places, 3) @ beta + stiffness**2 * integrated_wiener(places, u) @ weights
+    )
+    return Truth(
+        name,
+        width_um,
+        float(stiffness),
+        noise,
+        residual * noise / np.sqrt(SENSORS),
+        log_pitch,
+        curve,
+    )
 
 
 def integrated_wiener(one: Array, other: Array) -> Array:
@@ -162,18 +218,24 @@ class SimulatedStudy:
 
     def even_pitches_um(self, count: int) -> Array:
         """`count` pitches in equal ratios, whose ends are drawn anew."""
-        first, last = np.log(EVEN_ENDS_UM) + self.rng.uniform(-EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD, 2)
+        first, last = np.log(EVEN_ENDS_UM) + self.rng.uniform(
+            -EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD, 2
+        )
         return np.exp(np.linspace(first, last, count))
 
     def pitches_beside_an_end_um(self, count: int, end: str, steps: float) -> Array:
-        """`count` pitches in equal ratios, of which the best pitch is up to so many steps from the smallest or the largest one.
+        """`count` pitches in equal ratios, of which the best pitch is up to so many steps from the
+        smallest or the largest one.
 
-        The other end is drawn as that of `even_pitches_um`; nearer, if the curve does not reach so many steps beyond the best.
+        The other end is drawn as that of `even_pitches_um`; nearer, if the curve does not reach so
+        many steps beyond the best.
 
         end : "lower" or "upper"
         """
         first, last = self.truth.log_pitch[[0, -1]]
-        sign, limit, far_um = (1, first, EVEN_ENDS_UM[1]) if end == "lower" else (-1, last, EVEN_ENDS_UM[0])
+        sign, limit, far_um = (
+            (1, first, EVEN_ENDS_UM[1]) if end == "lower" else (-1, last, EVEN_ENDS_UM[0])
+        )
         best = np.log(self.truth.best_um)
 
         steps -= self.rng.uniform(0, STEPS_SPREAD)
@@ -186,11 +248,15 @@ class SimulatedStudy:
         for pitch_um, count in sensors.items():
             if pitch_um not in self._level:
                 expected = float(self.truth.delta_e(np.array([pitch_um]))[0])
-                self._level[pitch_um] = expected * (1 + self.truth.residual * self.rng.standard_normal())
+                self._level[pitch_um] = expected * (
+                    1 + self.truth.residual * self.rng.standard_normal()
+                )
                 self._delta_e[pitch_um] = []
             missing = max(0, count - len(self._delta_e[pitch_um]))
             noise = self.truth.noise * (LOUD_NOISE if pitch_um in self.loud else 1.0)
-            self._delta_e[pitch_um] += (self._level[pitch_um] * (1 + noise * self.rng.standard_normal(missing))).tolist()
+            self._delta_e[pitch_um] += (
+                self._level[pitch_um] * (1 + noise * self.rng.standard_normal(missing))
+            ).tolist()
         delta_e = np.full((len(sensors), max(sensors.values())), np.nan)
         for row, (pitch_um, count) in zip(delta_e, sensors.items(), strict=True):
             row[:count] = self._delta_e[pitch_um][:count]
@@ -200,7 +266,9 @@ class SimulatedStudy:
         return fit_curve(*self.measured(sensors), self.truth.width_um)
 
     def refined(self, sensors: Sensors, max_sensors: int) -> tuple[Sensors, FittedCurve]:
-        """The study after the rounds in which a study without a target closes an open end and adds sizes near the best."""
+        """The study after the rounds in which a study without a target closes an open end and adds
+        sizes near the best.
+        """
         started, sizes = sum(sensors.values()), len(sensors)
         while True:
             fit = self.fit(sensors)
@@ -221,12 +289,16 @@ class SimulatedStudy:
             sensors = more
 
 
-def simulated(name: str, number: int, pitches: int, repeats: int, loud: bool = False) -> tuple[SimulatedStudy, Sensors]:
+def simulated(
+    name: str, number: int, pitches: int, repeats: int, loud: bool = False
+) -> tuple[SimulatedStudy, Sensors]:
     """The simulated study with a `number`, and its initial sensors; the same on every machine.
 
     loud : whether one of its first sizes, any of them, scatters more than the others
     """
-    study = SimulatedStudy(truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number]))
+    study = SimulatedStudy(
+        truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number])
+    )
     sensors = dict.fromkeys(study.pitches_um(pitches).tolist(), repeats)
     if loud:
         study.loud.add(list(sensors)[int(study.rng.integers(pitches))])
@@ -234,30 +306,44 @@ def simulated(name: str, number: int, pitches: int, repeats: int, loud: bool = F
 
 
 def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
-    """Whether the interval contains the true minimum; its end must be open if no pitch lies beyond the minimum."""
+    """Whether the interval contains the true minimum; its end must be open if no pitch lies beyond
+    the minimum.
+    """
     low, high = optimum.interval_um
     above = low is None or (pitch_um[0] <= truth.best_um and low <= truth.best_um)
     below = high is None or (truth.best_um <= pitch_um[-1] and truth.best_um <= high)
     return above and below
 
 
-def simulated_even(name: str, number: int, pitches: int, repeats: int = 2) -> tuple[SimulatedStudy, Sensors]:
-    """The simulated study of sizes in equal ratios with a `number`, and its sensors; the same on every machine."""
-    study = SimulatedStudy(truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number, 1]))
+def simulated_even(
+    name: str, number: int, pitches: int, repeats: int = 2
+) -> tuple[SimulatedStudy, Sensors]:
+    """The simulated study of sizes in equal ratios with a `number`, and its sensors; the same on
+    every machine.
+    """
+    study = SimulatedStudy(
+        truth_of(name),
+        np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number, 1]),
+    )
     return study, dict.fromkeys(study.even_pitches_um(pitches).tolist(), repeats)
 
 
 def simulated_beside_an_end(
     name: str, number: int, pitches: int, end: str, steps: float, repeats: int = 2
 ) -> tuple[SimulatedStudy, Sensors]:
-    """The simulated study with a `number` whose best size is some steps from an end of its sizes, and its sensors."""
+    """The simulated study with a `number` whose best size is some steps from an end of its sizes,
+    and its sensors.
+    """
     key = [zlib.crc32(f"{name} {end} {steps}".encode()), pitches, repeats, number, 2]
     study = SimulatedStudy(truth_of(name), np.random.default_rng(key))
-    return study, dict.fromkeys(study.pitches_beside_an_end_um(pitches, end, steps).tolist(), repeats)
+    return study, dict.fromkeys(
+        study.pitches_beside_an_end_um(pitches, end, steps).tolist(), repeats
+    )
 
 
 def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
-    """Whether the interval contains the true minimum; an open end counts only within a step of the end of the sizes.
+    """Whether the interval contains the true minimum; an open end counts only within a step of the
+    end of the sizes.
 
     pitch_um : the sizes that the study started with, whose ratio is a step
     """
@@ -268,17 +354,31 @@ def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
 
 
 def simulation_options(
-    studies: int, out: Path | None, out_steep: Path | None = None, out_even: Path | None = None, out_ends: Path | None = None
+    studies: int,
+    out: Path | None,
+    out_steep: Path | None = None,
+    out_even: Path | None = None,
+    out_ends: Path | None = None,
 ) -> argparse.Namespace:
-    """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep curves are a choice."""
+    """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep
+    curves are a choice.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("--studies", type=int, default=studies)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
     if out_steep:
         parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
-        parser.add_argument("--even", action="store_true", help="of sizes in equal ratios, also of metrics without noise")
-        parser.add_argument("--beside-an-end", action="store_true", help="of the best size beside the smallest or the largest one")
+        parser.add_argument(
+            "--even",
+            action="store_true",
+            help="of sizes in equal ratios, also of metrics without noise",
+        )
+        parser.add_argument(
+            "--beside-an-end",
+            action="store_true",
+            help="of the best size beside the smallest or the largest one",
+        )
     options = parser.parse_args()
     if out_steep and options.steep:
         options.out = options.out or out_steep

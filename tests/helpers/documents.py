@@ -1,4 +1,5 @@
-"""Run the commands of a Markdown page in order, in one folder, and compare their output with the page.
+"""Run the commands of a Markdown page in order, in one folder, and compare their output with the
+page.
 
 Invisible comments before a block state what it is:
 
@@ -7,9 +8,10 @@ Invisible comments before a block state what it is:
     <!-- elsewhere: WHERE -->        the block is run there, word for word
     <!-- picture: FILE -->           the next picture is that file, which the blocks create
 
-`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and docs/made_on.toml, which records
-the processor and the packages. There every digit of a page's output must come out again; elsewhere a number may differ within the
-interval that the page prints with it, or else by `NUMBER_WITHIN`.
+`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and
+docs/made_on.toml, which records the processor and the packages. There every digit of a page's
+output must come out again; elsewhere a number may differ within the interval that the page prints
+with it, or else by `NUMBER_WITHIN`.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
-# Before NumPy, and for all commands: as in the tests, since other numbers of threads turn the last digits of fits and figures.
+# Before NumPy, and for all commands: as in the tests, since other numbers of threads turn the last
+# digits of fits and figures.
 os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 import numpy as np
@@ -43,29 +46,50 @@ MADE_ON_HEAD = """\
 # Other processors round some functions differently, which changes noise. (Written by tests/helpers/documents.py.)
 """
 # Of the imaging chain and of the pictures.
-PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "numpy", "scipy", "OpenEXR", "matplotlib", "pillow")
+PACKAGES = (
+    "mitsuba",
+    "drjit",
+    "karellen-llvm-core",
+    "numpy",
+    "scipy",
+    "OpenEXR",
+    "matplotlib",
+    "pillow",
+)
 OF_MACHINE = "processor", "blas", "python"
-# On another machine: relative tolerance of numbers with a decimal point, and the factor for a number after ±, which is itself
-# uncertain for few sensors. Integers are counts.
+# On another machine: relative tolerance of numbers with a decimal point, and the factor for a
+# number after ±, which is itself uncertain for few sensors. Integers are counts.
 NUMBER_WITHIN = 0.02
 UNCERTAINTY_WITHIN = 2.0
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
-INTERVAL = re.compile(r"95 %: (\d+\.\d+) to (\d+\.\d+) µm")  # of an optimum, which may move within it
+INTERVAL = re.compile(
+    r"95 %: (\d+\.\d+) to (\d+\.\d+) µm"
+)  # of an optimum, which may move within it
 PLUS_MINUS = re.compile(r"^\s*±\s*(\d+(?:\.\d+)?(?:e[-+]?\d+)?)")
 ANY_LINES = "…"
 OF_THE_CLOCK = "time limit of"  # in a warning: the result depends on the speed of the machine
 SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
-SVG_NAMES = re.compile(r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL)  # a date, and random ids
+SVG_NAMES = re.compile(
+    r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL
+)  # a date, and random ids
 SVG_WITHIN = 3.0  # points, 1/50 of the side of a small figure
-CODES_WITHIN = 2.0  # of 255, between the means of every block: rounding of other processors, not other details
-CODES_OF_NOISE = 12.0  # of 255, in the mean difference of every block: of other noise, or of another last digit in a caption
+CODES_WITHIN = (
+    2.0  # of 255, between the means of every block: rounding of other processors, not other details
+)
+# of 255, in the mean difference of every block: of other noise, or of another last digit in a
+# caption
+CODES_OF_NOISE = 12.0
 BLOCK_PX = 28  # half a block's side
 
 
 def this_machine() -> dict[str, object]:
-    """The type of the processor, the kernels that BLAS is told to take, and the versions of the packages, as in made_on.toml."""
+    """The type of the processor, the kernels that BLAS is told to take, and the versions of the
+    packages, as in made_on.toml.
+    """
     cpu = {}
-    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+    for line in (
+        Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    ):
         name, _, value = line.partition(":")
         cpu.setdefault(name.strip(), value.strip())
     kind = [cpu.get(name, "unknown") for name in ("vendor_id", "cpu family", "model")]
@@ -74,14 +98,22 @@ def this_machine() -> dict[str, object]:
         with contextlib.suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
     blas = os.environ.get("OPENBLAS_CORETYPE", "the processor's own")  # its sums round otherwise
-    own = {"processor": "{}, family {}, model {}".format(*kind), "blas": blas, "python": sys.version.split()[0]}
+    own = {
+        "processor": "{}, family {}, model {}".format(*kind),
+        "blas": blas,
+        "python": sys.version.split()[0],
+    }
     return {**own, "packages": packages}
 
 
 def write_made_on() -> None:
     made = this_machine()
     lines = [f'{name} = "{made[name]}"' for name in OF_MACHINE]
-    lines += ["", "[packages]", *(f'{name} = "{version}"' for name, version in made["packages"].items())]
+    lines += [
+        "",
+        "[packages]",
+        *(f'{name} = "{version}"' for name, version in made["packages"].items()),
+    ]
     MADE_ON.write_text(MADE_ON_HEAD + "\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -89,8 +121,15 @@ def differs_from_made_on() -> str:
     """What differs between this machine and the one of docs/made_on.toml; empty if nothing does."""
     made, here = tomllib.loads(MADE_ON.read_text(encoding="utf-8")), this_machine()
     pairs = [(name, made[name], here[name]) for name in OF_MACHINE]
-    pairs += [(name, version, here["packages"].get(name, "not installed")) for name, version in made["packages"].items()]
-    return "; ".join(f"{name} {found} here, {there} in {MADE_ON.name}" for name, there, found in pairs if there != found)
+    pairs += [
+        (name, version, here["packages"].get(name, "not installed"))
+        for name, version in made["packages"].items()
+    ]
+    return "; ".join(
+        f"{name} {found} here, {there} in {MADE_ON.name}"
+        for name, there, found in pairs
+        if there != found
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +148,9 @@ def blocks_of(text: str) -> Iterator[Block]:
     opened: tuple[int, str, str] | None = None
     inside: list[str] = []
     for number, line in enumerate(text.splitlines(), 1):
-        assert opened or not re.match(r"\s*(~~~|> *```)", line), f"line {number}: an unsupported fence; write ```"
+        assert opened or not re.match(r"\s*(~~~|> *```)", line), (
+            f"line {number}: an unsupported fence; write ```"
+        )
         fence = re.match(r"^( *)(```+)([^\s`]*)\s*$", line)
         if opened:
             if fence and not fence[3] and fence[2] == opened[1]:
@@ -121,7 +162,9 @@ def blocks_of(text: str) -> Iterator[Block]:
             opened = number, fence[2], fence[3]
         elif comment := re.fullmatch(r"<!-- (\w+)(?:: (.*?))? -->", line.strip()):
             comments[comment[1]] = comment[2] or ""
-        elif "picture" in comments and (shown := re.search(r"!\[[^\]]*\]\(([^)]+)\)|<img [^>]*src=\"([^\"]+)\"", line)):
+        elif "picture" in comments and (
+            shown := re.search(r"!\[[^\]]*\]\(([^)]+)\)|<img [^>]*src=\"([^\"]+)\"", line)
+        ):
             yield Block(number, "picture", shown[1] or shown[2], comments)
             comments = {}
         elif line.strip():
@@ -139,18 +182,26 @@ class Page:
         self.path, self.folder, self.exact = path, folder, exact
         self.outputs: list[tuple[Block, str]] = []  # a block of the page, and what was printed
         self.names: dict[str, object] = {"__name__": "__main__"}
-        self.printed = self.unseen = ""  # output of the last block, and Python output that the page has not shown yet
+        self.printed = self.unseen = (
+            ""  # output of the last block, and Python output that the page has not shown yet
+        )
         self.pictures: list[tuple[Path, Path]] = []  # (picture of the page, created file)
 
     def check(self) -> None:
-        """Run all blocks. AssertionError names the line of a block that fails or has another output."""
+        """Run all blocks. AssertionError names the line of a block that fails or has another
+        output.
+        """
         self.run()
         for block, printed in self.outputs:
             message = difference(block.text, printed, self.exact)
-            assert not message, f"{self.path.name}, line {block.line}: {message}\n--- printed:\n{printed}"
+            assert not message, (
+                f"{self.path.name}, line {block.line}: {message}\n--- printed:\n{printed}"
+            )
 
     def run(self) -> None:
-        """Run all blocks. AssertionError names the line of a block that fails or depends on the clock."""
+        """Run all blocks. AssertionError names the line of a block that fails or depends on the
+        clock.
+        """
         awaited: list[tuple[Path, str]] = []
         for block in blocks_of(self.path.read_text(encoding="utf-8")):
             if "elsewhere" in block.comments:
@@ -162,7 +213,9 @@ class Page:
                 self.unseen = ""
                 continue
             if block.language in ("sh", "python"):
-                assert not self.unseen, f"{where}: the page does not show earlier output:\n{self.unseen}"
+                assert not self.unseen, (
+                    f"{where}: the page does not show earlier output:\n{self.unseen}"
+                )
             if "file" in block.comments:
                 target = self.folder / block.comments["file"]
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -181,20 +234,39 @@ class Page:
 
     def _shell(self, text: str, where: str) -> str:
         home = Path(sys.executable).parent
-        environment = os.environ | {"PATH": f"{home}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "160"}
+        environment = os.environ | {
+            "PATH": f"{home}{os.pathsep}{os.environ['PATH']}",
+            "COLUMNS": "160",
+        }
         done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", text], cwd=self.folder, env=environment, capture_output=True, text=True, check=False
+            ["bash", "-euo", "pipefail", "-c", text],
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
-        assert done.returncode == 0, f"{where}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
-        assert OF_THE_CLOCK not in done.stderr, f"{where}: the result depends on the speed of the machine\n{done.stderr}"
+        assert done.returncode == 0, (
+            f"{where}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        )
+        assert OF_THE_CLOCK not in done.stderr, (
+            f"{where}: the result depends on the speed of the machine\n{done.stderr}"
+        )
         return done.stdout
 
     def _python(self, text: str, where: str) -> str:
         """Run in this process with the variables of earlier blocks, as in a notebook."""
         printed = io.StringIO()
-        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed), warnings.catch_warnings():
+        with (
+            contextlib.chdir(self.folder),
+            contextlib.redirect_stdout(printed),
+            warnings.catch_warnings(),
+        ):
             warnings.filterwarnings("error", f".*{OF_THE_CLOCK}")
-            exec(compile("\n" * int(where.rpartition(" ")[2]) + text, str(self.path), "exec"), self.names)
+            exec(
+                compile("\n" * int(where.rpartition(" ")[2]) + text, str(self.path), "exec"),
+                self.names,
+            )
         return printed.getvalue()
 
 
@@ -214,13 +286,22 @@ def difference(expected: str, printed: str, exact: bool = True) -> str:
         same = (lambda one, other: one.rstrip() == other.rstrip()) if exact else alike
         at = next((index for index, other in enumerate(rest) if same(line, other)), None)
         if at is None:
-            return f"the page shows {line!r}, the output is {(got[place] if place < len(got) else 'nothing more')!r}"
+            return (
+                f"the page shows {line!r}, the output is"
+                f" {(got[place] if place < len(got) else 'nothing more')!r}"
+            )
         place, anywhere = place + at + 1, False
-    return "" if anywhere or place == len(got) else f"the output has more lines than the page: {got[place]!r}"
+    return (
+        ""
+        if anywhere or place == len(got)
+        else f"the output has more lines than the page: {got[place]!r}"
+    )
 
 
 def alike(expected: str, printed: str) -> bool:
-    """Same words, and numbers within their printed interval; without one, within `NUMBER_WITHIN` or one unit of the last digit."""
+    """Same words, and numbers within their printed interval; without one, within `NUMBER_WITHIN` or
+    one unit of the last digit.
+    """
     if words_of(expected) != words_of(printed):
         return False
     pairs = zip(NUMBER.finditer(expected), NUMBER.finditer(printed), strict=True)
@@ -232,7 +313,9 @@ def alike(expected: str, printed: str) -> bool:
         before = expected[: one.start()].rstrip()
         if before.endswith("±"):
             return wanted / UNCERTAINTY_WITHIN <= got <= wanted * UNCERTAINTY_WITHIN
-        allowed = max(NUMBER_WITHIN * abs(wanted), 1.01 * last_digit(one[0])) if "." in one[0] else 0.0
+        allowed = (
+            max(NUMBER_WITHIN * abs(wanted), 1.01 * last_digit(one[0])) if "." in one[0] else 0.0
+        )
         if allowed and (error := PLUS_MINUS.match(expected[one.end() :])):
             allowed = max(float(error[1]), last_digit(one[0]))
         if length_um and allowed and not expected[: one.start()].rstrip().endswith("ΔE"):
@@ -254,20 +337,36 @@ def last_digit(number: str) -> float:
 
 
 def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
-    """Whether two pictures agree but for the rounding of other processors; with `exact`, in every number or sample."""
+    """Whether two pictures agree but for the rounding of other processors; with `exact`, in every
+    number or sample.
+    """
     if shown.suffix == ".svg":
-        one, other = (SVG_NUMBER.split(SVG_NAMES.sub("", path.read_text(encoding="utf-8"))) for path in (shown, created))
+        one, other = (
+            SVG_NUMBER.split(SVG_NAMES.sub("", path.read_text(encoding="utf-8")))
+            for path in (shown, created)
+        )
         if one[::2] != other[::2]:
             return False
-        return bool(np.allclose(np.array(one[1::2], float), np.array(other[1::2], float), rtol=0, atol=0 if exact else SVG_WITHIN))
-    first, second = (np.asarray(Image.open(path).convert("RGB"), float) for path in (shown, created))
+        return bool(
+            np.allclose(
+                np.array(one[1::2], float),
+                np.array(other[1::2], float),
+                rtol=0,
+                atol=0 if exact else SVG_WITHIN,
+            )
+        )
+    first, second = (
+        np.asarray(Image.open(path).convert("RGB"), float) for path in (shown, created)
+    )
     if first.shape != second.shape:
         return False
     if exact:
         return bool(np.array_equal(first, second))
     off = first - second
     starts = (range(0, max(1, size - BLOCK_PX + 1), BLOCK_PX) for size in off.shape[:2])
-    blocks = (off[y : y + 2 * BLOCK_PX, x : x + 2 * BLOCK_PX] for y, x in itertools.product(*starts))
+    blocks = (
+        off[y : y + 2 * BLOCK_PX, x : x + 2 * BLOCK_PX] for y, x in itertools.product(*starts)
+    )
     return all(
         np.abs(part.mean(axis=(0, 1))).max() < CODES_WITHIN
         and np.abs(part).mean() < CODES_OF_NOISE  # each channel, so that hues count
@@ -278,14 +377,23 @@ def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
 def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
     """The text of a page with its output blocks replaced.
 
-    In a block with a line of …, the lines with the same words are replaced; it is named if that is not enough.
+    In a block with a line of …, the lines with the same words are replaced; it is named if that is
+    not enough.
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     for block, printed in reversed(outputs):
-        end, new = block.line + len(block.text.strip("\n").splitlines()), printed.rstrip().splitlines()
+        end, new = (
+            block.line + len(block.text.strip("\n").splitlines()),
+            printed.rstrip().splitlines(),
+        )
         if ANY_LINES in block.text.splitlines():
-            same_words = {words_of(line): line.rstrip() for line in reversed(new)}  # "ISO 15739" and "ISO 12232" have the same
-            new = [line if line in new else same_words.get(words_of(line), line) for line in block.text.splitlines()]
+            same_words = {
+                words_of(line): line.rstrip() for line in reversed(new)
+            }  # "ISO 15739" and "ISO 12232" have the same
+            new = [
+                line if line in new else same_words.get(words_of(line), line)
+                for line in block.text.splitlines()
+            ]
             if message := difference("\n".join(new), printed):
                 print(f"{path}, line {block.line}: CHANGE BY HAND: {message}\n{printed}")
         lines[block.line : end] = new
@@ -293,14 +401,22 @@ def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
 
 
 def first_study(readme: Path, folder: Path) -> Path:
-    """Write a page with README's first study alone: its command, which other blocks of README do not repeat, output and picture."""
+    """Write a page with README's first study alone: its command, which other blocks of README do
+    not repeat, output and picture.
+    """
     here = (".ci", "tests/docs/test_d")
     text = readme.read_text(encoding="utf-8")
-    first, printed = (block for block in blocks_of(text) if block.comments.get("elsewhere", "").startswith(here))
+    first, printed = (
+        block for block in blocks_of(text) if block.comments.get("elsewhere", "").startswith(here)
+    )
     command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
     picture = next(line for line in text.splitlines() if line.startswith("!["))
     created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
-    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
+    parts = [
+        f"```sh\n{command}\n```",
+        f"<!-- output -->\n```text\n{printed.text}```",
+        f"<!-- picture: {created} -->\n{picture}",
+    ]
     page = folder / "first_study.md"
     page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     return page
@@ -313,7 +429,11 @@ def update_first_study(readme: Path) -> None:
         old = page.path.read_text(encoding="utf-8")
         page.run()
         (block, _), text = page.outputs[0], readme.read_text(encoding="utf-8")
-        new = next(other.text for other in blocks_of(updated(page.path, page.outputs)) if "output" in other.comments)
+        new = next(
+            other.text
+            for other in blocks_of(updated(page.path, page.outputs))
+            if "output" in other.comments
+        )
         assert old.count(block.text) == 1
         assert text.count(block.text) == 1
         readme.write_text(text.replace(block.text, new), encoding="utf-8")

@@ -15,15 +15,21 @@ from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene
 from pixsim.scene.variants import graphics, variant as variants
 
-VARIANT = "scalar_spectral"  # available everywhere, and faster for small images since it compiles nothing
+VARIANT = (
+    "scalar_spectral"  # available everywhere, and faster for small images since it compiles nothing
+)
 FOLDER = packaged_scenes()["csf"].parent
 END = "</scene>"
 variants.choose()  # must precede the import of Mitsuba
-NEEDS_LLVM = pytest.mark.skipif(variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
+NEEDS_LLVM = pytest.mark.skipif(
+    variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only"
+)
 NO_CARD = graphics.absent()
 NEEDS_CARD = pytest.mark.skipif(NO_CARD is not None, reason=f"no NVIDIA driver here: {NO_CARD}")
 NEEDS_NO_CARD = pytest.mark.skipif(NO_CARD is None, reason="an NVIDIA driver is installed here")
-VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), VARIANT])
+VARIANTS = pytest.mark.parametrize(
+    "variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), VARIANT]
+)
 
 
 def edited(folder: Path, name: str, *edits: tuple[str, str]) -> Path:
@@ -50,7 +56,9 @@ def render_plan(path: Path | str, **parameters: object) -> Plan:
 
 def lens_sr(image: pixsim.SpectralImage, camera: pixsim.Camera) -> Array:
     """Irradiance over radiance at each sample, (H, W) sr, without the transmittance."""
-    return field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    return field_factor(
+        image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+    )
 
 
 def decision(plan: Plan, subject: str) -> Decision:

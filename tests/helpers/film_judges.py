@@ -1,4 +1,6 @@
-"""Forty pictures that did not set the numbers of the film's error: grey and coloured, of detail around the width of a sample."""
+"""Forty pictures that did not set the numbers of the film's error: grey and coloured, of detail
+around the width of a sample.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,14 @@ BAYER = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_effici
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture on a film of `film` samples across, and what looks at it; the truth is a film of `times` as many samples across."""
+    """A picture on a film of `film` samples across, and what looks at it; the truth is a film of
+    `times` as many samples across.
+    """
 
     name: str
-    draw: Callable[[int], Array]  # width -> relative luminance, (width, width), or (3, width, width) in three bands
+    draw: Callable[
+        [int], Array
+    ]  # width -> relative luminance, (width, width), or (3, width, width) in three bands
     film: int
     times: int
     imaging: Imaging
@@ -47,7 +53,9 @@ class Picture:
             spectrum, nm = grey.factors[0][0], grey.wavelength_nm
             thirds = np.array([nm < 500, (nm >= 500) & (nm < 600), nm >= 600]) * spectrum
             header = grey.header
-            image = SpectralImage(nm, 20.0, grey.pitch_um, factors=(thirds, drawn.astype(np.float32)), header=header)
+            image = SpectralImage(
+                nm, 20.0, grey.pitch_um, factors=(thirds, drawn.astype(np.float32)), header=header
+            )
         if camera.lens is not None:
             image.header[LENS_HEADER] = asdict(Tiling(300.0, 160.0, 0.0))
         return image
@@ -55,13 +63,23 @@ class Picture:
 
 def zone_plate(width: int, seed: int) -> Array:
     rate = np.random.default_rng(seed).uniform(200, 700)
-    return covered(lambda x, y: 0.5 + 0.45 * np.cos(rate * math.pi * ((x - 0.4) ** 2 + (y - 0.55) ** 2)), 3, width)
+    return covered(
+        lambda x, y: 0.5 + 0.45 * np.cos(rate * math.pi * ((x - 0.4) ** 2 + (y - 0.55) ** 2)),
+        3,
+        width,
+    )
 
 
 def cells_of(width: int, samples: float, film: int, seed: int) -> Array:
     """Even cells of some samples of a film across, in step with nothing."""
     tone = np.random.default_rng(seed).choice([0.1, 0.35, 0.8], (film * 2, film * 2))
-    return covered(lambda x, y: tone[np.floor(y * film / samples).astype(int), np.floor(x * film / samples).astype(int)], 4, width)
+    return covered(
+        lambda x, y: tone[
+            np.floor(y * film / samples).astype(int), np.floor(x * film / samples).astype(int)
+        ],
+        4,
+        width,
+    )
 
 
 def wires(width: int, seed: int) -> Array:
@@ -76,12 +94,22 @@ def wires(width: int, seed: int) -> Array:
 
 
 def leaves(width: int, seed: int) -> Array:
-    """Opaque discs whose areas fall with the inverse square of their radii, as in natural scenes."""
+    """Opaque discs whose areas fall with the inverse square of their radii, as in natural
+    scenes.
+    """
     rng, ground = np.random.default_rng(seed), np.full((width, width), 0.4, np.float32)
     for _ in range(3000):
-        radius, (x, y) = min(0.002 / math.sqrt(1 - rng.random()), 0.12) * width, rng.random(2) * width
-        rows, columns = (slice(max(int(c - radius), 0), min(int(c + radius + 2), width)) for c in (y, x))
-        down, across = np.arange(rows.start, rows.stop) + 0.5 - y, np.arange(columns.start, columns.stop) + 0.5 - x
+        radius, (x, y) = (
+            min(0.002 / math.sqrt(1 - rng.random()), 0.12) * width,
+            rng.random(2) * width,
+        )
+        rows, columns = (
+            slice(max(int(c - radius), 0), min(int(c + radius + 2), width)) for c in (y, x)
+        )
+        down, across = (
+            np.arange(rows.start, rows.stop) + 0.5 - y,
+            np.arange(columns.start, columns.stop) + 0.5 - x,
+        )
         cover = np.clip(radius - np.hypot(down[:, None], across[None, :]) + 0.5, 0, 1)
         ground[rows, columns] += cover * (rng.random() * 0.9 + 0.03 - ground[rows, columns])
     return ground
@@ -93,18 +121,29 @@ def clouds(width: int, seed: int) -> Array:
     frequency = n * np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :])
     frequency[0, 0] = np.inf
     values = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((n, n))) / frequency, s=(n, n))
-    return np.clip(0.4 + 0.15 * zoom(values / values.std(), width / n, order=1, grid_mode=True, mode="grid-wrap"), 0.01, 1)
+    return np.clip(
+        0.4
+        + 0.15 * zoom(values / values.std(), width / n, order=1, grid_mode=True, mode="grid-wrap"),
+        0.01,
+        1,
+    )
 
 
 def edges(width: int, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     turn, dark = rng.uniform(0, math.pi), rng.uniform(0.03, 0.3)
     return covered(
-        lambda x, y: np.where(((x - 0.5) * math.cos(turn) + (y - 0.5) * math.sin(turn)) * 7 % 1 < 0.5, dark, 0.9), 4, width
+        lambda x, y: np.where(
+            ((x - 0.5) * math.cos(turn) + (y - 0.5) * math.sin(turn)) * 7 % 1 < 0.5, dark, 0.9
+        ),
+        4,
+        width,
     )
 
 
-def coloured(draw: Callable[[int], Array], tints: tuple[float, float, float]) -> Callable[[int], Array]:
+def coloured(
+    draw: Callable[[int], Array], tints: tuple[float, float, float]
+) -> Callable[[int], Array]:
     """A picture in three bands: in each, another share of its contrast."""
 
     def three(width: int) -> Array:
@@ -116,7 +155,10 @@ def coloured(draw: Callable[[int], Array], tints: tuple[float, float, float]) ->
 
 def pictures() -> Iterator[Picture]:
     rng = np.random.default_rng(53)
-    cameras = [Camera(die_mm=die, focal_length_mm=5.0, f_number=f) for die, f in ((1.6, 2.0), (2.1, 4.0), (1.1, 2.8))]
+    cameras = [
+        Camera(die_mm=die, focal_length_mm=5.0, f_number=f)
+        for die, f in ((1.6, 2.0), (2.1, 4.0), (1.1, 2.8))
+    ]
     drawn: list[tuple[str, Callable[[int, int], Array] | None, float]] = [
         *[("zone plate", zone_plate, 0.0)] * 5,
         *[("wires", wires, 0.0)] * 5,
@@ -129,12 +171,20 @@ def pictures() -> Iterator[Picture]:
     for number, (name, kind, samples) in enumerate(drawn):
         behind = name.endswith("lens")
         film = 192 if behind else int(rng.choice([192, 256, 320]))
-        draw = partial(cells_of, samples=samples, film=film, seed=number) if kind is None else partial(kind, seed=number)
+        draw = (
+            partial(cells_of, samples=samples, film=film, seed=number)
+            if kind is None
+            else partial(kind, seed=number)
+        )
         camera, in_colour = cameras[number % 3], number % 3 == 1
         if behind:
             options = LensOptions(file="singlet", focal_length_mm=12.0)
-            camera = camera_with_lens(Camera(die_mm=2.4, object_distance_m=5.0), CameraOptions(), options)
-        across = float(rng.choice([64, 96, 121, 160]))  # pixels on the die: some in step with samples or dots
+            camera = camera_with_lens(
+                Camera(die_mm=2.4, object_distance_m=5.0), CameraOptions(), options
+            )
+        across = float(
+            rng.choice([64, 96, 121, 160])
+        )  # pixels on the die: some in step with samples or dots
         pixel = PIXEL.model_copy(update={"pitch_um": 1e3 * camera.die_mm / across})
         if in_colour:
             numbers = pixel.model_dump(exclude_unset=True) | {"colour": BAYER}
@@ -142,8 +192,13 @@ def pictures() -> Iterator[Picture]:
             pixel = Pixel.model_validate(numbers)
             draw = coloured(draw, (1.0, 0.7, 0.4))
         display = Display(dots=int(rng.choice([96, 128, 200])))
-        label = f"{number}: {name}{f' of {samples}' if samples else ''}{', colour' if in_colour else ''}, {film}"
-        yield Picture(label, draw, film, 5 if behind else 6, imaging(camera, pixel, display=display))
+        label = (
+            f"{number}:"
+            f" {name}{f' of {samples}' if samples else ''}{', colour' if in_colour else ''}, {film}"
+        )
+        yield Picture(
+            label, draw, film, 5 if behind else 6, imaging(camera, pixel, display=display)
+        )
 
 
 def other_sensor(imaging: Imaging) -> Imaging:
@@ -156,5 +211,14 @@ def other_sensor(imaging: Imaging) -> Imaging:
 def delta_e_of(films: Sequence[SpectralImage], imaging: Imaging) -> list[float]:
     """The mean ΔE of whole pictures on several films, with the same noise."""
     white = white_header([(imaging, films[0])])
-    shown = [film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin) for film in films]
-    return delta_e_on_films([[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging).mean(axis=1).tolist()
+    shown = [
+        film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin)
+        for film in films
+    ]
+    return (
+        delta_e_on_films(
+            [[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging
+        )
+        .mean(axis=1)
+        .tolist()
+    )

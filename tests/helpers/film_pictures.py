@@ -1,7 +1,9 @@
-"""Pictures with edges and textures, for the error that a film causes, as exact or nearly exact means over fine cells.
+"""Pictures with edges and textures, for the error that a film causes, as exact or nearly exact
+means over fine cells.
 
-The numbers of `pixsim/studies/film_error.py` were fitted to `SCENES` and `SET_CELLS`. `JUDGES` were not looked at for that: other
-kinds of pictures, other random numbers, other cameras, pixels, displays and films.
+The numbers of `pixsim/studies/film_error.py` were fitted to `SCENES` and `SET_CELLS`. `JUDGES` were
+not looked at for that: other kinds of pictures, other random numbers, other cameras, pixels,
+displays and films.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ PIXEL = Pixel(
 )  # fmt: skip
 
 
-def light(picture: Array, camera: Camera = CAMERA, white_cd_per_m2: float = 1000.0) -> SpectralImage:
+def light(
+    picture: Array, camera: Camera = CAMERA, white_cd_per_m2: float = 1000.0
+) -> SpectralImage:
     """Irradiance of a picture of relative luminance, under light of equal energy."""
     nm = np.arange(410.0, 700.0, 20.0)
     pitch_um = 1e3 * camera.die_mm / picture.shape[1]
@@ -38,7 +42,13 @@ def light(picture: Array, camera: Camera = CAMERA, white_cd_per_m2: float = 1000
     lux = white_cd_per_m2 * float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
     spectrum = np.full(nm.size, lux / unit.luminous_weight().sum())
     header = {"luminance_cd_per_m2": white_cd_per_m2, "lamp_w_per_m2_sr_nm": spectrum.tolist()}
-    return SpectralImage(nm, 20.0, pitch_um, factors=(spectrum[None], picture[None].astype(np.float32)), header=header)
+    return SpectralImage(
+        nm,
+        20.0,
+        pitch_um,
+        factors=(spectrum[None], picture[None].astype(np.float32)),
+        header=header,
+    )
 
 
 # --- Ten scenes ---
@@ -51,7 +61,9 @@ def covered(inside: Callable[[Array, Array], Array], points: int = 3, width: int
     total = np.zeros((width, width), np.float32)
     for rows in strips(width, 1, ROWS):
         for down, across in itertools.product(offsets, offsets):
-            total[rows] += inside((axis[None, :] + across) / width, (axis[rows, None] + down) / width)
+            total[rows] += inside(
+                (axis[None, :] + across) / width, (axis[rows, None] + down) / width
+            )
     return total / points**2
 
 
@@ -64,21 +76,33 @@ def star() -> Array:
 
 
 def tiled_floor() -> Array:
-    return covered(lambda x, y: 0.2 + 0.6 * ((np.floor(3 * (x - 0.5) / (y + 0.08)) + np.floor(3 / (y + 0.08))) % 2))
+    return covered(
+        lambda x, y: (
+            0.2 + 0.6 * ((np.floor(3 * (x - 0.5) / (y + 0.08)) + np.floor(3 / (y + 0.08))) % 2)
+        )
+    )
 
 
 def turned_checkerboard() -> Array:
-    return covered(lambda x, y: 0.1 + 0.8 * ((np.floor((x + 0.13 * y) * 97.3) + np.floor((y - 0.13 * x) * 97.3)) % 2))
+    return covered(
+        lambda x, y: (
+            0.1 + 0.8 * ((np.floor((x + 0.13 * y) * 97.3) + np.floor((y - 0.13 * x) * 97.3)) % 2)
+        )
+    )
 
 
 def zone_plate() -> Array:
-    return covered(lambda x, y: 0.5 + 0.45 * np.cos(900 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2)), 2)
+    return covered(
+        lambda x, y: 0.5 + 0.45 * np.cos(900 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2)), 2
+    )
 
 
 def woven() -> Array:
     def cloth(x: Array, y: Array) -> Array:
         return (
-            0.4 + 0.16 * np.sign(np.sin(620 * math.pi * (x + 0.02 * np.sin(9 * y)))) + 0.15 * np.sin(574 * math.pi * (y + 0.3 * x))
+            0.4
+            + 0.16 * np.sign(np.sin(620 * math.pi * (x + 0.02 * np.sin(9 * y))))
+            + 0.15 * np.sin(574 * math.pi * (y + 0.3 * x))
         )
 
     return covered(cloth, 2)
@@ -94,12 +118,19 @@ def print_like() -> Array:
 
 
 def fallen_leaves() -> Array:
-    """Opaque discs whose areas fall with the inverse square of their radii, as in natural scenes."""
+    """Opaque discs whose areas fall with the inverse square of their radii, as in natural
+    scenes.
+    """
     rng, ground = np.random.default_rng(2), np.full((WIDTH, WIDTH), 0.4, np.float32)
     for _ in range(12_000):
         radius, (x, y) = min(6 / math.sqrt(1 - rng.random()), 500.0), rng.random(2) * WIDTH
-        rows, columns = (slice(max(int(c - radius), 0), min(int(c + radius + 2), WIDTH)) for c in (y, x))
-        down, across = np.arange(rows.start, rows.stop) + 0.5 - y, np.arange(columns.start, columns.stop) + 0.5 - x
+        rows, columns = (
+            slice(max(int(c - radius), 0), min(int(c + radius + 2), WIDTH)) for c in (y, x)
+        )
+        down, across = (
+            np.arange(rows.start, rows.stop) + 0.5 - y,
+            np.arange(columns.start, columns.stop) + 0.5 - x,
+        )
         cover = np.clip(radius - np.hypot(down[:, None], across[None, :]) + 0.5, 0, 1)
         ground[rows, columns] += cover * (rng.random() * 0.9 + 0.03 - ground[rows, columns])
     return ground
@@ -118,24 +149,52 @@ def barcodes() -> Array:
     rng = np.random.default_rng(5)
 
     def lines() -> Array:
-        return rng.uniform(0.05, 0.95, WIDTH)[np.searchsorted(np.cumsum(rng.integers(1, 60, WIDTH)), np.arange(WIDTH), "right")]
+        return rng.uniform(0.05, 0.95, WIDTH)[
+            np.searchsorted(np.cumsum(rng.integers(1, 60, WIDTH)), np.arange(WIDTH), "right")
+        ]
 
     return np.sqrt(lines()[None, :] * lines()[:, None])
 
 
-SCENES = (edge, star, tiled_floor, turned_checkerboard, zone_plate, woven, print_like, fallen_leaves, fractal, barcodes)
+SCENES = (
+    edge,
+    star,
+    tiled_floor,
+    turned_checkerboard,
+    zone_plate,
+    woven,
+    print_like,
+    fallen_leaves,
+    fractal,
+    barcodes,
+)
 
 
 def cells(across: int, width: int, levels: Sequence[float] | None, seed: int) -> Array:
-    """A texture of even cells, each of one of the levels, or of any from 0.05 to 0.95; it fills a film of `width`."""
+    """A texture of even cells, each of one of the levels, or of any from 0.05 to 0.95; it fills a
+    film of `width`.
+    """
     assert width % across == 0
     rng = np.random.default_rng(seed)
-    values = rng.uniform(0.05, 0.95, (across, across)) if levels is None else rng.choice(levels, (across, across))
+    values = (
+        rng.uniform(0.05, 0.95, (across, across))
+        if levels is None
+        else rng.choice(levels, (across, across))
+    )
     return values.astype(np.float32).repeat(width // across, axis=0).repeat(width // across, axis=1)
 
 
-# The film, cells across it, and times that the film of the truth is as wide. Cells are 1, 2, 3 and 1/2 samples wide.
-SET_CELLS = ((1024, 1024, 4), (512, 512, 8), (768, 768, 4), (768, 384, 4), (510, 170, 8), (1020, 340, 4), (510, 1020, 8))
+# The film, cells across it, and times that the film of the truth is as wide. Cells are 1, 2, 3 and
+# 1/2 samples wide.
+SET_CELLS = (
+    (1024, 1024, 4),
+    (512, 512, 8),
+    (768, 768, 4),
+    (768, 384, 4),
+    (510, 170, 8),
+    (1020, 340, 4),
+    (510, 1020, 8),
+)
 
 
 # --- Pictures that judge ---
@@ -155,7 +214,9 @@ def bricks(width: int, seed: int) -> Array:
 
 
 def gravel(width: int, seed: int) -> Array:
-    """Cells around random points (Voronoi), by the nearest point of the 3 × 3 squares around each place."""
+    """Cells around random points (Voronoi), by the nearest point of the 3 × 3 squares around each
+    place.
+    """
     rng, n = np.random.default_rng(seed), 70
     at, tone = rng.random((2, n + 2, n + 2)), rng.uniform(0.05, 0.9, (n + 2, n + 2))
 
@@ -179,7 +240,10 @@ def blots(width: int, seed: int) -> Array:
     n = width // 2
     frequency = n * np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :])
     centre = rng.uniform(30, 70)
-    values = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((n, n))) * np.exp(-((frequency - centre) ** 2) / 200), s=(n, n))
+    values = np.fft.irfft2(
+        np.fft.rfft2(rng.standard_normal((n, n))) * np.exp(-((frequency - centre) ** 2) / 200),
+        s=(n, n),
+    )
     return np.where(values > 0, 0.75, 0.12).astype(np.float32).repeat(2, axis=0).repeat(2, axis=1)
 
 
@@ -197,7 +261,10 @@ def wire_mesh(width: int, seed: int) -> Array:
     turn, count = np.random.default_rng(seed).uniform(0, 1), 37.7
 
     def mesh(x: Array, y: Array) -> Array:
-        wires = [np.abs(((x * math.cos(a) + y * math.sin(a)) * count) % 1 - 0.5) < 0.07 for a in turn + np.arange(3) * math.pi / 3]
+        wires = [
+            np.abs(((x * math.cos(a) + y * math.sin(a)) * count) % 1 - 0.5) < 0.07
+            for a in turn + np.arange(3) * math.pi / 3
+        ]
         return np.where(wires[0] | wires[1] | wires[2], 0.06, 0.7)
 
     return covered(mesh, 3, width)
@@ -207,7 +274,9 @@ def halftone(width: int, seed: int) -> Array:
     turn = np.random.default_rng(seed).uniform(0.2, 0.6)
 
     def dots(x: Array, y: Array) -> Array:
-        u, v = ((x * math.cos(a) + y * math.sin(a)) * 63.1 % 1 - 0.5 for a in (turn, turn + math.pi / 2))
+        u, v = (
+            (x * math.cos(a) + y * math.sin(a)) * 63.1 % 1 - 0.5 for a in (turn, turn + math.pi / 2)
+        )
         return np.where(np.hypot(u, v) < 0.15 + 0.35 * x * y, 0.05, 0.85)
 
     return covered(dots, 3, width)
@@ -215,11 +284,17 @@ def halftone(width: int, seed: int) -> Array:
 
 def pickets(width: int, seed: int) -> Array:
     shift = np.random.default_rng(seed).uniform(0, 1)
-    return covered(lambda x, y: 0.1 + 0.7 * (((11 * x + shift) / (0.15 + 0.9 * x) * 4 + 0.05 * y) % 1 < 0.55), 3, width)
+    return covered(
+        lambda x, y: 0.1 + 0.7 * (((11 * x + shift) / (0.15 + 0.9 * x) * 4 + 0.05 * y) % 1 < 0.55),
+        3,
+        width,
+    )
 
 
 def cloud(width: int, seed: int) -> Array:
-    """A texture whose power falls with the third power of the frequency, and whose brightness is log-normal."""
+    """A texture whose power falls with the third power of the frequency, and whose brightness is
+    log-normal.
+    """
     rng = np.random.default_rng(seed)
     frequency = width * np.hypot(np.fft.fftfreq(width)[:, None], np.fft.rfftfreq(width)[None, :])
     frequency[0, 0] = np.inf
@@ -233,7 +308,10 @@ def grass(width: int, seed: int) -> Array:
     for _ in range(5000):
         (x, y), lean, tone = rng.random(2) * width, rng.uniform(-0.6, 0.6), rng.uniform(0.1, 0.8)
         blade = steps * width / 24
-        rows, columns = (y + blade).astype(int) % width, (x + lean * blade + 0.01 * lean * blade**2).astype(int) % width
+        rows, columns = (
+            (y + blade).astype(int) % width,
+            (x + lean * blade + 0.01 * lean * blade**2).astype(int) % width,
+        )
         ground[rows, columns] = ground[rows, (columns + 1) % width] = tone
     return ground
 
@@ -244,14 +322,20 @@ def night_windows(width: int, seed: int) -> Array:
 
     def town(x: Array, y: Array) -> Array:
         u, v = 58.3 * x, 87.7 * (y + 0.04 * x)
-        return np.where((u % 1 < 0.6) & (v % 1 < 0.5), lit[np.floor(v).astype(int) % 90, np.floor(u).astype(int) % 60], 0.01)
+        return np.where(
+            (u % 1 < 0.6) & (v % 1 < 0.5),
+            lit[np.floor(v).astype(int) % 90, np.floor(u).astype(int) % 60],
+            0.01,
+        )
 
     return covered(town, 3, width)
 
 
 @dataclass(frozen=True)
 class Judge:
-    """A picture on a film, and what looks at it; the truth is a film of `times` as many samples across."""
+    """A picture on a film, and what looks at it; the truth is a film of `times` as many samples
+    across.
+    """
 
     name: str
     picture: Callable[[int], Array]
@@ -264,23 +348,35 @@ class Judge:
 
 def _judges() -> list[Judge]:
     rng, found = np.random.default_rng(37), []
-    cameras = [Camera(die_mm=die, focal_length_mm=5.0, f_number=f) for die, f in ((1.6, 2.0), (2.1, 4.0), (1.1, 2.8))]
+    cameras = [
+        Camera(die_mm=die, focal_length_mm=5.0, f_number=f)
+        for die, f in ((1.6, 2.0), (2.1, 4.0), (1.1, 2.8))
+    ]
 
     def add(name: str, picture: Callable[[int], Array], film: int, times: int) -> None:
         camera, dots = cameras[len(found) % 3], int(rng.choice([128, 200, 256]))
-        across = float(rng.choice([96, 160, 223, 256]))  # pixels on the die: some in step with samples or dots
+        across = float(
+            rng.choice([96, 160, 223, 256])
+        )  # pixels on the die: some in step with samples or dots
         pixel = PIXEL.model_copy(update={"pitch_um": 1e3 * camera.die_mm / across})
-        found.append(Judge(f"{name}, {film}", picture, film, times, camera, pixel, Display(dots=dots)))
+        found.append(
+            Judge(f"{name}, {film}", picture, film, times, camera, pixel, Display(dots=dots))
+        )
 
     films = ((256, 8), (384, 6), (480, 4), (300, 6))
-    for number, kind in enumerate((bricks, gravel, blots, chirp, wire_mesh, halftone, pickets, cloud, grass, night_windows) * 2):
+    for number, kind in enumerate(
+        (bricks, gravel, blots, chirp, wire_mesh, halftone, pickets, cloud, grass, night_windows)
+        * 2
+    ):
         seed = 100 + number
         add(kind.__name__, partial(kind, seed=seed), *films[(number + number // 10) % 4])
     for film, across, times in (
         (512, 512, 4), (256, 256, 8), (384, 192, 6), (480, 240, 4), (384, 128, 6), (480, 160, 4), (255, 85, 8),
         (384, 768, 6), (256, 768, 12), (300, 300, 6),
     ):  # fmt: skip
-        levels = ((0.2, 0.7), (0.05, 0.3, 0.9), None)[across % 3 if across != film else len(found) % 3]
+        levels = ((0.2, 0.7), (0.05, 0.3, 0.9), None)[
+            across % 3 if across != film else len(found) % 3
+        ]
         seed = 200 + len(found)
         add(f"{across} cells", partial(cells, across, levels=levels, seed=seed), film, times)
     return found

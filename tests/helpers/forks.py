@@ -1,4 +1,5 @@
-"""Processes that begin with pixsim and its packages imported, but for Mitsuba: they are forked from one that has done so.
+"""Processes that begin with pixsim and its packages imported, but for Mitsuba: they are forked from
+one that has done so.
 
 A process of its own takes a second for the imports, which most tests of processes are not about.
 """
@@ -31,13 +32,16 @@ PIPES = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
 
 
 class Forked:
-    """A forked process, the leader of its own process group, like `subprocess.Popen` with text streams.
+    """A forked process, the leader of its own process group, like `subprocess.Popen` with text
+    streams.
 
     script : its lines
     words : its arguments
     """
 
-    def __init__(self, script: str, words: list[str], folder: Path | str, environment: dict[str, str]) -> None:
+    def __init__(
+        self, script: str, words: list[str], folder: Path | str, environment: dict[str, str]
+    ) -> None:
         self.returncode: int | None = None
         pipes = [os.pipe(), os.pipe()]
         self.stdout, self.stderr = (os.fdopen(reading) for reading, _ in pipes)
@@ -88,12 +92,17 @@ class Forked:
 
 @functools.cache
 def first_process() -> tuple[socket.socket, subprocess.Popen[bytes]]:
-    """The process that the others are forked from, which ends with this one, and the connection to it."""
+    """The process that the others are forked from, which ends with this one, and the connection to
+    it.
+    """
     ours, theirs = socket.socketpair()
     with theirs:
-        # Its own streams are pipes, as those of the others are, which the objects of Python must fit.
+        # Its own streams are pipes, as those of the others are, which the objects of Python must
+        # fit.
         line = [sys.executable, "-P", __file__, str(theirs.fileno())]
-        return ours, subprocess.Popen(line, pass_fds=[theirs.fileno()], cwd="/", start_new_session=True, **PIPES)
+        return ours, subprocess.Popen(
+            line, pass_fds=[theirs.fileno()], cwd="/", start_new_session=True, **PIPES
+        )
 
 
 def forked(control: socket.socket) -> tuple[CodeType, list[str]]:
@@ -111,7 +120,9 @@ def forked(control: socket.socket) -> tuple[CodeType, list[str]]:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # this one waits for the process, its child
         connection, *streams = descriptors
         with os.fdopen(connection, "r+b", buffering=0) as lines:
-            script, words, folder, environment = json.loads(b"".join(iter(functools.partial(lines.read, 1), b"\n")))
+            script, words, folder, environment = json.loads(
+                b"".join(iter(functools.partial(lines.read, 1), b"\n"))
+            )
             if child := os.fork():
                 for each in (*streams, 0, 1, 2):
                     os.close(each)

@@ -1,4 +1,6 @@
-"""Small valid files of each kind that pixsim reads, with their readers: seeds for random changes."""
+"""Small valid files of each kind that pixsim reads, with their readers: seeds for random
+changes.
+"""
 
 from __future__ import annotations
 
@@ -61,16 +63,25 @@ SCENE = """<scene version="3.0.0">
 <transform name="to_uv"><scale y="-1"/></transform></texture></texture></emitter></shape></scene>
 """
 ENVI = (
-    "ENVI\nsamples = 5\nlines = 4\nbands = 3\nheader offset = 0\nfile type = ENVI Standard\ndata type = 4\ninterleave = bsq\n"
-    "byte order = 0\nwavelength units = Nanometers\nwavelength = {450, 550, 650}\nfwhm = {9, 9, 9}\ndata units = W.m^-2.nm^-1\n"
-    "pitch_um = 5\n"
+    "ENVI\nsamples = 5\nlines = 4\nbands = 3\nheader offset = 0\nfile type = ENVI Standard\ndata"
+    " type = 4\ninterleave = bsq\nbyte order = 0\nwavelength units = Nanometers\nwavelength = {450,"
+    " 550, 650}\nfwhm = {9, 9, 9}\ndata units = W.m^-2.nm^-1\npitch_um = 5\n"
 )
 
 
 def light(factored: bool = False) -> SpectralImage:
     values = np.random.default_rng(1).uniform(0.1, 1.0, (4, 5, 3)).astype(np.float32)
-    content = {"factors": (np.ones((1, 3)), values[:, :, :1].transpose(2, 0, 1))} if factored else {"data": values}
-    header = {"scene": "a.xml", "camera": pixsim.Camera().model_dump(), "parameters": {}, "luminance_cd_per_m2": 100.0}
+    content = (
+        {"factors": (np.ones((1, 3)), values[:, :, :1].transpose(2, 0, 1))}
+        if factored
+        else {"data": values}
+    )
+    header = {
+        "scene": "a.xml",
+        "camera": pixsim.Camera().model_dump(),
+        "parameters": {},
+        "luminance_cd_per_m2": 100.0,
+    }
     return SpectralImage(NM, 10.0, 5.0, header=header, **content)
 
 
@@ -97,17 +108,32 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     texts: dict[str, tuple[str, Reader]] = {
         "config.toml": (CONFIG, lambda path: SceneOptions([path]).settings()),
         "study.toml": ((PACKAGE / "data/studies/modern.toml").read_text(), load_study),
-        "technology.toml": ((PACKAGE / "data/technologies/0.35um.toml").read_text(), lambda path: load_technology(str(path))),
-        "lens.toml": ((PACKAGE / "data/lenses/phone.toml").read_text(), lambda path: pixsim.load_lens(str(path))),
-        "lens.zmx": ((DATA / "lenses/US00583336-2-scaled.zmx").read_text(), lambda path: pixsim.load_lens(str(path))),
+        "technology.toml": (
+            (PACKAGE / "data/technologies/0.35um.toml").read_text(),
+            lambda path: load_technology(str(path)),
+        ),
+        "lens.toml": (
+            (PACKAGE / "data/lenses/phone.toml").read_text(),
+            lambda path: pixsim.load_lens(str(path)),
+        ),
+        "lens.zmx": (
+            (DATA / "lenses/US00583336-2-scaled.zmx").read_text(),
+            lambda path: pixsim.load_lens(str(path)),
+        ),
         "curve.csv": ("nm,qe\n400,0.1\n500,0.5\n600,0.4\n", read_curve),
         "scene.xml": (SCENE, load),
-        "shipped.xml": (shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'), load),
+        "shipped.xml": (
+            shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'),
+            load,
+        ),
         "cube.hdr": (ENVI, read_picture),
     }
     for name, (text, _) in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    part = '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="0.01"/></shape></scene>'
+    part = (
+        '<scene version="3.0.0"><shape type="sphere"><float name="radius"'
+        ' value="0.01"/></shape></scene>'
+    )
     (folder / "part.xml").write_text(part, encoding="utf-8")
     light().data.transpose(2, 0, 1).tofile(folder / "cube.img")
     write_chart(folder / "chart.exr", np.ones((4, 4), np.float32))
@@ -116,17 +142,23 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     write_npz(folder / "light.npz", light())
     np.save(folder / "edge.npy", np.ones((4, 4)))
     Image.fromarray(np.ones((8, 8), np.uint16)).save(folder / "edge.png")
-    np.savez_compressed(folder / "raw.npz", dn=np.ones((4, 4), np.uint16), black_level_dn=1.0, bits=10)
+    np.savez_compressed(
+        folder / "raw.npz", dn=np.ones((4, 4), np.uint16), black_level_dn=1.0, bits=10
+    )
     rows(folder / "results.csv")
     readers: dict[str, Reader] = {name: reader for name, (_, reader) in texts.items()}
     readers |= dict.fromkeys(("light.exr", "factors.exr", "light.npz"), read_picture)
-    readers |= dict.fromkeys(("chart.exr", "edge.npy", "edge.png"), read_edge_picture) | {"results.csv": read_rows}
+    readers |= dict.fromkeys(("chart.exr", "edge.npy", "edge.png"), read_edge_picture) | {
+        "results.csv": read_rows
+    }
     readers |= {"raw.npz": pixsim.read_frame}
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 
 def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repeated: int) -> bytes:
-    """Overwrite bytes at relative positions from 0 to 1, truncate at `end`, and repeat the middle."""
+    """Overwrite bytes at relative positions from 0 to 1, truncate at `end`, and repeat the
+    middle.
+    """
     work = bytearray(content)
     for place, new in changes:
         at = int(place * len(work))
@@ -136,18 +168,25 @@ def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repe
     return bytes(work + middle * repeated)
 
 
-# --- Scenes and meshes for `test_hostile_scenes` -------------------------------------------------------------------------------
+# --- Scenes and meshes for `test_hostile_scenes`
+# -------------------------------------------------------------------------------
 
 TRIANGLES = np.array([(3, (0, 1, 2)), (3, (1, 2, 3))], [("n", "u1"), ("corners", "<i4", 3)])
 POSITIONS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], "<f4")
 PLY = (
-    b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    b"element face 2\nproperty list uchar int vertex_indices\nend_header\n" + POSITIONS.tobytes() + TRIANGLES.tobytes()
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float"
+    b" y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    + POSITIONS.tobytes()
+    + TRIANGLES.tobytes()
 )
 SERIALIZED = (
     struct.pack("<HH", 0x041C, 4)
     + zlib.compress(
-        struct.pack("<I", 0x1000) + b"name\0" + struct.pack("<QQ", 4, 2) + POSITIONS.tobytes() + TRIANGLES["corners"].tobytes()
+        struct.pack("<I", 0x1000)
+        + b"name\0"
+        + struct.pack("<QQ", 4, 2)
+        + POSITIONS.tobytes()
+        + TRIANGLES["corners"].tobytes()
     )
     + struct.pack("<QI", 0, 1)
 )
@@ -168,7 +207,20 @@ ODD_NUMBERS = [
     "x",
     "",
 ]
-TAGS = ["float", "integer", "string", "boolean", "spectrum", "rgb", "point", "vector", "transform", "ref", "texture", "bdsf"]
+TAGS = [
+    "float",
+    "integer",
+    "string",
+    "boolean",
+    "spectrum",
+    "rgb",
+    "point",
+    "vector",
+    "transform",
+    "ref",
+    "texture",
+    "bdsf",
+]
 STEPS = [
     '<scale value="2"/>',
     '<rotate y="1" angle="30"/>',
@@ -184,8 +236,13 @@ RIGHT = {
 
 @st.composite
 def random_scene(draw: st.DrawFn) -> str:
-    """The body of a scene: elements of the allowed plugins, mostly with properties that they may have."""
-    return "".join(draw(_element(draw(st.sampled_from(["shape", "bsdf", "emitter", "medium", "texture"])))) for _ in range(2))
+    """The body of a scene: elements of the allowed plugins, mostly with properties that they may
+    have.
+    """
+    return "".join(
+        draw(_element(draw(st.sampled_from(["shape", "bsdf", "emitter", "medium", "texture"]))))
+        for _ in range(2)
+    )
 
 
 @st.composite
@@ -194,11 +251,20 @@ def _element(draw: st.DrawFn, kind: str, name: str = "", deep: int = 0) -> str:
     named = f' name="{name}"' if name else ""
     if draw(st.integers(0, 15)) == 0:
         plugin = draw(st.sampled_from(["../x", "blender", "", "scene", "a" * 999]))
-    names = st.lists(st.sampled_from(sorted(content.properties)), max_size=3, unique=True) if content.properties else st.just([])
+    names = (
+        st.lists(st.sampled_from(sorted(content.properties)), max_size=3, unique=True)
+        if content.properties
+        else st.just([])
+    )
     needed = content.properties.keys() & {"filename"}
-    inside = [draw(_property(content.properties[each], each, deep)) for each in {*needed, *draw(names)}]
+    inside = [
+        draw(_property(content.properties[each], each, deep)) for each in {*needed, *draw(names)}
+    ]
     if content.holds and deep < 4:
-        inside += [draw(_element(draw(st.sampled_from(content.holds)), deep=deep + 1)) for _ in range(draw(st.integers(0, 2)))]
+        inside += [
+            draw(_element(draw(st.sampled_from(content.holds)), deep=deep + 1))
+            for _ in range(draw(st.integers(0, 2)))
+        ]
     return f'<{kind} type="{plugin}"{named}>{"".join(inside)}</{kind}>'
 
 
@@ -209,7 +275,10 @@ def _property(draw: st.DrawFn, rule: Allowed, name: str, deep: int) -> str:
     right = draw(st.integers(0, 19)) > 0
     tag = draw(st.sampled_from(rule.tags if right else TAGS))
     if tag == "transform":
-        return f'<transform name="{name}">{draw(st.sampled_from(STEPS[: 3 if right else None]))}</transform>'
+        return (
+            "<transform"
+            f' name="{name}">{draw(st.sampled_from(STEPS[: 3 if right else None]))}</transform>'
+        )
     value = RIGHT.get(tag, "1") if right else draw(st.sampled_from(ODD_NUMBERS))
     if right and tag == "string":
         files = {"texture": "chart.exr", "mesh": "a.ply", "volume": "a.vol", "metal": "Au"}

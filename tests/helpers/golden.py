@@ -1,16 +1,18 @@
-"""Golden numbers: what commands that touch every feature compute, to compare a changed tree with the tree before.
+"""Golden numbers: what commands that touch every feature compute, to compare a changed tree with
+the tree before.
 
     python tests/helpers/golden.py write FOLDER [--all | NAME ...]
     python tests/helpers/golden.py compare FOLDER [--all | NAME ...]
 
-Each command runs with an empty cache, in a folder of its own. Numbers count, and words, pages, pictures and lists of files do
-not: of tables the columns of numbers without times, of JSON the numbers, and of frames and light all samples. Each command
-states its film, its dots and, of a lit scene, its samples and its render noise, but for those of `FREE`, which leave them to
-pixsim.
+Each command runs with an empty cache, in a folder of its own. Numbers count, and words, pages,
+pictures and lists of files do not: of tables the columns of numbers without times, of JSON the
+numbers, and of frames and light all samples. Each command states its film, its dots and, of a lit
+scene, its samples and its render noise, but for those of `FREE`, which leave them to pixsim.
 
-On one type of processor and one set of packages every bit counts, elsewhere a relative difference of `ELSEWHERE`. A number that
-only one of the trees writes is listed, and no difference. `compare` exits with 1 if a number differs, or a command fails.
-Without `--all` it takes the commands of `QUICK`, about three minutes on two idle cores.
+On one type of processor and one set of packages every bit counts, elsewhere a relative difference
+of `ELSEWHERE`. A number that only one of the trees writes is listed, and no difference. `compare`
+exits with 1 if a number differs, or a command fails. Without `--all` it takes the commands of
+`QUICK`, about three minutes on two idle cores.
 """
 
 from __future__ import annotations
@@ -52,11 +54,24 @@ f_number = 2.8
 [exposure]
 max_integration_s = 0.033
 """
-SMALL = {"pitch_um": 3.75, "well_e": 10500, "read_e": 2.3, "efficiency": 0.62, "die_mm": 2.4, "more": ""}
+SMALL = {
+    "pitch_um": 3.75,
+    "well_e": 10500,
+    "read_e": 2.3,
+    "efficiency": 0.62,
+    "die_mm": 2.4,
+    "more": "",
+}
 LARGE = SMALL | {"pitch_um": 4.8, "well_e": 22000, "read_e": 3.1}
-UNSURE = SMALL | {"more": "[pixel.uncertainty]\nread_noise_e = { range = [1.8, 2.9] }\nprnu = { range = [0.003, 0.01] }"}
+UNSURE = SMALL | {
+    "more": (
+        "[pixel.uncertainty]\nread_noise_e = { range = [1.8, 2.9] }\nprnu = { range = [0.003,"
+        " 0.01] }"
+    )
+}
 COLOUR = (
-    "[pixel]\ntechnology = '4t-bsi'\npitch_um = 3.0\n[pixel.colour]\nsensitivities = 'Nikon_D5100'\npeak_quantum_efficiency = 0.5\n"
+    "[pixel]\ntechnology = '4t-bsi'\npitch_um = 3.0\n[pixel.colour]\nsensitivities ="
+    " 'Nikon_D5100'\npeak_quantum_efficiency = 0.5\n"
 )
 FEW = """name = "few"
 title = "Few"
@@ -73,7 +88,14 @@ display = {{ dots = 128 }}
 resolution = 256
 {more}
 """
-FEW_DEFAULTS = {"technology": "4t-bsi", "repeats": 2, "low": 2.0, "scene": "csf", "parameters": "", "more": ""}
+FEW_DEFAULTS = {
+    "technology": "4t-bsi",
+    "repeats": 2,
+    "low": 2.0,
+    "scene": "csf",
+    "parameters": "",
+    "more": "",
+}
 AXES = """[[axis]]
 name = "light"
 set = "scene.parameters.luminance_cd_per_m2"
@@ -127,7 +149,10 @@ FILES = {
     "third.toml": SHEET.format(**(LARGE | {"pitch_um": 6.0, "die_mm": 3.0})),
     "unsure.toml": SHEET.format(**UNSURE),
     "colour.toml": COLOUR,
-    "stack.toml": "[pixel]\ntechnology = '0.25um'\npitch_um = 6.0\n[pixel.stack]\nheight_um = 3.0\nindex = 1.46\n",
+    "stack.toml": (
+        "[pixel]\ntechnology = '0.25um'\npitch_um = 6.0\n[pixel.stack]\nheight_um = 3.0\nindex ="
+        " 1.46\n"
+    ),
     "few.toml": few(),
     "more.toml": few(repeats=4),
     "axes.toml": few(technology="0.35um", low=6.0, more=AXES),
@@ -135,7 +160,9 @@ FILES = {
     "light.toml": few(more=LIGHT),
     "filters.toml": few(more=FILTERS),
     "sensors.toml": few(technology='small.toml", "4t-bsi'),
-    "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", more="render_noise = 1.0", low=4.0),
+    "scene.toml": few(
+        scene="macbeth", parameters=", parameters = { spp = 4 }", more="render_noise = 1.0", low=4.0
+    ),
     "target.toml": few(technology="0.35um", low=6.0, more="target_ci_um = 0.4\nmax_repeats = 8"),
     "process.toml": few(technology="0.35um", low=6.0),
 }
@@ -145,20 +172,29 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "run chart": ("run csf --resolution 512 --display.dots 512 --raw npz --frames 2",),
     "run repeats": ("run csf --resolution 512 --display.dots 256 --repeats 4",),
     "run scene": (f"run {DESK} --resolution 32 --display.dots 32 -D spp=4 {LIT}",),
-    "run packaged scene": (f"run macbeth --resolution 64 --display.dots 64 -D spp=4 {LIT} --config colour.toml",),
+    "run packaged scene": (
+        f"run macbeth --resolution 64 --display.dots 64 -D spp=4 {LIT} --config colour.toml",
+    ),
     "run colour": ("run csf --config colour.toml --resolution 256 --display.dots 256",),
     "run stack": ("run csf --config stack.toml --resolution 256 --display.dots 256",),
     "run lens": ("run csf --lens phone --resolution 256 --display.dots 256",),
     "run lens window": (
-        "run csf --config small.toml --camera.die-mm 8.4 --camera.f-number 5 --lens cooke_triplet --window 0.5 "
-        "--resolution 256 --display.dots 256",
+        (
+            "run csf --config small.toml --camera.die-mm 8.4 --camera.f-number 5 --lens"
+            " cooke_triplet --window 0.5 --resolution 256 --display.dots 256"
+        ),
     ),
     "run sheet": (
-        "run csf --config small.toml --resolution 512 --display.dots 512 --correction.dark-frames 4 --correction.defects true",
+        (
+            "run csf --config small.toml --resolution 512 --display.dots 512"
+            " --correction.dark-frames 4 --correction.defects true"
+        ),
     ),
     "run metrics": (
-        "run target --config small.toml --resolution 256 --display.dots 256 --metric delta_e --metric detectability "
-        "--metric npwe --metric information --metric acutance",
+        (
+            "run target --config small.toml --resolution 256 --display.dots 256 --metric delta_e"
+            " --metric detectability --metric npwe --metric information --metric acutance"
+        ),
     ),
     "run picture": (
         "run csf --resolution 128 --display.dots 128 --irradiance full --out picture",
@@ -166,10 +202,20 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "study paper": ("study chen2000 --quick --resolution 1024",),
     "study target": ("study target.toml",),
-    "study resumed": ("study few.toml --config small.toml --out again", "study more.toml --config small.toml --out again"),
+    "study resumed": (
+        "study few.toml --config small.toml --out again",
+        "study more.toml --config small.toml --out again",
+    ),
     "study axes": ("study axes.toml",),
-    "study axes together": ("study few.toml --config small.toml --axis camera.f_number=2.8,5.6 --axis exposure.gain_db=0,6",),
-    "study sensitivity": ("study chen2000-sensitivity --quick --resolution 256 --display.dots 128",),
+    "study axes together": (
+        (
+            "study few.toml --config small.toml --axis camera.f_number=2.8,5.6 --axis"
+            " exposure.gain_db=0,6"
+        ),
+    ),
+    "study sensitivity": (
+        "study chen2000-sensitivity --quick --resolution 256 --display.dots 128",
+    ),
     "study modern": ("study modern --quick --resolution 256 --display.dots 128",),
     "study conditions": ("study conditions.toml",),
     "study filters": ("study filters.toml",),
@@ -181,14 +227,44 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "types of a technology": ("study process.toml --uncertainty 8",),
     "types of a sheet": ("study few.toml --config unsure.toml --uncertainty 8",),
     "indices": ("study few.toml --config unsure.toml --sobol 8 --smaller-than 5",),
-    "compare view": ("compare large.toml small.toml --match view --repeats 4 --resolution 512 --display.dots 512",),
-    "compare lens": ("compare large.toml third.toml --match lens --repeats 4 --resolution 512 --display.dots 512",),
-    "compare own": ("compare large.toml third.toml --match own --repeats 4 --resolution 512 --display.dots 512",),
-    "compare three": ("compare large.toml small.toml third.toml --match view --repeats 4 --resolution 512 --display.dots 512",),
-    "compare conditions": ("compare large.toml small.toml --match view --study conditions.toml --repeats 4 --resolution 256",),
-    "compare axes": ("compare large.toml small.toml --match view --study light.toml --repeats 3 --resolution 256",),
+    "compare view": (
+        (
+            "compare large.toml small.toml --match view --repeats 4 --resolution 512"
+            " --display.dots 512"
+        ),
+    ),
+    "compare lens": (
+        (
+            "compare large.toml third.toml --match lens --repeats 4 --resolution 512"
+            " --display.dots 512"
+        ),
+    ),
+    "compare own": (
+        "compare large.toml third.toml --match own --repeats 4 --resolution 512 --display.dots 512",
+    ),
+    "compare three": (
+        (
+            "compare large.toml small.toml third.toml --match view --repeats 4 --resolution 512"
+            " --display.dots 512"
+        ),
+    ),
+    "compare conditions": (
+        (
+            "compare large.toml small.toml --match view --study conditions.toml --repeats 4"
+            " --resolution 256"
+        ),
+    ),
+    "compare axes": (
+        (
+            "compare large.toml small.toml --match view --study light.toml --repeats 3"
+            " --resolution 256"
+        ),
+    ),
     "compare uncertainty": (
-        "compare unsure.toml large.toml --match view --uncertainty 8 --repeats 3 --resolution 256 --display.dots 256",
+        (
+            "compare unsure.toml large.toml --match view --uncertainty 8 --repeats 3 --resolution"
+            " 256 --display.dots 256"
+        ),
     ),
     "datasheet": ("datasheet small.toml",),
     "datasheet of a technology": ("datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12",),
@@ -204,12 +280,39 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 FREE = [name for name in COMMANDS if name.startswith("free")]
 QUICK = (
-    *("run chart", "run repeats", "run scene", "run colour", "run lens", "run sheet", "run metrics", "study axes"),
-    *("study conditions", "types of a sheet", "compare view", "compare conditions", "datasheet", "lens"),
+    *(
+        "run chart",
+        "run repeats",
+        "run scene",
+        "run colour",
+        "run lens",
+        "run sheet",
+        "run metrics",
+        "study axes",
+    ),
+    *(
+        "study conditions",
+        "types of a sheet",
+        "compare view",
+        "compare conditions",
+        "datasheet",
+        "lens",
+    ),
 )
 # What depends on the clock, the machine or the version, and what is computed but not a result.
 NOT_NUMBERS = {
-    *("seconds", "stage_seconds", "wall_s", "time_s", "cpu_s", "memory_bytes", "estimate", "created", "versions", "machine"),
+    *(
+        "seconds",
+        "stage_seconds",
+        "wall_s",
+        "time_s",
+        "cpu_s",
+        "memory_bytes",
+        "estimate",
+        "created",
+        "versions",
+        "machine",
+    ),
     *("stages", "pixsim", "schema", "key", "files", "check", "written"),
 }
 
@@ -244,7 +347,9 @@ def table_numbers(path: Path, place: str) -> Iterator[tuple[str, float]]:
 
 
 def array_numbers(samples: Any, place: str) -> Iterator[tuple[str, float]]:
-    """What stands for an array: a digest of its bits as a number, and moments, which elsewhere are compared in its place."""
+    """What stands for an array: a digest of its bits as a number, and moments, which elsewhere are
+    compared in its place.
+    """
     import numpy as np
 
     array = np.ascontiguousarray(samples)
@@ -294,8 +399,21 @@ def command_numbers(lines: tuple[str, ...]) -> dict[str, float]:
         numbers: dict[str, float] = {}
         for index, line in enumerate(lines):
             output = [] if "--out" in line else ["--out", f"out{index}"]
-            command = [sys.executable, "-P", "-W", "ignore", "-m", "pixsim", *shlex.split(line), *output, "--json", "--quiet"]
-            process = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+            command = [
+                sys.executable,
+                "-P",
+                "-W",
+                "ignore",
+                "-m",
+                "pixsim",
+                *shlex.split(line),
+                *output,
+                "--json",
+                "--quiet",
+            ]
+            process = subprocess.run(
+                command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+            )
             if process.returncode:
                 raise SystemExit(f"pixsim {line}: {process.stderr}")
             numbers.update(json_numbers(json.loads(process.stdout), f"stdout {index}"))
@@ -317,7 +435,9 @@ def differences(before: dict[str, float], after: dict[str, float], *, every_bit:
         elif place.endswith(f"/{BITS}"):
             is_equal = True
         else:
-            is_equal = math.isclose(old, new, rel_tol=ELSEWHERE, abs_tol=0.0) or (math.isnan(old) and math.isnan(new))
+            is_equal = math.isclose(old, new, rel_tol=ELSEWHERE, abs_tol=0.0) or (
+                math.isnan(old) and math.isnan(new)
+            )
         if not is_equal:
             lines.append(f"{place}: {old!r} -> {new!r}")
     return sorted(lines)
@@ -333,7 +453,14 @@ def main(words: list[str]) -> int:
     if action == "write":
         machine_file.write_text(json.dumps(machine), encoding="utf-8")
     every_bit = json.loads(machine_file.read_text(encoding="utf-8")) == machine
-    print("every bit counts" if every_bit else f"another machine: relative differences above {ELSEWHERE:g} count", flush=True)
+    print(
+        (
+            "every bit counts"
+            if every_bit
+            else f"another machine: relative differences above {ELSEWHERE:g} count"
+        ),
+        flush=True,
+    )
 
     any_difference = False
     for name in chosen:
@@ -350,7 +477,10 @@ def main(words: list[str]) -> int:
         any_difference |= bool(lines)
         result = f"{len(lines)} differences" if lines else "equal"
         gone, new = sorted(before.keys() - numbers.keys()), sorted(numbers.keys() - before.keys())
-        print(f"{name}: {result} of {len(before)}, {len(gone)} gone, {len(new)} new, {seconds:.0f} s", flush=True)
+        print(
+            f"{name}: {result} of {len(before)}, {len(gone)} gone, {len(new)} new, {seconds:.0f} s",
+            flush=True,
+        )
         for line in [*lines[:LINES_PRINTED], *(f"gone: {place}" for place in gone[:LINES_PRINTED])]:
             print(f"  {line}")
     return int(any_difference)

@@ -16,7 +16,13 @@ from pixsim.show.pages import Plate
 def grey_look(line: Line2D) -> tuple[object, ...]:
     """Properties of a line other than its colour."""
     hollow = line.get_markerfacecolor() == "none"
-    return line.get_linestyle(), line._unscaled_dash_pattern, line.get_marker(), hollow, line.get_linewidth()
+    return (
+        line.get_linestyle(),
+        line._unscaled_dash_pattern,
+        line.get_marker(),
+        hollow,
+        line.get_linewidth(),
+    )
 
 
 class Elements(HTMLParser):
@@ -32,7 +38,11 @@ class Elements(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "poster"}]
+        self.links += [
+            value or ""
+            for name, value in attrs
+            if name in {"src", "href", "srcset", "data", "poster"}
+        ]
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
@@ -53,19 +63,28 @@ def text_of(folder: Path) -> str:
 
 
 def lines_without_rows(plate: Plate) -> list[str]:
-    """Names of a figure's lines that are not in its table: no two columns have the x and y of all their points.
+    """Names of a figure's lines that are not in its table: no two columns have the x and y of all
+    their points.
 
-    A line of two points is a mark, such as the Nyquist frequency, and not data. A line with more points than the table has rows is
-    a curve: at each x of two columns, one of the y lies on it.
+    A line of two points is a mark, such as the Nyquist frequency, and not data. A line with more
+    points than the table has rows is a curve: at each x of two columns, one of the y lies on it.
     """
-    numeric = (column for column in plate.table.values() if all(isinstance(value, int | float) for value in column))
+    numeric = (
+        column
+        for column in plate.table.values()
+        if all(isinstance(value, int | float) for value in column)
+    )
     columns = [np.array(column, float) for column in numeric]
     missing = []
     for axes in plate.figure.axes:
         for line in axes.lines:
             points = np.array(line.get_xydata(), float)
             is_cap = line.get_marker() in ("_", "|")  # of an error bar
-            if len(points) > 2 and not is_cap and not any(_has_rows(points, x, y) for x in columns for y in columns):
+            if (
+                len(points) > 2
+                and not is_cap
+                and not any(_has_rows(points, x, y) for x in columns for y in columns)
+            ):
                 missing.append(str(line.get_label()))
     return missing
 
@@ -73,7 +92,11 @@ def lines_without_rows(plate: Plate) -> list[str]:
 def _has_rows(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> bool:
     if len(points) > len(x):
         known = np.isfinite(x) & np.isfinite(y)
-        is_on = np.isclose(np.interp(x[known], *points.T), y[known], rtol=1e-3)  # straight between points, and bent between rows
+        is_on = np.isclose(
+            np.interp(x[known], *points.T), y[known], rtol=1e-3
+        )  # straight between points, and bent between rows
         return set(x[known][is_on]) == set(x[known]) and bool(known.any())
-    near = np.isclose(points[:, :1], x, rtol=1e-9, atol=0) & np.isclose(points[:, 1:], y, rtol=1e-9, atol=0, equal_nan=True)
+    near = np.isclose(points[:, :1], x, rtol=1e-9, atol=0) & np.isclose(
+        points[:, 1:], y, rtol=1e-9, atol=0, equal_nan=True
+    )
     return bool(near.any(axis=1).all())

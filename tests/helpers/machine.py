@@ -1,4 +1,6 @@
-"""What a run of the tests may not change: devices, the home folder, and the folder of temporary files."""
+"""What a run of the tests may not change: devices, the home folder, and the folder of temporary
+files.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,11 @@ DEVICES = Path("/dev")
 
 
 def devices(known: Container[str] | None = None) -> dict[str, tuple[int, ...]]:
-    """Kind, permissions, owner and number of each file in /dev, without the folders that all processes share.
+    """Kind, permissions, owner and number of each file in /dev, without the folders that all
+    processes share.
 
-    known : names without which a device is left out: the system makes one when something is plugged in
+    known : names without which a device is left out: the system makes one when something is plugged
+        in
     """
     listed = {each.name: each.lstat() for each in (DEVICES.iterdir() if DEVICES.is_dir() else ())}
     return {
@@ -24,13 +28,20 @@ def devices(known: Container[str] | None = None) -> dict[str, tuple[int, ...]]:
 
 
 def files_below(folder: Path) -> dict[str, tuple[int, ...]]:
-    """Kind, permissions, owner, length and time of change of all files and folders below a folder; of folders, no time."""
+    """Kind, permissions, owner, length and time of change of all files and folders below a folder;
+    of folders, no time.
+    """
     listed = {}
     for place, folders, files in os.walk(folder):
         for name in (*folders, *files):
             found = Path(place, name).lstat()
             content = () if stat.S_ISDIR(found.st_mode) else (found.st_size, found.st_mtime_ns)
-            listed[str(Path(place, name).relative_to(folder))] = (found.st_mode, found.st_uid, found.st_gid, *content)
+            listed[str(Path(place, name).relative_to(folder))] = (
+                found.st_mode,
+                found.st_uid,
+                found.st_gid,
+                *content,
+            )
     return listed
 
 
@@ -39,4 +50,13 @@ def changes(before: dict[str, tuple[int, ...]], after: dict[str, tuple[int, ...]
     words = [f"{name} is new" for name in after.keys() - before.keys()] + [
         f"{name} is gone" for name in before.keys() - after.keys()
     ]
-    return sorted([*words, *(f"{name} has changed" for name in before.keys() & after.keys() if before[name] != after[name])])
+    return sorted(
+        [
+            *words,
+            *(
+                f"{name} has changed"
+                for name in before.keys() & after.keys()
+                if before[name] != after[name]
+            ),
+        ]
+    )

@@ -1,7 +1,9 @@
-"""Size of the package and its imports, by room: `python tests/helpers/measure.py [FOLDER]`, of pixsim if no folder is given.
+"""Size of the package and its imports, by room: `python tests/helpers/measure.py [FOLDER]`, of
+pixsim if no folder is given.
 
-Nodes are those of the syntax tree, so that the width of lines, blank lines and comments do not count. A floor is the place of a
-module in the longest chain of imports inside its room. Imports inside functions count; those for the type checker do not.
+Nodes are those of the syntax tree, so that the width of lines, blank lines and comments do not
+count. A floor is the place of a module in the longest chain of imports inside its room. Imports
+inside functions count; those for the type checker do not.
 """
 
 from __future__ import annotations
@@ -40,7 +42,12 @@ def is_type_checking(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
-def imports(tree: ast.AST, modules: Mapping[str, Path], at_top_only: bool = False, type_checking: bool = False) -> Iterator[str]:
+def imports(
+    tree: ast.AST,
+    modules: Mapping[str, Path],
+    at_top_only: bool = False,
+    type_checking: bool = False,
+) -> Iterator[str]:
     """Dotted names that a module imports at run time.
 
     modules : of the package
@@ -59,7 +66,9 @@ def imports(tree: ast.AST, modules: Mapping[str, Path], at_top_only: bool = Fals
             assert node.level == 0, "relative import"
             names = [f"{node.module}.{alias.name}" for alias in node.names]
             yield from names
-            if any(name.partition(".")[2] not in modules for name in names):  # not for a package's files
+            if any(
+                name.partition(".")[2] not in modules for name in names
+            ):  # not for a package's files
                 yield str(node.module)
         yield from imports(node, modules, at_top_only, type_checking)
 
@@ -74,14 +83,18 @@ def arrows_of(package: Path = PACKAGE, type_checking: bool = False) -> dict[str,
     graph: dict[str, set[str]] = {}
     for module, path in files.items():
         names = {
-            name.removeprefix(start) for name in imports(tree(path), files, type_checking=type_checking) if name.startswith(start)
+            name.removeprefix(start)
+            for name in imports(tree(path), files, type_checking=type_checking)
+            if name.startswith(start)
         }
         graph[module] = {name for name in names if name in files and name != module}
     return graph
 
 
 def floors(arrows: Arrows, room: str) -> dict[str, int]:
-    """Floor of each module of a room, 1 for those that import no other one of it. Raises CycleError for a circle in it."""
+    """Floor of each module of a room, 1 for those that import no other one of it. Raises CycleError
+    for a circle in it.
+    """
     modules = [module for module in arrows if module.startswith(f"{room}.")]
     inside = {module: arrows[module].intersection(modules) for module in modules}
     heights: dict[str, int] = {}
@@ -94,7 +107,9 @@ def main(package: Path) -> None:
     files, arrows = files_of(package), arrows_of(package)
     rooms: dict[str, list[str]] = {}
     for module, path in files.items():
-        rooms.setdefault("" if path.parent == package else module.partition(".")[0], []).append(module)
+        rooms.setdefault("" if path.parent == package else module.partition(".")[0], []).append(
+            module
+        )
     print("room".ljust(14), *(name.rjust(8) for name in ("files", "nodes", "floors")))
     for room, modules in sorted(rooms.items()):
         nodes = sum(1 for module in modules for _ in ast.walk(tree(files[module])))
@@ -102,7 +117,12 @@ def main(package: Path) -> None:
             height = str(max(floors(arrows, room).values(), default=1))
         except CycleError as error:
             height = f"circle: {' → '.join(error.args[1])}"
-        print((room or "(top)").ljust(14), str(len(modules)).rjust(8), str(nodes).rjust(8), height.rjust(8))
+        print(
+            (room or "(top)").ljust(14),
+            str(len(modules)).rjust(8),
+            str(nodes).rjust(8),
+            height.rjust(8),
+        )
     try:
         TopologicalSorter(arrows).prepare()
         print("no circle among all modules")

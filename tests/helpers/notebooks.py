@@ -1,4 +1,6 @@
-"""Run the notebooks of docs/: `python tests/helpers/notebooks.py NOTEBOOK…` writes their outputs into them."""
+"""Run the notebooks of docs/: `python tests/helpers/notebooks.py NOTEBOOK…` writes their outputs
+into them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ LONGEST_S = 300  # of a cell
 
 
 def executed(path: Path, folder: Path) -> Any:
-    """A notebook run from its first cell to its last in a folder, with this checkout's package. Raises CellExecutionError."""
+    """A notebook run from its first cell to its last in a folder, with this checkout's package.
+    Raises CellExecutionError.
+    """
     import nbformat
     from nbclient import NotebookClient
 
@@ -22,7 +26,12 @@ def executed(path: Path, folder: Path) -> Any:
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count = [], None
     environment = {**os.environ, "PYTHONPATH": str(HERE), "MPLBACKEND": "agg"}
-    client = NotebookClient(notebook, timeout=LONGEST_S, resources={"metadata": {"path": str(folder)}}, record_timing=False)
+    client = NotebookClient(
+        notebook,
+        timeout=LONGEST_S,
+        resources={"metadata": {"path": str(folder)}},
+        record_timing=False,
+    )
     client.execute(env=environment)
     return notebook
 
@@ -32,9 +41,15 @@ def outputs(notebook: Any) -> list[tuple[int, str, str]]:
     found = []
     for number, cell in enumerate(notebook.cells):
         own = cell.get("outputs", []) if cell.cell_type == "code" else []
-        if printed := "".join(output.text for output in own if output.get("name") == "stdout"):  # it comes in pieces
+        if printed := "".join(
+            output.text for output in own if output.get("name") == "stdout"
+        ):  # it comes in pieces
             found.append((number, "text", printed))
-        found += [(number, kind, text) for output in own for kind, text in sorted(output.get("data", {}).items())]
+        found += [
+            (number, kind, text)
+            for output in own
+            for kind, text in sorted(output.get("data", {}).items())
+        ]
     return found
 
 
@@ -47,7 +62,9 @@ def main(paths: list[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             notebook = executed(path, Path(folder))
         for cell in notebook.cells:
-            if cell.cell_type == "code":  # what depends on the machine's speed and on the place of the package stays out
+            if (
+                cell.cell_type == "code"
+            ):  # what depends on the machine's speed and on the place of the package stays out
                 cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
                 streams = [output for output in cell.outputs if output.output_type == "stream"]
                 for other in streams[1:]:

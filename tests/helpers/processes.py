@@ -5,8 +5,8 @@ from __future__ import annotations
 # Far above any run time, so that no result depends on the speed of the machine.
 HANG_S = 600
 
-# The command, which sends itself a signal at the start of an evaluation; the film of its study is coarse, and not measured.
-# Background jobs of a shell ignore Ctrl-C, and so would their children.
+# The command, which sends itself a signal at the start of an evaluation; the film of its study is
+# coarse, and not measured. Background jobs of a shell ignore Ctrl-C, and so would their children.
 SIGNALLED = """
 import signal
 from pixsim.cli import command

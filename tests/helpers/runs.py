@@ -36,17 +36,26 @@ def run_result(
     known : properties in place of what would be computed
     """
     prepared: Any = SimpleNamespace(
-        settings=Run.model_validate(settings or {}), camera=Camera(), view={}, cases=[SimpleNamespace(picture=True)]
+        settings=Run.model_validate(settings or {}),
+        camera=Camera(),
+        view={},
+        cases=[SimpleNamespace(picture=True)],
     )
     prepared.asked = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
-    score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
+    score: Any = SimpleNamespace(
+        frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0]
+    )
     noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0))
     rendered: Any = film and SimpleNamespace(film=film, noise=noise)
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(rendition=None)
     repeats = np.arange(len(delta_e))
-    columns = {"pitch_um": np.full(repeats.size, pitch_um), "repeat": repeats, "mean_delta_e": np.array(delta_e)}
+    columns = {
+        "pitch_um": np.full(repeats.size, pitch_um),
+        "repeat": repeats,
+        "mean_delta_e": np.array(delta_e),
+    }
     table = Table(({"technology": "0.35um"},), np.zeros(repeats.size, np.int32), columns)
     result = RunResult(prepared, light, rendered, chain=chain, score=score, table=table)
     result.__dict__.update({"causes": tuple(causes), "budget": None, **known})

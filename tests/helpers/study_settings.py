@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-# Another value of each setting, and the stages that it makes anew where the light is the same: a light states in its header what
-# it depends on, so that its hash alone tells of a render.
+# Another value of each setting, and the stages that it makes anew where the light is the same: a
+# light states in its header what it depends on, so that its hash alone tells of a render.
 CHANGES: dict[str, tuple[Any, str]] = {
     "scene": ({"file": "flat"}, "light"),
     "camera": ({"f_number": 5.6}, "light"),
@@ -27,7 +27,17 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "pixel": ({"prnu": 0.02}, "light frame score"),
     "process": ({"0.35um": {"dsnu": 0.6}}, "light frame score"),
     "technologies": (("0.35um", "0.25um"), "light"),
-    "sensors": ({"one.toml": {"pitch_um": 6.0, "full_well_e": 1e4, "read_noise_e": 2.0, "quantum_efficiency": 0.5}}, "light"),
+    "sensors": (
+        {
+            "one.toml": {
+                "pitch_um": 6.0,
+                "full_well_e": 1e4,
+                "read_noise_e": 2.0,
+                "quantum_efficiency": 0.5,
+            }
+        },
+        "light",
+    ),
     "seed": (9, "light frame score"),
     "name": ("another", "frame score"),
     "streams": ("another", "frame score"),

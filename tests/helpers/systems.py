@@ -1,7 +1,8 @@
-"""What another system lacks is hidden from pixsim's modules, and from no other: `python systems.py SYSTEM CODE` runs code so.
+"""What another system lacks is hidden from pixsim's modules, and from no other:
+`python systems.py SYSTEM CODE` runs code so.
 
-Which names of Python's own modules a system has is read from the stubs of typeshed, as mypy brings them. What a system call does
-there is not told: files and processes are those of this machine.
+Which names of Python's own modules a system has is read from the stubs of typeshed, as mypy brings
+them. What a system call does there is not told: files and processes are those of this machine.
 """
 
 from __future__ import annotations
@@ -24,12 +25,17 @@ OTHER_VALUES: dict[str, dict[str, Any]] = {
 
 
 def names_of(statements: Sequence[ast.stmt], system: str) -> Iterator[str]:
-    """Names that the statements of a stub define on a system, without those that it imports for itself."""
+    """Names that the statements of a stub define on a system, without those that it imports for
+    itself.
+    """
     for each in statements:
         match each:
             case ast.If():
                 code = compile(ast.Expression(each.test), "stub", "eval")
-                seen = {"sys": type("sys", (), {"platform": system, "version_info": sys.version_info}), "TYPE_CHECKING": True}
+                seen = {
+                    "sys": type("sys", (), {"platform": system, "version_info": sys.version_info}),
+                    "TYPE_CHECKING": True,
+                }
                 yield from names_of(each.body if eval(code, seen) else each.orelse, system)
             case ast.FunctionDef() | ast.ClassDef():
                 yield each.name
@@ -43,16 +49,23 @@ def names_of(statements: Sequence[ast.stmt], system: str) -> Iterator[str]:
 
 @cache
 def missing(module: str, system: str) -> frozenset[str] | None:
-    """Names of a module of Python that a system lacks and this one has; None if it lacks the module."""
+    """Names of a module of Python that a system lacks and this one has; None if it lacks the
+    module.
+    """
     import mypy  # its package alone, not the checker
 
     folder = Path(mypy.__file__).parent / "typeshed/stdlib"
-    stubs = [folder.joinpath(*module.split(".")).with_suffix(".pyi"), folder.joinpath(*module.split("."), "__init__.pyi")]
+    stubs = [
+        folder.joinpath(*module.split(".")).with_suffix(".pyi"),
+        folder.joinpath(*module.split("."), "__init__.pyi"),
+    ]
     found = next((stub for stub in stubs if stub.is_file()), None)
     if found is None:
         return frozenset()
     tree = ast.parse(found.read_text(encoding="utf-8")).body
-    here, there = ({name for name in names_of(tree, each) if name[0] != "_"} for each in (sys.platform, system))
+    here, there = (
+        {name for name in names_of(tree, each) if name[0] != "_"} for each in (sys.platform, system)
+    )
     return None if here and not there else frozenset(here - there)
 
 
@@ -66,7 +79,9 @@ class ModuleThere(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         if name in self._hidden:
-            raise AttributeError(f"module '{self._real.__name__}' has no attribute '{name}' there", name=name)
+            raise AttributeError(
+                f"module '{self._real.__name__}' has no attribute '{name}' there", name=name
+            )
         return getattr(self._real, name)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -77,10 +92,16 @@ def hide(system: str) -> None:
     """Hide from modules of pixsim that are imported from now on what a system lacks."""
     import_here = builtins.__import__
 
-    def import_there(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> ModuleType:
+    def import_there(
+        name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+    ) -> ModuleType:
         module = import_here(name, globals, locals, fromlist, level)
         importer = (globals or {}).get("__name__", "")
-        if level or not f"{importer}.".startswith("pixsim.") or name.partition(".")[0] not in sys.stdlib_module_names:
+        if (
+            level
+            or not f"{importer}.".startswith("pixsim.")
+            or name.partition(".")[0] not in sys.stdlib_module_names
+        ):
             return module
         hidden = missing(name, system)
         if hidden is None:

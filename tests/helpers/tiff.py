@@ -10,12 +10,23 @@ import numpy as np
 
 
 def tiff(
-    path: Path, values: np.ndarray, photometric: int, *, deflate: bool = False, planar: bool = False, rows: int = 3, **tags: tuple
+    path: Path,
+    values: np.ndarray,
+    photometric: int,
+    *,
+    deflate: bool = False,
+    planar: bool = False,
+    rows: int = 3,
+    **tags: tuple,
 ) -> None:
     """A TIFF of (rows, columns, samples) in strips, written from the tables of TIFF 6.0 alone."""
     height, width, count = values.shape
     planes = [values[..., [one]] for one in range(count)] if planar else [values]
-    strips = [np.ascontiguousarray(plane[row : row + rows]).tobytes() for plane in planes for row in range(0, height, rows)]
+    strips = [
+        np.ascontiguousarray(plane[row : row + rows]).tobytes()
+        for plane in planes
+        for row in range(0, height, rows)
+    ]
     strips = [zlib.compress(strip) if deflate else strip for strip in strips]
     offsets = np.cumsum([8, *map(len, strips)]).tolist()
     kind = {"u": 1, "i": 2, "f": 3}[values.dtype.kind]
@@ -31,4 +42,6 @@ def tiff(
         field = data.ljust(4, b"\0") if len(data) <= 4 else struct.pack("<I", at + len(body))
         body += data if len(data) > 4 else b""
         table += struct.pack("<HHI", tag, size, len(items)) + field
-    path.write_bytes(struct.pack("<2sHI", b"II", 42, offsets[-1]) + b"".join(strips) + table + bytes(4) + body)
+    path.write_bytes(
+        struct.pack("<2sHI", b"II", 42, offsets[-1]) + b"".join(strips) + table + bytes(4) + body
+    )

@@ -27,10 +27,15 @@ def median_s(work: Callable[[], object], repeats: int = 11) -> float:
 
 def with_peak(function: Callable[..., Any], *arguments: object) -> tuple[Any, float]:
     result = function(*arguments)
-    return result, max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / GIB
+    return result, max(
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    ) / GIB
 
 
 def fresh(function: Callable[..., Any], *arguments: object) -> tuple[Any, float]:
-    """Result of a function in a new process, and the peak memory in GiB of it or its largest child."""
+    """Result of a function in a new process, and the peak memory in GiB of it or its largest
+    child.
+    """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(with_peak, function, *arguments).result()

@@ -16,8 +16,8 @@ from pixsim.studies.prepare import cases_of_sensors
 from pixsim.viewer.merging import merge
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-# Samples across a film that is too small for its error to be measured, which takes most of the time of a small study; and across
-# one that tells its sizes apart.
+# Samples across a film that is too small for its error to be measured, which takes most of the time
+# of a small study; and across one that tells its sizes apart.
 COARSE, FINE = 48, 384
 # Dim, so that few, coarse dots have a minimum between noise and blur.
 TINY: dict[str, Any] = {
@@ -26,12 +26,18 @@ TINY: dict[str, Any] = {
     "iso_delta_e": 1.0,
     "resolution": COARSE,
     "render_noise": 10.0,  # two renders, not six, if a test has the chart sampled
-    "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},  # its cells are computed
+    "scene": {
+        "file": "csf",
+        "parameters": {"luminance_cd_per_m2": 100.0},
+    },  # its cells are computed
     "camera": {"die_mm": 1.3568},
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 48, "samples_per_deg": 10.0},
 }
-WHOLE_CHART: dict[str, Any] = {"camera": {"die_mm": 2.7136}, "display": {"dots": 96}}  # as in the paper, up to 33.3 lp/mm
+WHOLE_CHART: dict[str, Any] = {
+    "camera": {"die_mm": 2.7136},
+    "display": {"dots": 96},
+}  # as in the paper, up to 33.3 lp/mm
 
 
 def tiny(**over: Any) -> pixsim.Study:
@@ -45,13 +51,19 @@ def tiny_toml(**over: Any) -> str:
 
 def toml_of(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(name)} = {toml_of(each)}" for name, each in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{json.dumps(name)} = {toml_of(each)}" for name, each in value.items())
+            + " }"
+        )
     return f"[{', '.join(map(toml_of, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
 def rows(path: Path) -> list[dict[str, str]]:
     """Rows of results.csv in a folder, or of a CSV file."""
-    with (path / "results.csv" if path.is_dir() else path).open(newline="", encoding="utf-8") as file:
+    with (path / "results.csv" if path.is_dir() else path).open(
+        newline="", encoding="utf-8"
+    ) as file:
         return list(csv.DictReader(file))
 
 

@@ -1,7 +1,9 @@
-"""Rows of the judges' table: the outside standard, the limits of the result, and the measured result.
+"""Rows of the judges' table: the outside standard, the limits of the result, and the measured
+result.
 
-A judge is a module `test_*.py` of this folder with a function `rows`, possibly with a parameter `full`, that returns a list of
-rows from `row` or `verdict`; `python tests/judges/table.py` prints them all.
+A judge is a module `test_*.py` of this folder with a function `rows`, possibly with a parameter
+`full`, that returns a list of rows from `row` or `verdict`; `python tests/judges/table.py` prints
+them all.
 """
 
 from __future__ import annotations
@@ -10,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 
-def row(judge: str, standard: str, low: float, high: float, got: npt.ArrayLike, form: str = "{:.1e}") -> dict[str, object]:
+def row(
+    judge: str, standard: str, low: float, high: float, got: npt.ArrayLike, form: str = "{:.1e}"
+) -> dict[str, object]:
     """One line of the table: met if all values of `got` lie within low … high. NaN is outside.
 
     Both limits are required, so that every gate has two sides. Differences keep their sign.
@@ -22,9 +26,17 @@ def row(judge: str, standard: str, low: float, high: float, got: npt.ArrayLike, 
     return verdict(standard, judge, gate, measured, np.all((low <= values) & (values <= high)))
 
 
-def verdict(standard: str, judge: str, gate: str, measured: object, met: object) -> dict[str, object]:
+def verdict(
+    standard: str, judge: str, gate: str, measured: object, met: object
+) -> dict[str, object]:
     """One line of the table whose gate is not a plain interval but described in text."""
-    return {"judge": judge, "standard": standard, "gate": gate, "measured": measured, "met": bool(met)}
+    return {
+        "judge": judge,
+        "standard": standard,
+        "gate": gate,
+        "measured": measured,
+        "met": bool(met),
+    }
 
 
 def not_met(rows: list[dict[str, object]]) -> list[dict[str, object]]:

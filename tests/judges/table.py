@@ -1,9 +1,11 @@
-"""The table of docs/judges.md: outside standard, gate, measured result, and whether the gate is met.
+"""The table of docs/judges.md: outside standard, gate, measured result, and whether the gate is
+met.
 
 python tests/judges/table.py [--full] [--short]
 
-Runs `rows` of every test_*.py here that has it, with `full` for --full. --short merges rows of the same quantity for several
-pixels, lenses and edges into one, with the range of the measured values. The exit status is 1 if a gate is not met.
+Runs `rows` of every test_*.py here that has it, with `full` for --full. --short merges rows of the
+same quantity for several pixels, lenses and edges into one, with the range of the measured values.
+The exit status is 1 if a gate is not met.
 """
 
 from __future__ import annotations
@@ -17,7 +19,11 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]  # as in pytest, and the package of this repository
+sys.path[:0] = [
+    str(HERE),
+    str(HERE.parent),
+    str(HERE.parents[1]),
+]  # as in pytest, and the package of this repository
 
 from pixsim.base.files import FOLDER_VARIABLE  # noqa: E402
 
@@ -40,8 +46,17 @@ def markdown(rows: list[dict[str, object]]) -> str:
     """The table in Markdown, with three digits for floats; failed rows are bold."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     for row in rows:
-        cells = [f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in map(row.get, COLUMNS[:-1])]
-        lines.append("| " + " | ".join([*(cell.replace("|", "\\|") for cell in cells), "yes" if row["met"] else "**no**"]) + " |")
+        cells = [
+            f"{cell:.3g}" if isinstance(cell, float) else str(cell)
+            for cell in map(row.get, COLUMNS[:-1])
+        ]
+        lines.append(
+            "| "
+            + " | ".join(
+                [*(cell.replace("|", "\\|") for cell in cells), "yes" if row["met"] else "**no**"]
+            )
+            + " |"
+        )
     return "\n".join(lines)
 
 
@@ -50,13 +65,23 @@ def quantity(row: dict[str, object]) -> str:
     name = str(row["judge"])
     if str(row["standard"]).startswith("ISO 12233"):
         return name.partition(",")[0]
-    return re.sub(r" at \d+ % of the well", "", name.partition(":")[0]) if str(row["standard"]).startswith(GROUPED) else name
+    return (
+        re.sub(r" at \d+ % of the well", "", name.partition(":")[0])
+        if str(row["standard"]).startswith(GROUPED)
+        else name
+    )
 
 
 def numbers(rows: list[dict[str, object]]) -> str:
-    """The range of the rows' measured values, with two significant digits and the unit of the first."""
+    """The range of the rows' measured values, with two significant digits and the unit of the
+    first.
+    """
     texts = [str(row["measured"]) for row in rows]
-    values = [float(text) for text_ in texts for text in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", text_)[:1]]
+    values = [
+        float(text)
+        for text_ in texts
+        for text in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", text_)[:1]
+    ]
     unit = re.sub(r"^[-+]?\d+\.?\d*(?:e[-+]?\d+)?", "", texts[0])
     low, high = (f"{end:+.2g}" for end in (min(values), max(values)))
     return f"{low}{unit}" if low == high else f"{low} … {high}{unit}"
@@ -74,7 +99,13 @@ def condensed(rows: list[dict[str, object]]) -> list[dict[str, object]]:
         else:
             met = all(row["met"] for row in group)
             merged.append(
-                {"judge": f"{name}, {len(group)} cases", "standard": standard, "gate": gate, "measured": numbers(group), "met": met}
+                {
+                    "judge": f"{name}, {len(group)} cases",
+                    "standard": standard,
+                    "gate": gate,
+                    "measured": numbers(group),
+                    "met": met,
+                }
             )
     return merged
 
@@ -83,7 +114,9 @@ def main(arguments: list[str]) -> int:
     if not set(arguments) <= {"--full", "--short"}:
         print(f"got {arguments}; expected: --full, --short", file=sys.stderr)
         return 2
-    with tempfile.TemporaryDirectory() as folder:  # do not use the user's cache, as in tests/conftest.py
+    with (
+        tempfile.TemporaryDirectory() as folder
+    ):  # do not use the user's cache, as in tests/conftest.py
         os.environ[FOLDER_VARIABLE] = folder
         rows = [row for name in judges() for row in verdicts(name, "--full" in arguments)]
     print(markdown(condensed(rows) if "--short" in arguments else rows))

@@ -1,16 +1,21 @@
-"""The package `emva1288` 1.0.2 on pixsim's frames, as a judge of the simulated sensor and of pixsim's estimators.
+"""The package `emva1288` 1.0.2 on pixsim's frames, as a judge of the simulated sensor and of
+pixsim's estimators.
 
-Source: the reference implementation of EMVA 1288, https://github.com/EMVA1288/emva1288 (GPL; in the tests only). From the
-frames of `pixsim.measure.experiment` it estimates K, QE, σ_d, DSNU1288, PRNU1288 and saturation.
+Source: the reference implementation of EMVA 1288, https://github.com/EMVA1288/emva1288 (GPL; in the
+tests only). From the frames of `pixsim.measure.experiment` it estimates K, QE, σ_d, DSNU1288,
+PRNU1288 and saturation.
 
 Gates, two-sided, with the statistical error of one sensor of 480 × 480 pixels:
 
-- K and QE within 0.5 % of the parameters: the variance from a pair has an error of √(2/230 400) = 0.3 %, a fit of about 30
+- K and QE within 0.5 % of the parameters: the variance from a pair has an error of √(2/230 400) =
+  0.3 %, a fit of about 30
   pairs 0.09 %. QE is QE(λ)·FF of the whole pixel.
 - σ_d within 0.5 %, with enough bits for σ_d ≥ 1 DN: error 0.18 % from one dark pair (0.15 %) and K.
-- DSNU and PRNU within 0.5 % of this device's maps of offset, column offset, dark charge and gain: error 0.15 % from the
+- DSNU and PRNU within 0.5 % of this device's maps of offset, column offset, dark charge and gain:
+  error 0.15 % from the
   residual temporal noise of the stacks (0.12 %) and K.
-- saturation within one exposure step of the peak of the model's expected variance (`pixsim.measure.datasheet`).
+- saturation within one exposure step of the peak of the model's expected variance
+  (`pixsim.measure.datasheet`).
 - pixsim's estimators within 1e-4 of the package's on the same frames: the formulas are the same.
 
 The gates fail for another gain, a new fixed pattern in each frame, and a clipped dark.
@@ -46,8 +51,14 @@ from emva1288.process import routines  # noqa: E402
 STANDARD = "EMVA 1288 R4.0 (emva1288 1.0.2)"
 GATE = 0.005
 SIDE, EXPOSURES = 480, 40
-# (technology, pitch in µm, bits for σ_d ≥ 1 DN, frames of a stack: more if temporal noise exceeds the fixed pattern)
-CASES = (("0.35um", 5.3, 12, 16), ("0.35um", 6.5, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
+# (technology, pitch in µm, bits for σ_d ≥ 1 DN, frames of a stack: more if temporal noise exceeds
+# the fixed pattern)
+CASES = (
+    ("0.35um", 5.3, 12, 16),
+    ("0.35um", 6.5, 12, 16),
+    ("0.35um", 15.0, 14, 16),
+    ("4t-bsi", 1.2, 12, 64),
+)
 MORE_CASES = (("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16), ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 100),
               ("4t-bsi", 0.7, 12, 400))  # fmt: skip
 Case = tuple[str, float, int, int]
@@ -70,7 +81,9 @@ class Images:
 def experiment_of(case: Case, side: int = SIDE, seed: int = 0) -> Experiment:
     technology, pitch_um, bits, frames = case
     pixel = Pixel(technology=technology, pitch_um=pitch_um, bits=bits)
-    return make_experiment(pixel, seed=seed, shape=(side, side), exposures=EXPOSURES, stack_frames=frames)
+    return make_experiment(
+        pixel, seed=seed, shape=(side, side), exposures=EXPOSURES, stack_frames=frames
+    )
 
 
 def package_results(experiment: Experiment) -> dict[str, float]:
@@ -81,16 +94,41 @@ def package_results(experiment: Experiment) -> dict[str, float]:
         sums = routines.get_int_imgs(Images(e, 2, photons, *key))
         return {"sum": sums["sum"].sum(), "pvar": sums["pvar"].sum(), "dmean": sums["dmean"]}
 
-    pairs = {photons: temporal(photons, "light series", index) for index, photons in enumerate(e.photons.tolist())}
-    saturation = e.photons[saturation_index(np.array([images["pvar"] for images in pairs.values()], float))]
+    pairs = {
+        photons: temporal(photons, "light series", index)
+        for index, photons in enumerate(e.photons.tolist())
+    }
+    saturation = e.photons[
+        saturation_index(np.array([images["pvar"] for images in pairs.values()], float))
+    ]
     lights = {0.0: "dark stack", float(saturation) / 2: "bright stack"}
-    stacks = {photons: routines.get_int_imgs(Images(e, e.stack_frames, photons, name)) for photons, name in lights.items()}
+    stacks = {
+        photons: routines.get_int_imgs(Images(e, e.stack_frames, photons, name))
+        for photons, name in lights.items()
+    }
     series = {0.0: temporal(0.0, "dark"), **pairs}
-    data = {"height": height, "width": width, "temporal": {e.integration_s: series}, "spatial": {e.integration_s: stacks}}
+    data = {
+        "height": height,
+        "width": width,
+        "temporal": {e.integration_s: series},
+        "spatial": {e.integration_s: stacks},
+    }
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(np, "asfarray", lambda a: np.asarray(a, float), raising=False)  # removed in NumPy 2
+        patch.setattr(
+            np, "asfarray", lambda a: np.asarray(a, float), raising=False
+        )  # removed in NumPy 2
         results = process.Results1288(process.Data1288(data, loglevel=40).data, loglevel=40)
-        names = "K", "R", "QE", "sigma_d", "sigma_y_dark", "DSNU1288", "PRNU1288", "u_p_sat", "u_p_min"
+        names = (
+            "K",
+            "R",
+            "QE",
+            "sigma_d",
+            "sigma_y_dark",
+            "DSNU1288",
+            "PRNU1288",
+            "u_p_sat",
+            "u_p_min",
+        )
         return {name: float(getattr(results, name)) for name in names}
 
 
@@ -123,11 +161,26 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
         for quantity, true in truths(e).items():
             off = results[quantity] / true - 1
             text, met = f"{100 * off:+.2f} %", abs(off) <= GATE
-            table.append(verdict(STANDARD, f"{quantity}: {name}", "within 0.5 % of the parameters", text, met))
+            table.append(
+                verdict(
+                    STANDARD, f"{quantity}: {name}", "within 0.5 % of the parameters", text, met
+                )
+            )
         step = float(e.photons[1] - e.photons[0])
-        peak = variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * e.efficiency) / e.efficiency
+        peak = (
+            variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * e.efficiency)
+            / e.efficiency
+        )
         off = (results["u_p_sat"] - peak) / step
-        table.append(verdict(STANDARD, f"saturation: {name}", "within one exposure step", f"{off:+.2f} steps", abs(off) <= 1))
+        table.append(
+            verdict(
+                STANDARD,
+                f"saturation: {name}",
+                "within one exposure step",
+                f"{off:+.2f} steps",
+                abs(off) <= 1,
+            )
+        )
     return table
 
 
@@ -157,7 +210,9 @@ def deviations(experiment: Experiment) -> dict[str, float]:
 @pytest.mark.judges_full
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_package_results_six_seeds_match_parameters(case: Case) -> None:
-    """For six devices the mean deviation is below half of the gate, each deviation below 1.5 times the gate."""
+    """For six devices the mean deviation is below half of the gate, each deviation below 1.5 times
+    the gate.
+    """
     offs = [list(deviations(experiment_of(case, seed=seed)).values()) for seed in range(1, 7)]
     assert np.all(np.abs(np.mean(offs, axis=0)) < GATE / 2)
     assert np.all(np.abs(offs) < 1.5 * GATE)
@@ -177,9 +232,10 @@ def test_estimators_match_package() -> None:
 
 # --- Gain, and mismatch that follows from the layout ---
 
-# 240 × 240 pixels, half the side: twice the errors above, 0.2 % of K and QE, 0.3 % of σ_d, and of DSNU and PRNU 0.3 % from the
-# stacks and 0.3 % (1/√(2 · 57 600)) from drawing this device; standard deviations of 8 seeds are 0.18, 0.25 and 0.4 %. Gates of 5
-# of these errors: 6e-7 false alarms each, with another seed.
+# 240 × 240 pixels, half the side: twice the errors above, 0.2 % of K and QE, 0.3 % of σ_d, and of
+# DSNU and PRNU 0.3 % from the stacks and 0.3 % (1/√(2 · 57 600)) from drawing this device; standard
+# deviations of 8 seeds are 0.18, 0.25 and 0.4 %. Gates of 5 of these errors: 6e-7 false alarms
+# each, with another seed.
 SMALL = 240
 GATES = {"K": 0.01, "QE": 0.01, "sigma_d": 0.015, "DSNU1288": 0.02, "PRNU1288": 0.02}
 READ_E, AFTER_E, FULL_E, BITS = 3.0, 40.0, 20_000.0, 14
@@ -197,21 +253,36 @@ def outside(results: dict[str, float], expected: dict[str, float]) -> dict[str, 
 
 @pytest.mark.parametrize(
     ("gain_db", "full_scale_e"),
-    [(0, None), *(pytest.param(gain_db, None, marks=pytest.mark.slow) for gain_db in (6, 12)), (24, None), (12, 30_000.0)],
+    [
+        (0, None),
+        *(pytest.param(gain_db, None, marks=pytest.mark.slow) for gain_db in (6, 12)),
+        (24, None),
+        (12, 30_000.0),
+    ],
 )
-def test_package_measures_gain_and_read_noise_before_and_after_it(gain_db: float, full_scale_e: float | None) -> None:
-    """K = codes/range · g; σ_d² = before² + (after/g)², in electrons; saturation at the lower of the well and the range over g."""
+def test_package_measures_gain_and_read_noise_before_and_after_it(
+    gain_db: float, full_scale_e: float | None
+) -> None:
+    """K = codes/range · g; σ_d² = before² + (after/g)², in electrons; saturation at the lower of
+    the well and the range over g.
+    """
     g, full_e = 10 ** (gain_db / 20), full_scale_e or FULL_E
     pixel = Pixel.model_validate(SPLIT | {"adc_full_scale_e": full_scale_e})
-    experiment = make_experiment(pixel, Exposure(gain_db=gain_db), shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16)
+    experiment = make_experiment(
+        pixel, Exposure(gain_db=gain_db), shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16
+    )
     assert experiment.readout.adc.black_level_dn == 600, "room for 6 σ of the dark at every gain"
     results = package_results(experiment)
     k = (2**BITS - 1 - 600) / full_e * g
     expected = {"K": k, "QE": 60.0, "sigma_d": math.hypot(READ_E, AFTER_E / g)}
     assert not outside(results, expected)
     others = [math.hypot(READ_E, AFTER_E), AFTER_E / g, READ_E] if gain_db else [READ_E]
-    for wrong in others:  # the gate tells the split from either part alone, and from noise that the gain leaves
-        assert outside(results, {"sigma_d": wrong}) or wrong == pytest.approx(expected["sigma_d"], rel=0.02)
+    for wrong in (
+        others
+    ):  # the gate tells the split from either part alone, and from noise that the gain leaves
+        assert outside(results, {"sigma_d": wrong}) or wrong == pytest.approx(
+            expected["sigma_d"], rel=0.02
+        )
     step = float(experiment.photons[1] - experiment.photons[0])
     clip_p = min(FULL_E, full_e / g) / 0.6
     assert 0.9 * clip_p - step < results["u_p_sat"] < clip_p + step
@@ -219,9 +290,13 @@ def test_package_measures_gain_and_read_noise_before_and_after_it(gain_db: float
 
 @pytest.mark.parametrize(("pitch_um", "gate_um2"), [(5.5, 0.5), (9.0, 2.0)])
 def test_package_measures_mismatch_of_the_layout(pitch_um: float, gate_um2: float) -> None:
-    """PRNU = k/√(photodiode area) and DSNU = A_Vt/√(W L) · C/q at two geometries, where each differs by 2 and more."""
+    """PRNU = k/√(photodiode area) and DSNU = A_Vt/√(W L) · C/q at two geometries, where each
+    differs by 2 and more.
+    """
     layout = {"prnu_um": 0.06, "a_vt_mv_um": 8.0, "follower_area_um2": gate_um2}
-    pixel = Pixel.model_validate({"pitch_um": pitch_um, "bits": BITS, "dsnu": 0.0, "column_fpn": 0.0} | layout)
+    pixel = Pixel.model_validate(
+        {"pitch_um": pitch_um, "bits": BITS, "dsnu": 0.0, "column_fpn": 0.0} | layout
+    )
     physics, plain = derive(pixel), derive(Pixel(pitch_um=pitch_um))
     experiment = make_experiment(pixel, shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16)
     assert plain.capacitance_ff is not None
@@ -233,27 +308,37 @@ def test_package_measures_mismatch_of_the_layout(pitch_um: float, gate_um2: floa
 
 # --- What a camera's correction leaves ---
 
-# 160 × 160 pixels: 0.44 % from drawing the noise of dark and flat frames (1/√(2 · 25 600)), 0.5 % from K in 16 exposures; eight
-# devices scatter by 0.8 %. A gate of 5 of that.
+# 160 × 160 pixels: 0.44 % from drawing the noise of dark and flat frames (1/√(2 · 25 600)), 0.5 %
+# from K in 16 exposures; eight devices scatter by 0.8 %. A gate of 5 of that.
 CORRECTED, CORRECTED_GATE = 160, 0.04
 
 
 class Corrected(Experiment):
-    """Frames as a camera hands them on: corrected by the same dark and flat frames, in codes above the black level."""
+    """Frames as a camera hands them on: corrected by the same dark and flat frames, in codes above
+    the black level.
+    """
 
     correction = Correction(dark_frames=8, flat_frames=2)
 
-    def frame(self, photons: float, integration_s: float, *key: object, sensor: Any = None) -> Frames:
+    def frame(
+        self, photons: float, integration_s: float, *key: object, sensor: Any = None
+    ) -> Frames:
         p, dn = self.readout, super().frame(photons, integration_s, *key, sensor=sensor)
         light = np.full(dn.shape, photons * self.efficiency / integration_s)
-        frame = make_frame(dn, 0.0, light, p, Exposure(integration_s=integration_s, gain_db=p.gain_db))
+        frame = make_frame(
+            dn, 0.0, light, p, Exposure(integration_s=integration_s, gain_db=p.gain_db)
+        )
         corrected = correct(frame, self.sensor, self.correction, stream("masters"))
         return np.rint(corrected.estimate_e * p.dn_per_e + p.adc.black_level_dn).astype(np.int32)
 
 
 def test_package_measures_what_correction_leaves() -> None:
-    """DSNU² = T/n_d; PRNU² s² = [(1 - s/L)² - 1] T/n_d + (s/L)² (L + T)/n_f at the bright stack; much less than without."""
-    pixel = Pixel.model_validate(SPLIT | {"read_noise_e": 20.0, "offset_fpn": 0.01, "prnu": 0.02, "column_fpn": 0.005})
+    """DSNU² = T/n_d; PRNU² s² = [(1 - s/L)² - 1] T/n_d + (s/L)² (L + T)/n_f at the bright stack;
+    much less than without.
+    """
+    pixel = Pixel.model_validate(
+        SPLIT | {"read_noise_e": 20.0, "offset_fpn": 0.01, "prnu": 0.02, "column_fpn": 0.005}
+    )
     options: dict[str, Any] = {"shape": (CORRECTED, CORRECTED), "exposures": 16, "stack_frames": 24}
     plain = make_experiment(pixel, **options)
     made, p = Corrected(**vars(plain)), plain.readout
@@ -274,7 +359,9 @@ def test_package_measures_what_correction_leaves() -> None:
 class Resampled(Experiment):
     """Another fixed pattern in each frame."""
 
-    def frame(self, photons: float, integration_s: float, *key: object, sensor: Any = None) -> Frames:
+    def frame(
+        self, photons: float, integration_s: float, *key: object, sensor: Any = None
+    ) -> Frames:
         other = sample_sensor(self.readout, self.sensor.shape, stream("another", *key))
         return super().frame(photons, integration_s, *key, sensor=other)
 

@@ -1,17 +1,24 @@
-"""Light that walls throw on each other: an integrating sphere, whose radiance is known in closed form.
+"""Light that walls throw on each other: an integrating sphere, whose radiance is known in closed
+form.
 
-Source: Ulbricht's sphere, a conservation law. Every patch of a sphere lights all others alike, so that a lamp of radiance L_e that
-fills a cap of the share f of the sphere gives π f L_e everywhere; walls of reflectance ρ with a black lamp raise it to
-π f L_e/(1 - ρ (1 - f)), and have ρ/π of that as their radiance. A flat disc in the mouth of the cap has the cap's radiance.
+Source: Ulbricht's sphere, a conservation law. Every patch of a sphere lights all others alike, so
+that a lamp of radiance L_e that fills a cap of the share f of the sphere gives π f L_e everywhere;
+walls of reflectance ρ with a black lamp raise it to π f L_e/(1 - ρ (1 - f)), and have ρ/π of that
+as their radiance. A flat disc in the mouth of the cap has the cap's radiance.
 
 Gates, two-sided, of renders through the whole path, from D65 by bands to irradiance:
 
-- luminance within 0.6 % for walls of 0.5 and 0.9, 2.0 and 8.3 times what the lamp alone makes of them: 256 pixels of 1024 paths
-  have 0.13 % of noise in the mean at 0.9, and so 4.5 standard errors (7e-6 false alarms, with another seed);
-- every band within 1.2 % where the walls reflect 0.9 below 550 nm and 0.3 above, 4.5 of the 0.26 % of noise that a band has there.
-  Every band is rendered (`full`): four pulses, from which all bands follow by default, tell so steep a spectrum less well.
+- luminance within 0.6 % for walls of 0.5 and 0.9, 2.0 and 8.3 times what the lamp alone makes of
+  them: 256 pixels of 1024 paths
+  have 0.13 % of noise in the mean at 0.9, and so 4.5 standard errors (7e-6 false alarms, with
+  another seed);
+- every band within 1.2 % where the walls reflect 0.9 below 550 nm and 0.3 above, 4.5 of the 0.26 %
+  of noise that a band has there.
+  Every band is rendered (`full`): four pulses, from which all bands follow by default, tell so
+  steep a spectrum less well.
 
-The gates fail for paths of 8 reflections, which lose 43 % of 0.9^8, and for walls that do not light each other.
+The gates fail for paths of 8 reflections, which lose 43 % of 0.9^8, and for walls that do not light
+each other.
 """
 
 from __future__ import annotations
@@ -89,7 +96,10 @@ def band_offs(path: Path) -> Array:
 
 
 def luminance_row(path: Path, reflectance: float, depth: int = -1) -> dict[str, object]:
-    name = f"luminance in an integrating sphere of reflectance {reflectance}, rendered / closed form - 1"
+    name = (
+        f"luminance in an integrating sphere of reflectance {reflectance}, rendered / closed"
+        " form - 1"
+    )
     return row(name, ULBRICHT, -GATE, GATE, luminance_off(path, reflectance, depth), "{:.4f}")
 
 
@@ -106,7 +116,9 @@ def rows() -> list[dict[str, object]]:
 
 
 @pytest.mark.parametrize("reflectance", [0.5, 0.9])
-def test_integrating_sphere_has_the_luminance_of_all_reflections(reflectance: float, tmp_path: Path) -> None:
+def test_integrating_sphere_has_the_luminance_of_all_reflections(
+    reflectance: float, tmp_path: Path
+) -> None:
     assert not not_met([luminance_row(tmp_path / "sphere.xml", reflectance)])
 
 

@@ -1,8 +1,9 @@
 """ISO 12233: a rendered and captured slanted edge has the MTF of diffraction times photodiode.
 
-Source: ISO 12233:2023 (e-SFR), and the closed form of the MTF: Goodman, Introduction to Fourier Optics, 3rd
-ed., eq. (6-31), weighted by the pixel's response to the lamp, times the two-dimensional transform of a square photodiode along
-the normal of the edge, sinc(f s cos θ) sinc(f s sin θ), implemented here independently.
+Source: ISO 12233:2023 (e-SFR), and the closed form of the MTF: Goodman, Introduction to Fourier
+Optics, 3rd ed., eq. (6-31), weighted by the pixel's response to the lamp, times the two-dimensional
+transform of a square photodiode along the normal of the edge, sinc(f s cos θ) sinc(f s sin θ),
+implemented here independently.
 
 Measured errors of the steps in between, at Nyquist of 5.3 µm and f/2.8, where the MTF is 0.788:
 
@@ -16,8 +17,8 @@ Measured errors of the steps in between, at Nyquist of 5.3 µm and f/2.8, where 
 | difference between 4, 16 and 64 samples per cell | 0.003 |
 | tails beyond the tapered window of ±64 px, at f/8 | 0.0032 |
 
-So the judge uses a finer chart, and a lens of 100 mm at 50 m: the fall-off of the packaged scene is 1 % over ±48 pixels of
-5.3 µm and 7 % over those of 15 µm, which acts as blur in an e-SFR.
+So the judge uses a finer chart, and a lens of 100 mm at 50 m: the fall-off of the packaged scene is
+1 % over ±48 pixels of 5.3 µm and 7 % over those of 15 µm, which acts as blur in an e-SFR.
 """
 
 from __future__ import annotations
@@ -52,18 +53,27 @@ STANDARD = "ISO 12233:2023 e-SFR"
 PITCHES_UM = (5.3, 6.5, 15.0)
 F_NUMBERS = (2.8, 8.0)
 ANGLES_DEG = (5.0, 95.0)
-GATE = 0.01  # a difference between lenses that matters in practice, three times the error of each step above
+# a difference between lenses that matters in practice, three times the error of each step above
+GATE = 0.01
 APART = 0.005  # between two estimators on one picture, which share the steps above
 MIN_HALF_WINDOW_PX = 48.0  # a window of ±20 px has an error of 0.014
-ANGLE_GATE_DEG = 0.01  # error of 100 rows with 1/6 px each; 0.01° blurs a 5.3 µm edge by 0.09 px over the die
+ANGLE_GATE_DEG = (
+    0.01  # error of 100 rows with 1/6 px each; 0.01° blurs a 5.3 µm edge by 0.09 px over the die
+)
 FRAMES = 16
-EXPOSURE = Exposure(well_target=0.85)  # at 95 %, the default, PRNU and shot noise saturate 0.2 % of the pixels
-SIGMAS = 5.0  # Student's t of 15 degrees of freedom at 64 frequencies: 1 in 100 by chance, and the seeds are fixed
+EXPOSURE = Exposure(
+    well_target=0.85
+)  # at 95 %, the default, PRNU and shot noise saturate 0.2 % of the pixels
+# Student's t of 15 degrees of freedom at 64 frequencies: 1 in 100 by chance, and the seeds are
+# fixed
+SIGMAS = 5.0
 SCATTER = (0.003, 0.05)  # excludes noiseless frames and ten times the noise
 
 
 class Work(NamedTuple):
-    """Texels across and along the edge, film, samples per cell, and whether each f-number has its own render."""
+    """Texels across and along the edge, film, samples per cell, and whether each f-number has its
+    own render.
+    """
 
     texels: tuple[int, int]
     resolution: int
@@ -90,13 +100,19 @@ def rendered(work: Work, angle_deg: float, f_number: float) -> SpectralImage:
     texels = chart_of(work.texels)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "edge.exr"
-        charts.write_chart(path, texels if angle_deg == 5.0 else np.ascontiguousarray(np.rot90(texels)))
-        scene = pixsim.load_scene("slanted_edge", chart=str(path), resolution=work.resolution, spp=work.spp)
+        charts.write_chart(
+            path, texels if angle_deg == 5.0 else np.ascontiguousarray(np.rot90(texels))
+        )
+        scene = pixsim.load_scene(
+            "slanted_edge", chart=str(path), resolution=work.resolution, spp=work.spp
+        )
         return pixsim.render(scene, camera_of(f_number))
 
 
 def irradiance_of(work: Work, setting: Setting) -> SpectralImage:
-    """Without diffraction the irradiance of a chart in focus depends on the f-number only by a factor."""
+    """Without diffraction the irradiance of a chart in focus depends on the f-number only by a
+    factor.
+    """
     return rendered(work, setting.angle_deg, setting.f_number if work.render_each else F_NUMBERS[0])
 
 
@@ -104,7 +120,9 @@ def irradiance_of(work: Work, setting: Setting) -> SpectralImage:
 def sensed(work: Work, setting: Setting) -> np.ndarray:
     """Mean electrons per second of every pixel, with diffraction and photodiode, without noise."""
     image = irradiance_of(work, setting)
-    return mean_signal_rate(image, camera_of(setting.f_number), derive(Pixel(pitch_um=setting.pitch_um)))
+    return mean_signal_rate(
+        image, camera_of(setting.f_number), derive(Pixel(pitch_um=setting.pitch_um))
+    )
 
 
 class Setting(NamedTuple):
@@ -122,7 +140,11 @@ Curve = tuple[np.ndarray, np.ndarray]  # frequency (cy/px) and SFR
 
 
 def truth(
-    setting: Setting, work: Work, frequency_cy_per_px: np.ndarray, f_number: float | None = None, side: float = 1.0
+    setting: Setting,
+    work: Work,
+    frequency_cy_per_px: np.ndarray,
+    f_number: float | None = None,
+    side: float = 1.0,
 ) -> np.ndarray:
     """MTF along the normal of an edge: Σ share · (2/π)(acos x - x √(1-x²)) · sinc · sinc.
 
@@ -135,7 +157,9 @@ def truth(
     x = np.minimum(frequency_cy_per_mm[:, None] * image.wavelength_nm * 1e-6 * effective, 1.0)
     lens = (2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2)) * share / share.sum()).sum(axis=1)
     angle, side_mm = np.radians(setting.angle_deg), side * physics.photodiode_side_um * 1e-3
-    along, across = (np.sinc(frequency_cy_per_mm * side_mm * part) for part in (np.cos(angle), np.sin(angle)))
+    along, across = (
+        np.sinc(frequency_cy_per_mm * side_mm * part) for part in (np.cos(angle), np.sin(angle))
+    )
     return np.asarray(lens * along * across)
 
 
@@ -162,17 +186,33 @@ def sfr_rows(work: Work, settings: Sequence[Setting] = SETTINGS) -> list[dict[st
         edge, curve = estimate(setting, work)
         off = worst(curve, setting, work)
         wide = edge.half_window_px >= MIN_HALF_WINDOW_PX
-        table.append(row(f"SFR - MTF, {setting.name}", f"±{GATE} to Nyquist, ±48 px and more", off, abs(off) <= GATE and wide))
+        table.append(
+            row(
+                f"SFR - MTF, {setting.name}",
+                f"±{GATE} to Nyquist, ±48 px and more",
+                off,
+                abs(off) <= GATE and wide,
+            )
+        )
         turned = edge.angle_deg - setting.angle_deg
-        table.append(row(f"angle, {setting.name}", f"±{ANGLE_GATE_DEG}°", turned, abs(turned) <= ANGLE_GATE_DEG))
+        table.append(
+            row(
+                f"angle, {setting.name}",
+                f"±{ANGLE_GATE_DEG}°",
+                turned,
+                abs(turned) <= ANGLE_GATE_DEG,
+            )
+        )
     return table
 
 
 def second_curve(rate: np.ndarray, half_window_px: float) -> Curve:
-    """e-SFR by quickMTF (after C. Asplund's slanted-edge code), with its edge, distances, bins and derivative.
+    """e-SFR by quickMTF (after C. Asplund's slanted-edge code), with its edge, distances, bins and
+    derivative.
 
-    Its Hann window of ±5 px has an error of 0.06 at f/8 and is replaced by a Tukey window as wide as pixsim's. Version
-    2023.3.3 corrects neither the derivative (the correction is clipped to 1) nor the bins; both corrections are added.
+    Its Hann window of ±5 px has an error of 0.06 at f/8 and is replaced by a Tukey window as wide
+    as pixsim's. Version 2023.3.3 corrects neither the derivative (the correction is clipped to 1)
+    nor the bins; both corrections are added.
     """
     estimator = importlib.import_module("quickMTF.SFR_MTF").sfr_mtfcal()
 
@@ -194,18 +234,28 @@ def second_rows(work: Work, settings: Sequence[Setting] = SETTINGS) -> list[dict
         edge, pixsim_curve = estimate(setting, work)
         curve = second_curve(sensed(work, setting), edge.half_window_px)
         off = worst(curve, setting, work)
-        table.append(row(f"quickMTF - MTF, {setting.name}", f"±{GATE} to Nyquist", off, abs(off) <= GATE))
+        table.append(
+            row(f"quickMTF - MTF, {setting.name}", f"±{GATE} to Nyquist", off, abs(off) <= GATE)
+        )
         below = curve[0] <= NYQUIST_CY_PER_PX
         apart = float(np.abs(np.interp(curve[0][below], *pixsim_curve) - curve[1][below]).max())
-        table.append(row(f"quickMTF - pixsim, {setting.name}", f"at most {APART}", apart, apart <= APART))
+        table.append(
+            row(f"quickMTF - pixsim, {setting.name}", f"at most {APART}", apart, apart <= APART)
+        )
     return table
 
 
 def noise_rows(work: Work) -> list[dict[str, object]]:
-    """The mean e-SFR of quantised frames of several sensors equals the noiseless one within the scatter."""
+    """The mean e-SFR of quantised frames of several sensors equals the noiseless one within the
+    scatter.
+    """
     setting = Setting(5.0, 2.8, 6.5)
     readout = Readout.of(derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16)))
-    rate, image, camera = sensed(work, setting), irradiance_of(work, setting), camera_of(setting.f_number)
+    rate, image, camera = (
+        sensed(work, setting),
+        irradiance_of(work, setting),
+        camera_of(setting.f_number),
+    )
     curves = []
     for seed in range(FRAMES):
         sensor = sample_sensor(readout, rate.shape, np.random.default_rng([1, seed]))
@@ -214,10 +264,18 @@ def noise_rows(work: Work) -> list[dict[str, object]]:
             whole = capture(image, camera, sensor, EXPOSURE, rng=np.random.default_rng([2, seed]))
             apart = np.abs(whole.dn - frame.dn).max()
             same = row("capture equals its steps", "bit for bit", float(apart), apart == 0)
-        curves.append(edge_response(frame.dn - frame.black_level_dn, saturation=2**frame.bits - 1 - frame.black_level_dn))
-    below = (curves[0].frequency_cy_per_px <= NYQUIST_CY_PER_PX) & (curves[0].frequency_cy_per_px > 0)
+        curves.append(
+            edge_response(
+                frame.dn - frame.black_level_dn, saturation=2**frame.bits - 1 - frame.black_level_dn
+            )
+        )
+    below = (curves[0].frequency_cy_per_px <= NYQUIST_CY_PER_PX) & (
+        curves[0].frequency_cy_per_px > 0
+    )
     sfr = np.array([curve.sfr[below] for curve in curves])
-    z = (sfr.mean(axis=0) - estimate(setting, work)[0].sfr[below]) / (sfr.std(axis=0, ddof=1) / np.sqrt(FRAMES))
+    z = (sfr.mean(axis=0) - estimate(setting, work)[0].sfr[below]) / (
+        sfr.std(axis=0, ddof=1) / np.sqrt(FRAMES)
+    )
     scatter = float(sfr.std(axis=0, ddof=1).max())
     return [
         same,
@@ -229,7 +287,11 @@ def noise_rows(work: Work) -> list[dict[str, object]]:
 
 def rows(work: Work = BOUNDED) -> list[dict[str, object]]:
     """All rows of this judge."""
-    return [*sfr_rows(work), *noise_rows(work), *(second_rows(work) if find_spec("quickMTF") else [])]
+    return [
+        *sfr_rows(work),
+        *noise_rows(work),
+        *(second_rows(work) if find_spec("quickMTF") else []),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -247,24 +309,46 @@ def test_sfr_with_noise_is_unbiased() -> None:
 
 def test_quickmtf_agrees() -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
-    assert not not_met(second_rows(BOUNDED, SETTINGS[::5]))  # each pitch and f-number, and both angles
+    assert not not_met(
+        second_rows(BOUNDED, SETTINGS[::5])
+    )  # each pitch and f-number, and both angles
 
 
-LENSED = {"height_um": 8.0, "index": 1.5, "microlens": "square", "shift": "optimal", "crosstalk": 0.15}
+LENSED = {
+    "height_um": 8.0,
+    "index": 1.5,
+    "microlens": "square",
+    "shift": "optimal",
+    "crosstalk": 0.15,
+}
 
 
 @pytest.mark.parametrize("angle_deg", ANGLES_DEG)
 def test_sfr_of_microlensed_pixels_is_sinc_times_transform_of_the_kernel(angle_deg: float) -> None:
-    """The aperture is the pitch, whatever the fill factor, and the kernel is that of the shares on axis."""
+    """The aperture is the pitch, whatever the fill factor, and the kernel is that of the shares on
+    axis.
+    """
     setting = Setting(angle_deg, 2.8, 6.5)
-    image, camera, physics = irradiance_of(BOUNDED, setting), camera_of(2.8), derive(Pixel(pitch_um=6.5, stack=LENSED))
+    image, camera, physics = (
+        irradiance_of(BOUNDED, setting),
+        camera_of(2.8),
+        derive(Pixel(pitch_um=6.5, stack=LENSED)),
+    )
     edge = edge_response(mean_signal_rate(image, camera, physics))
     below = edge.frequency_cy_per_px <= NYQUIST_CY_PER_PX
     frequency, turn = edge.frequency_cy_per_px[below], np.radians(angle_deg)
-    shares, offset = kernel_on_axis(physics, illumination_of(image, camera, physics)), np.arange(-2.0, 3.0)
+    shares, offset = (
+        kernel_on_axis(physics, illumination_of(image, camera, physics)),
+        np.arange(-2.0, 3.0),
+    )
     normal = np.cos(turn) * offset + np.sin(turn) * offset[:, None]
-    kernel = np.abs((shares * np.exp(-2j * np.pi * frequency[:, None, None] * normal)).sum(axis=(1, 2))) / shares.sum()
-    side = 6.5 / physics.photodiode_side_um  # a photodiode as wide as the pitch has the MTF of the microlens
+    kernel = (
+        np.abs((shares * np.exp(-2j * np.pi * frequency[:, None, None] * normal)).sum(axis=(1, 2)))
+        / shares.sum()
+    )
+    side = (
+        6.5 / physics.photodiode_side_um
+    )  # a photodiode as wide as the pitch has the MTF of the microlens
     wanted = truth(setting, BOUNDED, frequency, side=side) * kernel
     np.testing.assert_allclose(edge.sfr[below], wanted, atol=GATE)
     assert np.abs(wanted - truth(setting, BOUNDED, frequency)).max() > 10 * GATE

@@ -1,15 +1,19 @@
 """ISO 15739 and ISO 12232 on frames with known noise, and photometry by an independent program.
 
-Source: ISO 15739:2023, section 6.2.3 (temporal, fixed-pattern and total noise from n ≥ 8 frames) and ISO 12232:2019 (S_sat =
-78/H_sat, S_noise = 10/H at S/N 40 and 10); the pixel's parameters and maps, and colour-science 0.4 for CIE D65 and V(λ).
+Source: ISO 15739:2023, section 6.2.3 (temporal, fixed-pattern and total noise from n ≥ 8 frames)
+and ISO 12232:2019 (S_sat = 78/H_sat, S_noise = 10/H at S/N 40 and 10); the pixel's parameters and
+maps, and colour-science 0.4 for CIE D65 and V(λ).
 
 Gates, two-sided:
 
-- temporal, fixed-pattern and total noise within 0.5 % of the parameters, from 16 frames of 400 × 400 pixels: the statistical
-  error of temporal noise is 1/√(2·160 000·15) = 0.05 %, that of fixed-pattern noise, against the device's maps, at most 0.2 %
+- temporal, fixed-pattern and total noise within 0.5 % of the parameters, from 16 frames of 400 ×
+  400 pixels: the statistical
+  error of temporal noise is 1/√(2·160 000·15) = 0.05 %, that of fixed-pattern noise, against the
+  device's maps, at most 0.2 %
   (with more frames if temporal noise exceeds the pattern);
 - electrons per lx·s within 0.2 % of colour-science: the same tables at 1 nm, another quadrature;
-- S_sat within 0.2 % and S_noise within 2 % of the closed forms: an S/N from two frames of 40 000 pixels has an error of 0.4 %,
+- S_sat within 0.2 % and S_noise within 2 % of the closed forms: an S/N from two frames of 40 000
+  pixels has an error of 0.4 %,
   and the S/N rises at most half as fast as the exposure at S/N 40.
 
 The gates fail for 2 % more noise, and for an illuminant other than D65.
@@ -34,7 +38,11 @@ NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
 SIDE = 400
 WELL_SHARES = 0.02, 0.13, 0.6
 Case = tuple[str, float, int, int]  # technology, pitch in µm, bits, frames
-CASES: tuple[Case, ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.4, 12, 64))
+CASES: tuple[Case, ...] = (
+    ("0.35um", 5.3, 12, 16),
+    ("0.35um", 15.0, 14, 16),
+    ("4t-bsi", 1.4, 12, 64),
+)
 MORE_CASES: tuple[Case, ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16),
                                 ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 128))  # fmt: skip
 
@@ -48,7 +56,13 @@ def injected_dn(experiment: Experiment, signal_e: float) -> tuple[float, float]:
     """Temporal and fixed-pattern noise of a device in DN, from its parameters and maps."""
     p = experiment.readout
     dark_e = p.dark_current_e_per_s * experiment.integration_s
-    temporal_e2 = signal_e + dark_e + p.physics.reset_noise_e**2 + p.read_noise_e**2 + p.read_noise_after_gain_e**2
+    temporal_e2 = (
+        signal_e
+        + dark_e
+        + p.physics.reset_noise_e**2
+        + p.read_noise_e**2
+        + p.read_noise_after_gain_e**2
+    )
     assert experiment.sensor.gain is not None
     pattern_e = dark_map_e(experiment) + signal_e * experiment.sensor.gain
     return math.sqrt(temporal_e2 * p.dn_per_e**2 + 1 / 12), float(pattern_e.std() * p.dn_per_e)
@@ -61,34 +75,56 @@ def noise_offs(case: Case) -> list[tuple[str, float]]:
     deviations = []
     for share in WELL_SHARES:
         signal_e = share * experiment.readout.full_well_e
-        frames = np.stack([*experiment.frames(case[3], signal_e / experiment.efficiency, "iso", share)])
+        frames = np.stack(
+            [*experiment.frames(case[3], signal_e / experiment.efficiency, "iso", share)]
+        )
         injected = injected_dn(experiment, signal_e)
         names = "temporal", "fixed-pattern", "total"
-        for name, got, true in zip(names, noise_15739(frames), (*injected, math.hypot(*injected)), strict=True):
-            deviations.append((f"{name} noise at {100 * share:g} % of the well", got.value / true - 1))
+        for name, got, true in zip(
+            names, noise_15739(frames), (*injected, math.hypot(*injected)), strict=True
+        ):
+            deviations.append(
+                (f"{name} noise at {100 * share:g} % of the well", got.value / true - 1)
+            )
     return deviations
 
 
 def light_off(case: Case) -> float:
-    """Electrons per lx·s of D65 over those from colour-science, minus 1; infrared cut as its D65 ends at 780 nm."""
+    """Electrons per lx·s of D65 over those from colour-science, minus 1; infrared cut as its D65
+    ends at 780 nm.
+    """
     physics = derive(pixel_of(case).model_copy(update={"infrared_cut_nm": 702.0}))
     nm = np.arange(360.0, 703.0, 1.0)
     colour = pytest.importorskip("colour")
     everything = np.arange(360.0, 781.0, 1.0)
     shape = colour.SpectralShape(300, 780, 1)
-    illuminant = colour.SDS_ILLUMINANTS["D65"].copy().interpolate(shape, interpolator=colour.LinearInterpolator)
+    illuminant = (
+        colour.SDS_ILLUMINANTS["D65"]
+        .copy()
+        .interpolate(shape, interpolator=colour.LinearInterpolator)
+    )
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     power = np.array([illuminant[wavelength] for wavelength in nm])
     photons = nm * 1e-9 / (6.62607015e-34 * 299792458.0)
-    electrons = np.trapezoid(power * photons * physics.quantum_efficiency(nm), nm) * physics.photodiode_area_um2 * 1e-12
-    lux = 683.002 * np.trapezoid([illuminant[wavelength] * observer[wavelength][1] for wavelength in everything], everything)
+    electrons = (
+        np.trapezoid(power * photons * physics.quantum_efficiency(nm), nm)
+        * physics.photodiode_area_um2
+        * 1e-12
+    )
+    lux = 683.002 * np.trapezoid(
+        [illuminant[wavelength] * observer[wavelength][1] for wavelength in everything], everything
+    )
     return daylight_e_per_lx_s(physics) / float(electrons / lux) - 1
 
 
 @lru_cache(maxsize=16)
 def speed_offs(case: Case) -> list[tuple[str, float]]:
     sheet = make_datasheet(pixel_of(case))
-    return [(entry.symbol, entry.off) for entry in sheet.entries if entry.standard == SPEED and math.isfinite(entry.off)]
+    return [
+        (entry.symbol, entry.off)
+        for entry in sheet.entries
+        if entry.standard == SPEED and math.isfinite(entry.off)
+    ]
 
 
 def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
@@ -96,11 +132,18 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     table = []
     for case in cases:
         deviations = [(NOISE, quantity, NOISE_GATE, off) for quantity, off in noise_offs(case)]
-        deviations.append((SPEED, "electrons per lx·s of D65 by colour-science", LIGHT_GATE, light_off(case)))
+        deviations.append(
+            (SPEED, "electrons per lx·s of D65 by colour-science", LIGHT_GATE, light_off(case))
+        )
         for symbol, off in speed_offs(case):
-            deviations.append((SPEED, symbol, SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off))
+            deviations.append(
+                (SPEED, symbol, SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off)
+            )
         for standard, quantity, gate, off in deviations:
-            judge, limit = f"{quantity}: {case[0]}, {case[1]:g} µm", f"within {100 * gate:g} % of the parameters"
+            judge, limit = (
+                f"{quantity}: {case[0]}, {case[1]:g} µm",
+                f"within {100 * gate:g} % of the parameters",
+            )
             table.append(verdict(standard, judge, limit, f"{100 * off:+.2f} %", abs(off) <= gate))
     return table
 
@@ -109,7 +152,9 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     "case",
     [
         CASES[0],
-        *(pytest.param(case, marks=pytest.mark.slow) for case in CASES[1:]),  # test_emva1288 has another process
+        *(
+            pytest.param(case, marks=pytest.mark.slow) for case in CASES[1:]
+        ),  # test_emva1288 has another process
         *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES),
     ],
 )

@@ -1,27 +1,45 @@
-"""Cameras that others measured: a phone's in an integrating sphere and behind its lens, an industrial CCD's, and a small camera's.
+"""Cameras that others measured: a phone's in an integrating sphere and behind its lens, an
+industrial CCD's, and a small camera's.
 
 Sources and gates, two-sided:
 
-- Phone, Sony IMX363: Lyu, Goossens, Wandell and Farrell (2022), "Accurate smartphone camera simulation using 3D scenes". The
-  packaged sensor `imx363` has the paper's numbers. In 15 frames of an integrating sphere a crop of 10 × 10 pixels of one channel,
-  320.7 DN above black, has a variance of 57.8 ± 2 DN² over frames and pixels. A crop's variance is sampled: T temporal and P fixed
-  DN² give [2 T² n(F-1) + 2 (T + F P)² (n-1)]/(nF-1)², 2.2² DN⁴. 400 simulated crops have the closed form within 4.5 standard
-  errors of their mean (false alarms: 7e-6, with another seed), 0.8 %. The measured one lies within 2 of one crop's (5 %, of which
+- Phone, Sony IMX363: Lyu, Goossens, Wandell and Farrell (2022), "Accurate smartphone camera
+  simulation using 3D scenes". The
+  packaged sensor `imx363` has the paper's numbers. In 15 frames of an integrating sphere a crop of
+  10 × 10 pixels of one channel,
+  320.7 DN above black, has a variance of 57.8 ± 2 DN² over frames and pixels. A crop's variance is
+  sampled: T temporal and P fixed
+  DN² give [2 T² n(F-1) + 2 (T + F P)² (n-1)]/(nF-1)², 2.2² DN⁴. 400 simulated crops have the closed
+  form within 4.5 standard
+  errors of their mean (false alarms: 7e-6, with another seed), 0.8 %. The measured one lies within
+  2 of one crop's (5 %, of which
   the measurement is the only draw: it has no other seed).
-- Standard deviations of even patches lie in the bands of the paper's figure, black level of 64 included.
-- A lens given by the OpticStudio table of the paper has its five numbers in the rendered light, within 0.03 % of the axis, the
-  error of taking light between film cells of 35 µm. The measured fall-off is deeper: docs/measured_cameras.md states by how much.
-- Industrial CCD, 12 bits: reference set 001 of the EMVA 1288 group (tests/data/cameras). A pixel with the published results, K, η,
-  σ_d, PRNU, DSNU and dark current, has the measured temporal variance at each measured mean within 5 %: the camera's own slope
-  falls from 4 % above K, a fit from 0 to 70 % of saturation, to 2 % below it. A pair of frames of 400 × 400 pixels has 0.4 % of
-  sampling error. Its mean is that of the measurement within 1.6 %, the camera's nonlinearity, and the variance peaks within one
+- Standard deviations of even patches lie in the bands of the paper's figure, black level of 64
+  included.
+- A lens given by the OpticStudio table of the paper has its five numbers in the rendered light,
+  within 0.03 % of the axis, the
+  error of taking light between film cells of 35 µm. The measured fall-off is deeper:
+  docs/measured_cameras.md states by how much.
+- Industrial CCD, 12 bits: reference set 001 of the EMVA 1288 group (tests/data/cameras). A pixel
+  with the published results, K, η,
+  σ_d, PRNU, DSNU and dark current, has the measured temporal variance at each measured mean within
+  5 %: the camera's own slope
+  falls from 4 % above K, a fit from 0 to 70 % of saturation, to 2 % below it. A pair of frames of
+  400 × 400 pixels has 0.4 % of
+  sampling error. Its mean is that of the measurement within 1.6 %, the camera's nonlinearity, and
+  the variance peaks within one
   exposure.
-- Raspberry Pi HQ camera, Sony IMX477: the gain and noise of J. Hogan (2020), packaged as `imx477`, against the noise profile that
-  Raspberry Pi measured on patches of other units, libcamera's src/ipa/rpi/vc4/data/imx477.json (BSD-2-Clause, commit
-  10e4e5ba1e230d44d2b88cd4fe20572738b484bd): σ = 2.767 √mean in 16-bit codes. Within 5 % from 50 to 2400 DN of 12 bits: 1 % for a
-  gain of two digits, and up to 3.5 % since a profile through zero has no read noise, but a steeper slope.
+- Raspberry Pi HQ camera, Sony IMX477: the gain and noise of J. Hogan (2020), packaged as `imx477`,
+  against the noise profile that
+  Raspberry Pi measured on patches of other units, libcamera's src/ipa/rpi/vc4/data/imx477.json
+  (BSD-2-Clause, commit
+  10e4e5ba1e230d44d2b88cd4fe20572738b484bd): σ = 2.767 √mean in 16-bit codes. Within 5 % from 50 to
+  2400 DN of 12 bits: 1 % for a
+  gain of two digits, and up to 3.5 % since a profile through zero has no read noise, but a steeper
+  slope.
 
-The gates fail for a sensor without PRNU, with the gain of another, and for a table that is read against the square of its heights.
+The gates fail for a sensor without PRNU, with the gain of another, and for a table that is read
+against the square of its heights.
 """
 
 from __future__ import annotations
@@ -51,8 +69,18 @@ LYU, EMVA, HOGAN = "Lyu et al. (2022)", "EMVA 1288, reference set 001", "Hogan (
 # --- A phone ---
 
 MEAN_DN, MEASURED_DN2, FRAMES, CROP, CROPS = 320.7, 57.8, 15, 10, 20
-PARTS_DN2 = {"shot": 54.7, "PRNU": 3.0, "read": 0.25, "quantisation": 0.08}  # of the paper's numbers, to their digits
-BANDS = {90: (1.7, 2.7), 200: (4.5, 6.0), 400: (7.0, 9.0), 650: (9.0, 12.5)}  # standard deviation at a mean, both in DN
+PARTS_DN2 = {
+    "shot": 54.7,
+    "PRNU": 3.0,
+    "read": 0.25,
+    "quantisation": 0.08,
+}  # of the paper's numbers, to their digits
+BANDS = {
+    90: (1.7, 2.7),
+    200: (4.5, 6.0),
+    400: (7.0, 9.0),
+    650: (9.0, 12.5),
+}  # standard deviation at a mean, both in DN
 OPTIC_STUDIO = {0.7056: 0.93386, 1.4112: 0.79160, 2.1168: 0.62330, 2.8224: 0.47913, 3.528: 0.35863}
 ERRORS = 4.5  # standard errors, 7e-6 false alarms
 
@@ -63,19 +91,29 @@ def phone() -> Pixel:
 
 
 def frames_of_sphere(pixel: Pixel, mean_dn: float, frames: int, side: int, seed: int = 0) -> Array:
-    """Frames of one green channel in even light, (frames, side, side) DN above black: lens, filters and ADC as in `capture`.
+    """Frames of one green channel in even light, (frames, side, side) DN above black: lens, filters
+    and ADC as in `capture`.
 
     side : of the channel's pixels, of which the mosaic has every second one
     """
     camera = Camera(focal_length_mm=4.38, f_number=1.73, die_mm=2e-3 * side * pixel.pitch_um)
-    light = pixsim.SpectralImage([530.0], 10.0, 2 * pixel.pitch_um, data=np.full((side, side, 1), 1e-3))
+    light = pixsim.SpectralImage(
+        [530.0], 10.0, 2 * pixel.pitch_um, data=np.full((side, side, 1), 1e-3)
+    )
     sensor = pixsim.make_sensor(pixel, camera, seed=seed)
     green = np.s_[0::2, 1::2]
-    found = pixsim.capture(light, camera, sensor, pixsim.Exposure(integration_s=1e-3), rng=stream("sphere"))
+    found = pixsim.capture(
+        light, camera, sensor, pixsim.Exposure(integration_s=1e-3), rng=stream("sphere")
+    )
     rate = found.mean_e[green] / found.integration_s
     assert np.ptp(rate) < 1e-6 * rate.mean(), "the light is even"
-    exposure = pixsim.Exposure(integration_s=mean_dn / Readout.of(pixsim.derive(pixel)).dn_per_e / float(rate.mean()))
-    taken = (pixsim.capture(light, camera, sensor, exposure, rng=stream("sphere", seed, index)).dn for index in range(frames))
+    exposure = pixsim.Exposure(
+        integration_s=mean_dn / Readout.of(pixsim.derive(pixel)).dn_per_e / float(rate.mean())
+    )
+    taken = (
+        pixsim.capture(light, camera, sensor, exposure, rng=stream("sphere", seed, index)).dn
+        for index in range(frames)
+    )
     return np.stack([dn[green] for dn in taken]) - pixel.black_level_dn
 
 
@@ -86,7 +124,12 @@ def parts_dn2(pixel: Pixel, mean_dn: float) -> dict[str, float]:
     assert percent is not None
     assert dark_e is not None
     read_dn, pattern_dn = gain_dn_per_e * dark_e, percent / 100 * mean_dn
-    return {"shot": gain_dn_per_e * mean_dn, "PRNU": pattern_dn**2, "read": read_dn**2, "quantisation": 1 / 12}
+    return {
+        "shot": gain_dn_per_e * mean_dn,
+        "PRNU": pattern_dn**2,
+        "read": read_dn**2,
+        "quantisation": 1 / 12,
+    }
 
 
 def error_of_crop_dn2(parts: dict[str, float], pixels: int = CROP**2) -> float:
@@ -142,12 +185,16 @@ def phone_camera() -> Camera:
 
 
 def illumination(camera: Camera) -> Array:
-    """Rendered light of an even scene at the heights of the table, along the diagonal of the die, over that on the axis."""
+    """Rendered light of an even scene at the heights of the table, along the diagonal of the die,
+    over that on the axis.
+    """
     light = pixsim.render(pixsim.load_scene("flat", resolution=160, spp=4), camera, seed=0)
     lux = light.illuminance_lx()
     y, x = ((np.arange(count) + 0.5 - count / 2) * 1e-3 * light.pitch_um for count in lux.shape)
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
-    shares = np.linspace(0.0, 2 * y[-1] / camera.height_mm, 200)  # of the diagonal, up to the last row; beyond it, half a cell
+    shares = np.linspace(
+        0.0, 2 * y[-1] / camera.height_mm, 200
+    )  # of the diagonal, up to the last row; beyond it, half a cell
     points = np.stack([shares * camera.height_mm / 2, shares * camera.die_mm / 2], axis=-1)
     on_diagonal = scipy.interpolate.RegularGridInterpolator((y, x), lux)(points)
     spline = scipy.interpolate.CubicSpline(shares * corner_mm, on_diagonal)
@@ -156,14 +203,32 @@ def illumination(camera: Camera) -> Array:
 
 def fall_off_rows(camera: Camera) -> list[dict[str, object]]:
     found = illumination(camera) - np.array([*OPTIC_STUDIO.values()])
-    return [row("phone's lens, relative illumination at 0.71 to 3.53 mm - OpticStudio", LYU, -0.0003, 0.0003, found)]
+    return [
+        row(
+            "phone's lens, relative illumination at 0.71 to 3.53 mm - OpticStudio",
+            LYU,
+            -0.0003,
+            0.0003,
+            found,
+        )
+    ]
 
 
 # --- An industrial CCD ---
 
-CCD_RESULTS = {"K": 0.280769280926, "QE": 0.451356082834, "sigma_d": 10.8980275235, "PRNU": 0.432704411062, "DSNU": 0.551787767644}
+CCD_RESULTS = {
+    "K": 0.280769280926,
+    "QE": 0.451356082834,
+    "sigma_d": 10.8980275235,
+    "PRNU": 0.432704411062,
+    "DSNU": 0.551787767644,
+}
 DARK_E_PER_S, SATURATED_AT, CCD_PIXELS, CCD_SIDE = 28.4074312749, 36, 640 * 480, 400
-VARIANCE_GATE, MEAN_GATE, FROM_SHARE = 0.05, 0.016, 0.02  # of the mean at saturation: below, the light is not known well
+VARIANCE_GATE, MEAN_GATE, FROM_SHARE = (
+    0.05,
+    0.016,
+    0.02,
+)  # of the mean at saturation: below, the light is not known well
 
 
 def ccd() -> Pixel:
@@ -178,9 +243,13 @@ def ccd() -> Pixel:
 
 @lru_cache(maxsize=1)
 def ccd_measured() -> tuple[Array, dict[str, Array]]:
-    """Photons of each exposure, and the means and temporal variances in light and in the dark, DN and DN²."""
+    """Photons of each exposure, and the means and temporal variances in light and in the dark, DN
+    and DN².
+    """
     with (DATA / "emva_ccd_12bit.csv").open(encoding="utf-8", newline="") as file:
-        table = [{name: int(value) for name, value in line.items()} for line in csv.DictReader(file)]
+        table = [
+            {name: int(value) for name, value in line.items()} for line in csv.DictReader(file)
+        ]
 
     def column(name: str, per_pixel: int) -> Array:
         return np.array([line[name] for line in table]) / (per_pixel * CCD_PIXELS)
@@ -191,11 +260,18 @@ def ccd_measured() -> tuple[Array, dict[str, Array]]:
 
 
 def ccd_simulated(pixel: Pixel, photons: Array) -> tuple[Array, Array]:
-    """Mean above black and temporal variance of a pair of simulated frames in each light, DN and DN²."""
+    """Mean above black and temporal variance of a pair of simulated frames in each light, DN and
+    DN².
+    """
     experiment = make_experiment(pixel, wavelength_nm=550.0, shape=(CCD_SIDE, CCD_SIDE))
-    pairs = [pair(*experiment.frames(2, count, "ccd", index)) for index, count in enumerate(photons.tolist())]
+    pairs = [
+        pair(*experiment.frames(2, count, "ccd", index))
+        for index, count in enumerate(photons.tolist())
+    ]
     black_dn = experiment.readout.adc.black_level_dn  # 6 σ of the dark at least
-    return np.array([each.mean_dn - black_dn for each in pairs]), np.array([each.variance_dn2 for each in pairs])
+    return np.array([each.mean_dn - black_dn for each in pairs]), np.array(
+        [each.variance_dn2 for each in pairs]
+    )
 
 
 def ccd_rows(pixel: Pixel, exposures: slice = slice(None)) -> list[dict[str, object]]:
@@ -218,8 +294,17 @@ def ccd_rows(pixel: Pixel, exposures: slice = slice(None)) -> list[dict[str, obj
     return [
         row(curve, EMVA, -VARIANCE_GATE, VARIANCE_GATE, off, "{:.3f}"),
         row("… measured / simulated signal - 1", EMVA, -MEAN_GATE, MEAN_GATE, of_signal, "{:.4f}"),
-        row("… measured / simulated variance in the dark - 1", EMVA, -0.02, 0.02, dark_dn2 / simulated_dark - 1, "{:.4f}"),
-        row("… peak of the variance, measured - simulated, exposures", EMVA, -1, 1, peaks, "{:.0f}"),
+        row(
+            "… measured / simulated variance in the dark - 1",
+            EMVA,
+            -0.02,
+            0.02,
+            dark_dn2 / simulated_dark - 1,
+            "{:.4f}",
+        ),
+        row(
+            "… peak of the variance, measured - simulated, exposures", EMVA, -1, 1, peaks, "{:.0f}"
+        ),
     ]
 
 
@@ -237,7 +322,9 @@ def profile_rows(pixel: Pixel) -> list[dict[str, object]]:
     offs = []
     for mean_dn in PROFILE_DN:
         dn = frames_of_sphere(pixel, mean_dn, 2, 200)
-        offs.append(PROFILE * math.sqrt(mean_dn * CODES_16_OF_12) / CODES_16_OF_12 / float(dn.std()) - 1)
+        offs.append(
+            PROFILE * math.sqrt(mean_dn * CODES_16_OF_12) / CODES_16_OF_12 / float(dn.std()) - 1
+        )
     name = "Pi HQ camera, measured noise profile / simulated σ - 1, 50 to 2400 DN"
     return [row(name, HOGAN, -PROFILE_GATE, PROFILE_GATE, offs, "{:.3f}")]
 
@@ -249,7 +336,9 @@ def rows() -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("cause", PARTS_DN2)
 def test_closed_form_has_the_parts_of_the_paper(cause: str) -> None:
-    assert parts_dn2(phone(), MEAN_DN)[cause] == pytest.approx(PARTS_DN2[cause], abs=0.005 if PARTS_DN2[cause] < 1 else 0.05)
+    assert parts_dn2(phone(), MEAN_DN)[cause] == pytest.approx(
+        PARTS_DN2[cause], abs=0.005 if PARTS_DN2[cause] < 1 else 0.05
+    )
 
 
 def test_integrating_sphere_has_the_measured_variance() -> None:
@@ -277,13 +366,17 @@ def test_ccd_has_the_measured_transfer_curve() -> None:
 
 
 def test_table_of_the_ccd_is_that_of_the_published_results() -> None:
-    """K and R of the standard's own fit, through the origin from 0 to 70 % of saturation, to the digits of the publication."""
+    """K and R of the standard's own fit, through the origin from 0 to 70 % of saturation, to the
+    digits of the publication.
+    """
     photons, measured = ccd_measured()
     fitted = photons <= 0.7 * photons[SATURATED_AT]
     signal = (measured["mean_dn"] - measured["dark_dn"])[fitted]
     variance = (measured["variance_dn2"] - measured["dark_dn2"])[fitted]
     assert signal @ variance / (signal @ signal) == pytest.approx(CCD_RESULTS["K"], rel=1e-10)
-    assert signal @ photons[fitted] / (photons[fitted] @ photons[fitted]) == pytest.approx(0.126726922819, rel=1e-10)
+    assert signal @ photons[fitted] / (photons[fitted] @ photons[fitted]) == pytest.approx(
+        0.126726922819, rel=1e-10
+    )
     assert int(np.argmax(measured["variance_dn2"])) == SATURATED_AT
 
 
@@ -304,5 +397,9 @@ def test_another_pixel_fails() -> None:
     assert not not_met(ccd_rows(ccd(), few))
     assert not_met(ccd_rows(ccd().model_copy(update={"dn_per_e": 1.06 * CCD_RESULTS["K"]}), few))
     assert not_met(profile_rows(pi_camera().model_copy(update={"dn_per_e": 0.55})))
-    heights = tuple((height**2 / max(OPTIC_STUDIO), light) for height, light in OPTIC_STUDIO.items())
-    assert not_met(fall_off_rows(phone_camera().model_copy(update={"fall_off": ((0.0, 1.0), *heights)})))
+    heights = tuple(
+        (height**2 / max(OPTIC_STUDIO), light) for height, light in OPTIC_STUDIO.items()
+    )
+    assert not_met(
+        fall_off_rows(phone_camera().model_copy(update={"fall_off": ((0.0, 1.0), *heights)}))
+    )

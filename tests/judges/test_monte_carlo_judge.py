@@ -1,17 +1,24 @@
-"""Renders by different Mitsuba variants, and pruned and full ones, agree pixel by pixel in Mitsuba's own test.
+"""Renders by different Mitsuba variants, and pruned and full ones, agree pixel by pixel in
+Mitsuba's own test.
 
-Source: the test of src/render/tests/test_renders.py (Mitsuba 3), which Eradiate uses too: p-values of each pixel's difference,
-a significance of 0.01 with Šidák's correction for the number of pixels, and 99.75 % of the pixels must pass. Variances are
-estimated on both sides, so the p-values are those of Welch's t: a z-test with variances from 16 renders would reject too
-many. The test compares pixsim's mean electrons of two sensors.
+Source: the test of src/render/tests/test_renders.py (Mitsuba 3), which Eradiate uses too: p-values
+of each pixel's difference, a significance of 0.01 with Šidák's correction for the number of pixels,
+and 99.75 % of the pixels must pass. Variances are estimated on both sides, so the p-values are
+those of Welch's t: a z-test with variances from 16 renders would reject too many. The test compares
+pixsim's mean electrons of two sensors.
 
 Gates:
-* 99.75 to 100 % accepted, as in the source. Without a difference all pixels should be accepted (Šidák: one test in a hundred
+* 99.75 to 100 % accepted, as in the source. Without a difference all pixels should be accepted
+  (Šidák: one test in a hundred
   rejects one pixel of 1152).
-* 1 to 12 % of the pixels at p < 0.05 without correction, where 5 % are expected. Fewer mean that the two are more alike than
-  independent renders can be (one seed for both, or noise overestimated), more that many pixels differ a little. Two sensors
-  share one render, and glints have heavy-tailed noise, so that the fraction scatters: 3 to 8 % over 48 pairs of seeds.
-* Each picture can fail: the test detects a scaling by 7 standard errors of a pixel, up or down (3 % for the chart, 1 % for the
+* 1 to 12 % of the pixels at p < 0.05 without correction, where 5 % are expected. Fewer mean that
+  the two are more alike than
+  independent renders can be (one seed for both, or noise overestimated), more that many pixels
+  differ a little. Two sensors
+  share one render, and glints have heavy-tailed noise, so that the fraction scatters: 3 to 8 % over
+  48 pairs of seeds.
+* Each picture can fail: the test detects a scaling by 7 standard errors of a pixel, up or down (3 %
+  for the chart, 1 % for the
   ColorChecker, 20 % for the still life, whose paths are noisy).
 """
 
@@ -50,10 +57,16 @@ SIZE = 24
 
 
 @cache
-def renders(name: str, variant: str, full: bool = False, seed: int = 1, stops: float = 1.0) -> np.ndarray:
-    """Mean electrons of independent renders, (renders, pixels of the picture × sensors); stops: a factor on the f-number."""
+def renders(
+    name: str, variant: str, full: bool = False, seed: int = 1, stops: float = 1.0
+) -> np.ndarray:
+    """Mean electrons of independent renders, (renders, pixels of the picture × sensors); stops: a
+    factor on the f-number.
+    """
     few = full and name != "still_life"  # its paths need 16
-    scene = pixsim.load_scene(name, variant=variant, resolution=SIZE, spp=4 if few else SCENES[name][0])
+    scene = pixsim.load_scene(
+        name, variant=variant, resolution=SIZE, spp=4 if few else SCENES[name][0]
+    )
     camera = scene.camera()
     lens = camera.model_copy(update={"f_number": stops * camera.f_number})
     job = Renderer(scene, lens, make_plan(scene, full=full), seed)
@@ -65,11 +78,19 @@ def renders(name: str, variant: str, full: bool = False, seed: int = 1, stops: f
 
 def p_values(one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> np.ndarray:
     """p-values of each pixel's difference beyond a bound, by Welch's t-test."""
-    means, deviations = zip(*((images.mean(axis=0), images.std(axis=0, ddof=1)) for images in (one, other)), strict=True)
+    means, deviations = zip(
+        *((images.mean(axis=0), images.std(axis=0, ddof=1)) for images in (one, other)), strict=True
+    )
     beyond = np.maximum(np.abs(means[0] - means[1]) - bound * means[1], 0.0)
     least = FLOAT32 * means[1] * len(one) ** 0.5
     return ttest_ind_from_stats(
-        beyond, np.maximum(deviations[0], least), len(one), 0.0, np.maximum(deviations[1], least), len(other), equal_var=False
+        beyond,
+        np.maximum(deviations[0], least),
+        len(one),
+        0.0,
+        np.maximum(deviations[1], least),
+        len(other),
+        equal_var=False,
     ).pvalue
 
 
@@ -104,7 +125,11 @@ def rows(full: bool = False, names: Iterable[str] = tuple(SCENES)) -> list[dict[
 
     for name in names:
         if HAS_LLVM and (full or name not in LONG):
-            compare(f"`{name}`, LLVM and scalar", renders(name, "llvm_ad_spectral", seed=2), renders(name, VARIANT))
+            compare(
+                f"`{name}`, LLVM and scalar",
+                renders(name, "llvm_ad_spectral", seed=2),
+                renders(name, VARIANT),
+            )
         if full or name not in LONG_IN_FULL:
             whole = renders(name, VARIANT, full=True, seed=2)
             compare(f"`{name}`, pruned and full", renders(name, VARIANT), whole, bound_of(name))
@@ -115,13 +140,21 @@ def test_rows_of_chart_pass():
     assert not_met(rows(names=["csf"])) == []
 
 
-@pytest.mark.parametrize("full", [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.judges_full)])
+@pytest.mark.parametrize(
+    "full",
+    [
+        pytest.param(False, marks=pytest.mark.slow),
+        pytest.param(True, marks=pytest.mark.judges_full),
+    ],
+)
 def test_rows_pass(full):
     assert not_met(rows(full)) == []
 
 
 def scenes(long: set[str]) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.judges_full) if n in long else n for n in SCENES])
+    return pytest.mark.parametrize(
+        "name", [pytest.param(n, marks=pytest.mark.judges_full) if n in long else n for n in SCENES]
+    )
 
 
 @NEEDS_CARD
@@ -133,12 +166,22 @@ def test_cuda_variant_matches_scalar(name):
 
 @cache
 def studies(variant: str, first_seed: int) -> np.ndarray:
-    """Mean ΔE of independent studies of a ColorChecker, (studies, pitches): renders, sensors and noise have own seeds."""
+    """Mean ΔE of independent studies of a ColorChecker, (studies, pitches): renders, sensors and
+    noise have own seeds.
+    """
     table = {**TINY, "scene": {"file": "macbeth", "parameters": {"spp": 4}}, "resolution": 64}
     found = []
     for seed in range(first_seed, first_seed + STUDIES):
-        with TemporaryDirectory() as folder, catch_warnings(action="ignore"):  # its small film and few samples
-            study = pixsim.study(pixsim.Study.model_validate(table | {"seed": seed}), f"{folder}/out", variant=variant, jobs=1)
+        with (
+            TemporaryDirectory() as folder,
+            catch_warnings(action="ignore"),
+        ):  # its small film and few samples
+            study = pixsim.study(
+                pixsim.Study.model_validate(table | {"seed": seed}),
+                f"{folder}/out",
+                variant=variant,
+                jobs=1,
+            )
         found.append(study.curves[0].delta_e.mean(axis=1))
     return np.array(found)
 
@@ -151,7 +194,9 @@ def studies(variant: str, first_seed: int) -> np.ndarray:
     ],
 )
 def test_study_matches_scalar(variant):
-    """No size of pixels differs, by the test of the pictures; a sixth more error or less does at some size."""
+    """No size of pixels differs, by the test of the pictures; a sixth more error or less does at
+    some size.
+    """
     one, other = studies(variant, 1), studies(VARIANT, 1 + STUDIES)
     assert passing(one, other) == 1
     for wrong in (5 / 6, 7 / 6):
@@ -160,7 +205,11 @@ def test_study_matches_scalar(variant):
 
 @scenes(LONG_IN_FULL)
 def test_scaled_picture_fails(name):
-    one, other, bound = renders(name, VARIANT), renders(name, VARIANT, full=True, seed=2), bound_of(name)
+    one, other, bound = (
+        renders(name, VARIANT),
+        renders(name, VARIANT, full=True, seed=2),
+        bound_of(name),
+    )
     for wrong in (1 + SCENES[name][1], 1 - SCENES[name][1]):
         assert passing(one * wrong, other, bound) < PASSING
 
@@ -170,7 +219,13 @@ def test_shifted_or_uniform_picture_fails():
     csf = renders("csf", VARIANT)
     shifted = np.roll(csf.reshape(RENDERS, -1, SIZE), 1, axis=2).reshape(csf.shape)
     assert passing(shifted, csf) < 0.9
-    assert passing(csf.mean(axis=1, keepdims=True) * np.random.default_rng(0).normal(1, 1e-3, csf.shape), csf) < 0.9
+    assert (
+        passing(
+            csf.mean(axis=1, keepdims=True) * np.random.default_rng(0).normal(1, 1e-3, csf.shape),
+            csf,
+        )
+        < 0.9
+    )
 
 
 def test_other_f_number_fails():

@@ -1,18 +1,21 @@
-"""Equations (1) and (2) of Chen, Catrysse, El Gamal and Wandell (2000) against dynamic range and SNR measured from frames.
+"""Equations (1) and (2) of Chen, Catrysse, El Gamal and Wandell (2000) against dynamic range and
+SNR measured from frames.
 
-Source: T. Chen, P. Catrysse, A. El Gamal, B. Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000):
-(1) DR = 20 log₁₀ (q_max - i_dc t)/√(σ_r² + i_dc t), (2) SNR = 20 log₁₀ i_ph t/√(σ_r² + (i_ph + i_dc) t). They contain
-only temporal noise and no quantisation. So fixed patterns are off, the noise is measured between pairs of frames, a black
-level prevents clipping in the dark, and 24 bits make quantisation negligible. Measured: DR from the top code
-and a dark pair, SNR from a pair at 20 % and at 70 % of the well, 30 ms, every technology from its smallest pitches to 15 µm
-(6 µm for pinned photodiodes).
+Source: T. Chen, P. Catrysse, A. El Gamal, B. Wandell, "How small should pixel size be?", Proc. SPIE
+3965 (2000): (1) DR = 20 log₁₀ (q_max - i_dc t)/√(σ_r² + i_dc t), (2) SNR = 20 log₁₀ i_ph t/√(σ_r² +
+(i_ph + i_dc) t). They contain only temporal noise and no quantisation. So fixed patterns are off,
+the noise is measured between pairs of frames, a black level prevents clipping in the dark, and 24
+bits make quantisation negligible. Measured: DR from the top code and a dark pair, SNR from a pair
+at 20 % and at 70 % of the well, 30 ms, every technology from its smallest pitches to 15 µm (6 µm
+for pinned photodiodes).
 
-Gates, two-sided, from the statistical error: a standard deviation from one pair of n pixels has a relative error of 1/√(2n),
-8.69/√(2n) dB. No value deviates by more than 4 errors, and the RMS of all in these units is between 0.7 and 1.3, neither
-biased nor too small (with 90 values the RMS has an error of 0.075).
+Gates, two-sided, from the statistical error: a standard deviation from one pair of n pixels has a
+relative error of 1/√(2n), 8.69/√(2n) dB. No value deviates by more than 4 errors, and the RMS of
+all in these units is between 0.7 and 1.3, neither biased nor too small (with 90 values the RMS has
+an error of 0.075).
 
-Ten bits reduce DR by 6 dB at 15 µm: quantisation adds a variance of LSB²/12 if the dark covers every phase of the ADC. Gate:
-within 0.05 dB of 10 log₁₀(1 + LSB²/12σ²), and between 5.5 and 7 dB.
+Ten bits reduce DR by 6 dB at 15 µm: quantisation adds a variance of LSB²/12 if the dark covers
+every phase of the ADC. Gate: within 0.05 dB of 10 log₁₀(1 + LSB²/12σ²), and between 5.5 and 7 dB.
 """
 
 from __future__ import annotations
@@ -50,7 +53,9 @@ DECIBEL_COST_GATE = 0.05
 
 
 def readout_of(technology: str, pitch_um: float, bits: int = 24) -> Readout:
-    pixel = Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, "bits": bits} | NO_PATTERN)
+    pixel = Pixel.model_validate(
+        {"technology": technology, "pitch_um": pitch_um, "bits": bits} | NO_PATTERN
+    )
     return with_black_level(Readout.of(derive(pixel)), SECONDS)
 
 
@@ -60,24 +65,38 @@ def measured_db(readout: Readout, side: int, *key: object) -> dict[str, float]:
     sensor = sample_sensor(readout, shape, stream("no pattern"))
 
     def frames(signal_e: float, name: str) -> list[np.ndarray]:
-        return [read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2)]
+        return [
+            read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index))
+            for index in range(2)
+        ]
 
     dark = pair(*frames(0.0, "dark"))
-    top_dn = float(np.median(frames(1.5 * readout.full_well_e, "full")[0]))  # the median, as noise lowers some codes
+    top_dn = float(
+        np.median(frames(1.5 * readout.full_well_e, "full")[0])
+    )  # the median, as noise lowers some codes
     decibels = {"DR": 20 * math.log10((top_dn - dark.mean_dn) / math.sqrt(dark.variance_dn2))}
     for share in WELL_SHARES:
         lit = pair(*frames(share * readout.full_well_e, f"lit {share}"))
-        decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10((lit.mean_dn - dark.mean_dn) / math.sqrt(lit.variance_dn2))
+        decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10(
+            (lit.mean_dn - dark.mean_dn) / math.sqrt(lit.variance_dn2)
+        )
     return decibels
 
 
 def equations_db(readout: Readout) -> dict[str, float]:
     """Equations (1) and (2) in dB, implemented independently."""
     dark_e, well_e = readout.dark_current_e_per_s * SECONDS, readout.full_well_e
-    variance_e2 = readout.physics.reset_noise_e**2 + readout.read_noise_e**2 + readout.read_noise_after_gain_e**2 + dark_e
+    variance_e2 = (
+        readout.physics.reset_noise_e**2
+        + readout.read_noise_e**2
+        + readout.read_noise_after_gain_e**2
+        + dark_e
+    )
     decibels = {"DR": 20 * math.log10((well_e - dark_e) / math.sqrt(variance_e2))}
     for share in WELL_SHARES:
-        decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10(share * well_e / math.sqrt(variance_e2 + share * well_e))
+        decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10(
+            share * well_e / math.sqrt(variance_e2 + share * well_e)
+        )
     return decibels
 
 
@@ -101,16 +120,26 @@ def deviations(side: int) -> dict[str, dict[str, float]]:
 
 
 def quantiser_cost_db(bits: int = 10) -> tuple[float, float]:
-    """(measured, expected from LSB²/12) loss of DR in dB, at 15 µm in the 0.35 µm technology, over all phases of the ADC."""
+    """(measured, expected from LSB²/12) loss of DR in dB, at 15 µm in the 0.35 µm technology, over
+    all phases of the ADC.
+    """
     readout = readout_of("0.35um", 15.0, bits)
     shape, phases = (600, 600), 8
     sensor = sample_sensor(readout, shape, stream("no pattern"))
-    ramp_e = np.linspace(0.0, phases / readout.dn_per_e, math.prod(shape), endpoint=False).reshape(shape)
+    ramp_e = np.linspace(0.0, phases / readout.dn_per_e, math.prod(shape), endpoint=False).reshape(
+        shape
+    )
     frame = read_out(ramp_e, SECONDS, sensor, stream("paper", "quantiser", bits))
-    added_dn2 = float(ramp_e.mean()) * readout.dn_per_e**2  # shot noise of the ramp, absent in the dark
-    measured_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, readout)) ** 2)) - added_dn2
+    added_dn2 = (
+        float(ramp_e.mean()) * readout.dn_per_e**2
+    )  # shot noise of the ramp, absent in the dark
+    measured_dn2 = (
+        float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, readout)) ** 2)) - added_dn2
+    )
     dark_e = readout.dark_current_e_per_s * SECONDS
-    true_dn2 = (readout.physics.reset_noise_e**2 + readout.read_noise_e**2 + dark_e) * readout.dn_per_e**2
+    true_dn2 = (
+        readout.physics.reset_noise_e**2 + readout.read_noise_e**2 + dark_e
+    ) * readout.dn_per_e**2
     return 10 * math.log10(measured_dn2 / true_dn2), 10 * math.log10(1 + 1 / 12 / true_dn2)
 
 
@@ -128,7 +157,10 @@ def rows(side: int = SIDE) -> list[dict[str, object]]:
     cost, expected = quantiser_cost_db()
     met = abs(cost - expected) <= DECIBEL_COST_GATE and 5.5 <= cost <= 7
     gate = f"within {DECIBEL_COST_GATE} dB of LSB²/12 ({expected:.2f} dB)"
-    return [*table, verdict(STANDARD, "loss of DR by 10 bits at 15 µm", gate, f"{cost:.2f} dB", met)]
+    return [
+        *table,
+        verdict(STANDARD, "loss of DR by 10 bits at 15 µm", gate, f"{cost:.2f} dB", met),
+    ]
 
 
 @pytest.mark.parametrize("side", [SIDE, pytest.param(FULL_SIDE, marks=pytest.mark.judges_full)])
@@ -142,15 +174,22 @@ def test_pixel_methods_match_equations() -> None:
     readout = readout_of("0.35um", 6.5)
     true = equations_db(readout)
     assert readout.dynamic_range_db(SECONDS) == pytest.approx(true["DR"], rel=1e-12)
-    assert readout.snr_db(0.2 * readout.full_well_e, SECONDS) == pytest.approx(true["SNR at 20 %"], rel=1e-12)
+    assert readout.snr_db(0.2 * readout.full_well_e, SECONDS) == pytest.approx(
+        true["SNR at 20 %"], rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("wrong", [{"reset_noise_factor": 1.2}, {"full_well_e": 95_000.0}, {"dark_current_e_per_s": 9e3}])
+@pytest.mark.parametrize(
+    "wrong", [{"reset_noise_factor": 1.2}, {"full_well_e": 95_000.0}, {"dark_current_e_per_s": 9e3}]
+)
 def test_wrong_parameter_fails(wrong: dict[str, float]) -> None:
     """Frames of a pixel with other parameters than the equations."""
     right = readout_of("0.35um", 6.5)
     pixel = Pixel.model_validate(right.physics.pixel.model_dump() | wrong)
-    measured, true = measured_db(Readout.of(derive(pixel)), SIDE, "paper", "wrong"), equations_db(right)
+    measured, true = (
+        measured_db(Readout.of(derive(pixel)), SIDE, "paper", "wrong"),
+        equations_db(right),
+    )
     assert max(abs(measured[name] - true[name]) for name in true) > WORST * error_db(SIDE)
 
 

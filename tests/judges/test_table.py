@@ -36,7 +36,9 @@ def test_main_prints_all_judges_and_fails_with_one(tmp_path, monkeypatch, capsys
         (tmp_path / f"test_made_up_{name}.py").write_text(f"from gates import row\n{body}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv(table.FOLDER_VARIABLE, str(tmp_path))
-    monkeypatch.setattr(table, "judges", lambda: ["test_made_up_fine", "test_made_up_deep", "test_made_up_silent"])
+    monkeypatch.setattr(
+        table, "judges", lambda: ["test_made_up_fine", "test_made_up_deep", "test_made_up_silent"]
+    )
     assert table.main([]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "| judge | standard | gate | measured | met |"
@@ -45,7 +47,9 @@ def test_main_prints_all_judges_and_fails_with_one(tmp_path, monkeypatch, capsys
     assert "| quick |" in lines[3]
     assert table.main(["--full"]) == 0
     assert "| deep |" in capsys.readouterr().out
-    monkeypatch.setattr(sys.modules["test_made_up_fine"], "rows", lambda: [row("a", "s", 0, 1, 1.5)])
+    monkeypatch.setattr(
+        sys.modules["test_made_up_fine"], "rows", lambda: [row("a", "s", 0, 1, 1.5)]
+    )
     assert table.main([]) == 1
     assert "**no**" in capsys.readouterr().out
     assert table.main(["--quick"]) == 2
@@ -61,7 +65,13 @@ def test_condensed_keeps_extremes_and_failures():
     """The range includes its extremes, and one failed row makes the merged row fail."""
 
     def entry(judge, measured, met=True):
-        return {"judge": judge, "standard": "ISO 15739", "gate": "within 0.5 %", "measured": measured, "met": met}
+        return {
+            "judge": judge,
+            "standard": "ISO 15739",
+            "gate": "within 0.5 %",
+            "measured": measured,
+            "met": met,
+        }
 
     rows = [
         entry("noise at 2 % of the well: a", "+0.10 %"),
@@ -69,5 +79,10 @@ def test_condensed_keeps_extremes_and_failures():
         entry("other: a", "7 %"),
     ]
     short = table.condensed(rows)
-    assert [(line["judge"], line["measured"]) for line in short] == [("noise, 2 cases", "-0.3 … +0.1 %"), ("other: a", "7 %")]
-    assert not table.condensed([*rows, entry("noise at 13 % of the well: c", "+0.9 %", met=False)])[0]["met"]
+    assert [(line["judge"], line["measured"]) for line in short] == [
+        ("noise, 2 cases", "-0.3 … +0.1 %"),
+        ("other: a", "7 %"),
+    ]
+    assert not table.condensed([*rows, entry("noise at 13 % of the well: c", "+0.9 %", met=False)])[
+        0
+    ]["met"]

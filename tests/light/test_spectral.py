@@ -1,4 +1,6 @@
-"""Spectral images: bit-identical files, other readers of the files, and light units against colour-science."""
+"""Spectral images: bit-identical files, other readers of the files, and light units against
+colour-science.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +45,20 @@ def bits(values: np.ndarray) -> np.ndarray:
 
 
 def general(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
-    return SpectralImage(BANDS_NM, 10.0, 2.65, data=any_float32((*shape, BANDS_NM.size)), header={"seed": 7, "µ": [1.5, None]})
+    return SpectralImage(
+        BANDS_NM,
+        10.0,
+        2.65,
+        data=any_float32((*shape, BANDS_NM.size)),
+        header={"seed": 7, "µ": [1.5, None]},
+    )
 
 
 def factored(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
     spectra = np.random.default_rng(1).uniform(0, 1, (2, BANDS_NM.size)) * 1e-3
-    return SpectralImage(BANDS_NM, 10.0, 1 / 3, factors=(spectra, any_float32((2, *shape)) * np.float32(1e-6)))
+    return SpectralImage(
+        BANDS_NM, 10.0, 1 / 3, factors=(spectra, any_float32((2, *shape)) * np.float32(1e-6))
+    )
 
 
 # --- Files ---
@@ -73,22 +83,31 @@ def assert_comes_back(image: SpectralImage, path: Path) -> None:
 def test_write_exr_image_reads_back_bit_for_bit(make, spread, tmp_path):
     image, rng = make(), np.random.default_rng(3)
     if spread:  # over its bands
-        image.within = (image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)), rng.dirichlet(np.ones(3), 46))
+        image.within = (
+            image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)),
+            rng.dirichlet(np.ones(3), 46),
+        )
     assert_comes_back(image, tmp_path / "image.exr")
 
 
 def fine_bands(seed: int) -> SpectralImage:
-    """Return an image with 10 nm bands that are randomly halved up to three times, and spectra of both signs."""
+    """Return an image with 10 nm bands that are randomly halved up to three times, and spectra of
+    both signs.
+    """
     rng = np.random.default_rng(seed)
     edges = band_edges_nm(VISIBLE)
     for _ in range(3):
         halved = np.flatnonzero(rng.random(edges.size - 1) < rng.uniform(0.1, 0.6))
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
     width_nm = np.diff(edges)
-    nodes_nm = edges[:-1, None] + width_nm[:, None] * np.sort(rng.random((width_nm.size, 10)), axis=1)
+    nodes_nm = edges[:-1, None] + width_nm[:, None] * np.sort(
+        rng.random((width_nm.size, 10)), axis=1
+    )
     shares = rng.dirichlet(np.ones(10), width_nm.size)
     factors = rng.normal(0.3, 1, (8, width_nm.size)), rng.uniform(0, 1, (8, 3, 5))
-    return SpectralImage((shares * nodes_nm).sum(axis=1), width_nm, 2.65, factors=factors, within=(nodes_nm, shares))
+    return SpectralImage(
+        (shares * nodes_nm).sum(axis=1), width_nm, 2.65, factors=factors, within=(nodes_nm, shares)
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -99,16 +118,26 @@ def test_write_exr_factors_with_fine_bands_read_back_bit_for_bit(seed, tmp_path)
     assert_comes_back(image, tmp_path / "image.exr")
     # For other readers: at most one channel for each of the 48 bands of 10 nm and less.
     channels, _ = read_channels(tmp_path / "image.exr")
-    shown = {float(name[3:-2].replace(",", ".")): plane for name, plane in channels.items() if name.startswith("S0.")}
+    shown = {
+        float(name[3:-2].replace(",", ".")): plane
+        for name, plane in channels.items()
+        if name.startswith("S0.")
+    }
     assert len(shown) <= 48
     assert len(channels) == len(shown) + 8
-    # Every band is in one channel: energies add up to those of all bands, and so do first moments (float32 of 8 terms).
+    # Every band is in one channel: energies add up to those of all bands, and so do first moments
+    # (float32 of 8 terms).
     merged = _merged(image)
     assert sorted(shown) == pytest.approx(merged.wavelength_nm.tolist(), abs=1e-6)
     assert merged.band_width_nm.max() <= 10
     assert merged.band_width_nm.sum() == pytest.approx(470, rel=1e-13)
-    energy = sum(width * shown[nm].astype(float) for nm, width in zip(sorted(shown), merged.band_width_nm, strict=True))
-    np.testing.assert_allclose(energy, image.weighted(image.band_width_nm), atol=1e-5 * np.abs(energy).max())
+    energy = sum(
+        width * shown[nm].astype(float)
+        for nm, width in zip(sorted(shown), merged.band_width_nm, strict=True)
+    )
+    np.testing.assert_allclose(
+        energy, image.weighted(image.band_width_nm), atol=1e-5 * np.abs(energy).max()
+    )
 
 
 def test_merged_narrow_bands_are_means_over_10_nm():
@@ -133,8 +162,13 @@ def test_write_exr_channels_have_fichets_layout(make, tmp_path):
         names = [name for name in channels if name.startswith("S0.")]
         assert names == [f"S0.{nm},000000nm" for nm in range(370, 821, 10)]
         assert np.array_equal(bits(channels[D65_TEXT].pixels), bits(image.data[:, :, 18]))
-    pixsim.write_exr(tmp_path / "image.exr", SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))))
-    assert sorted(read_header(tmp_path / "image.exr")["channels"]) == ["S0.1064,250000nm", "S0.632,800000nm"]
+    pixsim.write_exr(
+        tmp_path / "image.exr", SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2)))
+    )
+    assert sorted(read_header(tmp_path / "image.exr")["channels"]) == [
+        "S0.1064,250000nm",
+        "S0.632,800000nm",
+    ]
     assert pixsim.read_exr(tmp_path / "image.exr").wavelength_nm.tolist() == [632.8, 1064.25]
 
 
@@ -149,7 +183,9 @@ def test_write_exr_block_size_does_not_change_bytes(blocks, tmp_path, monkeypatc
     lux = image.illuminance_lx()
     monkeypatch.undo()
     assert np.array_equal(lux, image.illuminance_lx())
-    assert np.array_equal(image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5]), lux[3:17, 2:5])
+    assert np.array_equal(
+        image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5]), lux[3:17, 2:5]
+    )
 
 
 @pytest.mark.parametrize("make", [general, factored])
@@ -167,35 +203,62 @@ def test_weighted_large_image_needs_memory_of_result_only(make, monkeypatch):
 def ramps(shape: tuple[int, int], bands: int = 2, factored: bool = False) -> SpectralImage:
     """Planes in x and y, of which the mean over any area is the value at its centre."""
     y, x = (np.arange(n) + 0.5 for n in shape)
-    planes = np.stack([1 + x + 2 * y[:, None], 5 + 3 * x - y[:, None] / shape[0]]).astype(np.float32)
+    planes = np.stack([1 + x + 2 * y[:, None], 5 + 3 * x - y[:, None] / shape[0]]).astype(
+        np.float32
+    )
     nm = np.linspace(400, 700, bands)
     if factored:
-        return SpectralImage(nm, 5.0, 2.0, factors=(np.linspace(1, 2, 2 * bands).reshape(2, bands), planes), header={"seed": 1})
-    return SpectralImage(nm, 5.0, 2.0, data=planes[np.arange(bands) % 2].transpose(1, 2, 0), header={"seed": 1})
+        return SpectralImage(
+            nm,
+            5.0,
+            2.0,
+            factors=(np.linspace(1, 2, 2 * bands).reshape(2, bands), planes),
+            header={"seed": 1},
+        )
+    return SpectralImage(
+        nm, 5.0, 2.0, data=planes[np.arange(bands) % 2].transpose(1, 2, 0), header={"seed": 1}
+    )
 
 
 @pytest.mark.parametrize("factored", [False, True])
-@pytest.mark.parametrize(("shape", "columns"), [((12, 18), 6), ((12, 18), 7), ((13, 17), 5), ((64, 64), 64), ((9, 5), 1)])
+@pytest.mark.parametrize(
+    ("shape", "columns"), [((12, 18), 6), ((12, 18), 7), ((13, 17), 5), ((64, 64), 64), ((9, 5), 1)]
+)
 def test_box_reduced_plane_keeps_centres(shape, columns, factored):
-    """A plane stays a plane; the die's width and centre stay, and less than a sample of its height is cut off."""
+    """A plane stays a plane; the die's width and centre stay, and less than a sample of its height
+    is cut off.
+    """
     image = ramps(shape, factored=factored)
     reduced = image.box_reduced(columns)
     rows, ratio = reduced.shape[0], shape[1] / columns
     assert reduced.shape[1] == columns
     assert reduced.pitch_um * columns == pytest.approx(image.pitch_um * shape[1], rel=1e-12)
     assert 0 <= shape[0] - rows * ratio < ratio * (1 + 1e-9)
-    x, y = (np.arange(columns) + 0.5) * ratio, shape[0] / 2 + (np.arange(rows)[:, None] + 0.5 - rows / 2) * ratio
+    x, y = (
+        (np.arange(columns) + 0.5) * ratio,
+        shape[0] / 2 + (np.arange(rows)[:, None] + 0.5 - rows / 2) * ratio,
+    )
     planes = reduced.factors[1] if factored else reduced.data.transpose(2, 0, 1)
     for plane, expected in zip(planes, (1 + x + 2 * y, 5 + 3 * x - y / shape[0]), strict=True):
-        # Values are constant in each sample: an area with parts of samples errs by up to a quarter of a step of 3.
-        assert plane == pytest.approx(expected, rel=1e-6, abs=0 if ratio.is_integer() else 0.75 / ratio)
-    assert reduced.header == {"seed": 1, "reduced": {"samples": list(shape), "factor": pytest.approx(ratio)}}
+        # Values are constant in each sample: an area with parts of samples errs by up to a quarter
+        # of a step of 3.
+        assert plane == pytest.approx(
+            expected, rel=1e-6, abs=0 if ratio.is_integer() else 0.75 / ratio
+        )
+    assert reduced.header == {
+        "seed": 1,
+        "reduced": {"samples": list(shape), "factor": pytest.approx(ratio)},
+    }
 
 
 @pytest.mark.parametrize(("shape", "columns"), [((12, 18), 6), ((14, 21), 6)])
 def test_box_reduced_keeps_mean_and_range(shape, columns):
-    """Where the height is a whole number of samples; noise of great contrast, so that no mean leaves the values' range."""
-    values = np.random.default_rng(2).lognormal(0, 3, (*shape, 1)).astype(np.float32) * (np.arange(shape[1])[:, None] > 4)
+    """Where the height is a whole number of samples; noise of great contrast, so that no mean
+    leaves the values' range.
+    """
+    values = np.random.default_rng(2).lognormal(0, 3, (*shape, 1)).astype(np.float32) * (
+        np.arange(shape[1])[:, None] > 4
+    )
     image = SpectralImage([550.0], 10.0, 1.0, data=values)
     reduced = image.box_reduced(columns)
     assert reduced.data.mean(dtype=float) == pytest.approx(values.mean(dtype=float), rel=1e-6)
@@ -259,7 +322,10 @@ def test_write_exr_factors_only_reads_back_bit_for_bit(tmp_path):
     assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
 
 
-@pytest.mark.parametrize("reduced", [{"factor": 0.5, "samples": [4, 4]}, {"factor": "2", "samples": [4, 4]}, {"factor": 2}, 7])
+@pytest.mark.parametrize(
+    "reduced",
+    [{"factor": 0.5, "samples": [4, 4]}, {"factor": "2", "samples": [4, 4]}, {"factor": 2}, 7],
+)
 def test_read_exr_damaged_reduction_raises(reduced, tmp_path):
     image = ramps((4, 4))
     image.header["reduced"] = reduced
@@ -292,7 +358,9 @@ def test_write_exr_file_is_read_by_mitsuba(make, tmp_path):
     names = [field.name for field in bitmap.struct_()]
     pixels = np.array(bitmap)
     for band, nm in enumerate(range(370, 821, 10)):
-        assert np.array_equal(pixels[:, :, names.index(f"S0.{nm},000000nm")], image.data[:, :, band])
+        assert np.array_equal(
+            pixels[:, :, names.index(f"S0.{nm},000000nm")], image.data[:, :, band]
+        )
     for number, picture in enumerate(image.factors[1] if image.factors else ()):
         assert np.array_equal(pixels[:, :, names.index(f"factor.{number}")], picture)
 
@@ -301,7 +369,9 @@ def test_write_exr_strided_arrays_are_written_correctly(tmp_path):
     whole = any_float32((12, 14, 2 * BANDS_NM.size))
     image = SpectralImage(BANDS_NM, 10.0, 1.0, data=whole[::-2, ::2, 1::2])
     pixsim.write_exr(tmp_path / "image.exr", image)
-    assert np.array_equal(bits(pixsim.read_exr(tmp_path / "image.exr").data), bits(whole[::-2, ::2, 1::2]))
+    assert np.array_equal(
+        bits(pixsim.read_exr(tmp_path / "image.exr").data), bits(whole[::-2, ::2, 1::2])
+    )
     plane = whole[:, :, 0].T[1:, ::3]
     write_channels(tmp_path / "plane.exr", {"Y": plane, "Z": plane.astype(float)[::-1]}, {})
     channels, _ = read_channels(tmp_path / "plane.exr")
@@ -313,7 +383,8 @@ DAMAGED = struct.pack("<II", 20000630, 2) + b"\xff" * 400
 
 
 @pytest.mark.parametrize(
-    ("content", "got"), [(b"not an EXR", "not start like an EXR file"), (DAMAGED, "damaged"), (None, "does not exist")]
+    ("content", "got"),
+    [(b"not an EXR", "not start like an EXR file"), (DAMAGED, "damaged"), (None, "does not exist")],
 )
 def test_read_exr_other_file_raises(tmp_path, content, got):
     if content:
@@ -336,9 +407,20 @@ OWN = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "head
         {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": "{torn"},
         {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps({"pitch_um": 1.0})},
         {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps(OWN | {"wavelength_nm": [560.0]})},
-        {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps(OWN | {"spectra_w_per_m2_nm": [[1.0]]})},
+        {
+            "emissiveUnits": "W.m^-2.nm^-1",
+            "pixsim": json.dumps(OWN | {"spectra_w_per_m2_nm": [[1.0]]}),
+        },
     ],
-    ids=["plain", "no header", "radiance", "torn header", "half a header", "no such channel", "no such factor"],
+    ids=[
+        "plain",
+        "no header",
+        "radiance",
+        "torn header",
+        "half a header",
+        "no such channel",
+        "no such factor",
+    ],
 )
 def test_read_exr_foreign_header_raises(tmp_path, header):
     write_channels(tmp_path / "image.exr", {D65_TEXT: np.ones((2, 2))}, header)
@@ -347,8 +429,15 @@ def test_read_exr_foreign_header_raises(tmp_path, header):
 
 
 def test_read_exr_of_another_program_names_its_reader(tmp_path):
-    write_channels(tmp_path / "image.exr", dict.fromkeys(("540nm", "550nm"), np.ones((2, 2))), {"emissiveUnits": "W.m^-2.nm^-1"})
-    with pytest.raises(PixsimError, match=r"no pixsim header.* pixsim\.read_irradiance reads light of another program"):
+    write_channels(
+        tmp_path / "image.exr",
+        dict.fromkeys(("540nm", "550nm"), np.ones((2, 2))),
+        {"emissiveUnits": "W.m^-2.nm^-1"},
+    )
+    with pytest.raises(
+        PixsimError,
+        match=r"no pixsim header.* pixsim\.read_irradiance reads light of another program",
+    ):
         pixsim.read_exr(tmp_path / "image.exr")
     assert pixsim.read_irradiance(tmp_path / "image.exr", pitch_um=1.0).data.shape == (2, 2, 2)
 
@@ -359,7 +448,11 @@ def test_write_exr_unwritable_path_raises_and_leaves_files(tmp_path, where):
     (tmp_path / "a_folder").mkdir()
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(
-        PixsimError, match=r"output file: got '.*'( \(.*\); allowed: a path that can be written|, a folder; allowed: a file)"
+        PixsimError,
+        match=(
+            r"output file: got '.*'( \(.*\); allowed: a path that can be written|, a folder;"
+            r" allowed: a file)"
+        ),
     ):
         pixsim.write_exr(tmp_path / where, general())
     assert sorted(tmp_path.rglob("*")) == before
@@ -395,12 +488,19 @@ def test_photometric_tables_match_cie():
     import colour
 
     nm = np.arange(360.0, 781.0)
-    y_bar = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(360, 780, 1)).values[:, 1]
+    y_bar = (
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+        .copy()
+        .align(colour.SpectralShape(360, 780, 1))
+        .values[:, 1]
+    )
     np.testing.assert_allclose(spectral.photopic_efficiency(nm), y_bar, rtol=1e-9)
     # CIE 15 tabulates D65 every 5 nm and prescribes linear interpolation.
     d65 = colour.SDS_ILLUMINANTS["D65"]
     np.testing.assert_allclose(spectral.d65(nm[::5]), d65[nm[::5]], rtol=1e-9)
-    np.testing.assert_allclose(spectral.d65(nm), np.interp(nm, nm[::5], d65[nm[::5]]), rtol=1e-5)  # six digits
+    np.testing.assert_allclose(
+        spectral.d65(nm), np.interp(nm, nm[::5], d65[nm[::5]]), rtol=1e-5
+    )  # six digits
     assert spectral.d65(560.0) == 100
     assert spectral.d65(np.array([359.0, 831.0])).tolist() == [0, 0]
     assert spectral.photopic_efficiency(np.array([359.0, 831.0])).tolist() == [0, 0]
@@ -415,30 +515,45 @@ def test_illuminance_of_standard_lamps_matches_colour_science(name):
     lamp = colour.SDS_ILLUMINANTS[name].copy().align(shape, interpolator=colour.LinearInterpolator)
     edges = (lamp.values[:-1] + lamp.values[1:]) / 2
     image = SpectralImage(BANDS_NM, 10.0, 1.0, data=edges.reshape(46, 10).mean(axis=1)[None, None])
-    # Measured 1 to 5e-5. ȳ shifted by 1 nm is .2 % off for D65 and .7 % for A, 683 instead of 683.002 lm/W 3e-6.
-    assert image.illuminance_lx()[0, 0] == pytest.approx(colour.colorimetry.luminous_flux(lamp), rel=1e-4)
+    # Measured 1 to 5e-5. ȳ shifted by 1 nm is .2 % off for D65 and .7 % for A, 683 instead of
+    # 683.002 lm/W 3e-6.
+    assert image.illuminance_lx()[0, 0] == pytest.approx(
+        colour.colorimetry.luminous_flux(lamp), rel=1e-4
+    )
 
 
 def test_band_mean_uses_band_centre_by_default():
     centred = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)))
     np.testing.assert_array_equal(centred.band_mean(lambda nm: nm**2), [550.0**2, 600.0**2])
-    np.testing.assert_array_equal(centred.luminous_weight(), spectral.luminous_weight([550.0, 600.0], 10.0))
+    np.testing.assert_array_equal(
+        centred.luminous_weight(), spectral.luminous_weight([550.0, 600.0], 10.0)
+    )
     # Two lines of one to three in the first band, three in the second.
-    nodes_nm, shares = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]], [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
-    image = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=(nodes_nm, shares))
+    nodes_nm, shares = (
+        [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]],
+        [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]],
+    )
+    image = SpectralImage(
+        [550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=(nodes_nm, shares)
+    )
     np.testing.assert_allclose(image.band_mean(lambda nm: nm), [551.25, 600], rtol=1e-15)
-    np.testing.assert_allclose(image.band_mean(lambda nm: nm**2) - [551.25**2, 600**2], [49 * 3 / 16, 8], rtol=1e-9)
+    np.testing.assert_allclose(
+        image.band_mean(lambda nm: nm**2) - [551.25**2, 600**2], [49 * 3 / 16, 8], rtol=1e-9
+    )
 
 
 def test_illuminance_of_laser_is_683_lm_per_w():
     image = SpectralImage([555.0], 1.0, 1.0, data=np.full((2, 3, 1), 2.0))
     # 2 W/m² where the eye is best: 683 lm/W by the SI, for 555.016 nm in air.
     np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
-    # Off the centre of its band: 2 W/m² in a band of 10 nm. CIE tabulates ȳ = .8849624 at 532 nm and .8620 at 530 nm.
+    # Off the centre of its band: 2 W/m² in a band of 10 nm. CIE tabulates ȳ = .8849624 at 532 nm
+    # and .8620 at 530 nm.
     data = np.full((1, 1, 1), 0.2)
     image = SpectralImage([530.0], 10.0, 1.0, data=data, within=([[532.0]], [[1.0]]))
     assert image.illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.8849624, rel=1e-6)
-    assert SpectralImage([530.0], 10.0, 1.0, data=data).illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.862, rel=1e-6)
+    assert SpectralImage([530.0], 10.0, 1.0, data=data).illuminance_lx()[0, 0] == pytest.approx(
+        2 * 683.002 * 0.862, rel=1e-6
+    )
 
 
 def test_photons_per_joule_matches_si_constants():
@@ -447,7 +562,9 @@ def test_photons_per_joule_matches_si_constants():
     assert spectral.photons_per_joule(555.0) == pytest.approx(555e-9 / (si.h * si.c), rel=1e-15)
     # A lumen of 555 nm is 4.09e15 photons a second, as the handbooks have it.
     assert spectral.photons_per_joule(555.0) / 683 == pytest.approx(4.09e15, rel=1e-3)
-    assert spectral.photons_per_joule([400, 800]) == pytest.approx(np.array([1, 2]) * spectral.photons_per_joule(400.0))
+    assert spectral.photons_per_joule([400, 800]) == pytest.approx(
+        np.array([1, 2]) * spectral.photons_per_joule(400.0)
+    )
 
 
 def test_spectral_image_factors_equal_their_data():
@@ -469,36 +586,79 @@ def test_spectral_image_factors_equal_their_data():
     ("arguments", "message"),
     [
         ({}, "give either data or factors, not both or neither"),
-        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "not both or neither"),
-        ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(rows, columns, bands\), here \(H, W, 1\)"),
-        ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(rows, columns, bands\), here \(H, W, 1\)"),
-        ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
-        ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "pitch_um: got 0.0; allowed: a number above 0"),
-        ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "band_width_nm: got -1.0; .* above 0"),
-        *(({"data": np.ones((2, 2, 1)), "wavelength_nm": [nm]}, "wavelength_nm: got .*above 0") for nm in (0.0, -550.0, np.nan)),
-        ({"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])}, r"within: got \(1, 1\) and \(1, 2\); .*\(B, n\)"),
-        ({"data": np.ones((2, 2, 1)), "within": ([[550.0], [560.0]], [[0.5], [0.5]])}, r"within: got \(2, 1\) and \(2, 1\)"),
+        (
+            {"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))},
+            "not both or neither",
+        ),
+        (
+            {"data": np.ones((2, 2))},
+            r"data: got \(2, 2\); allowed: \(rows, columns, bands\), here \(H, W, 1\)",
+        ),
+        (
+            {"data": np.ones((2, 2, 3))},
+            r"data: got \(2, 2, 3\); allowed: \(rows, columns, bands\), here \(H, W, 1\)",
+        ),
+        (
+            {"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))},
+            r"factors: got \(2, 1\) and \(1, 2, 2\)",
+        ),
+        (
+            {"data": np.ones((2, 2, 1)), "pitch_um": 0.0},
+            "pitch_um: got 0.0; allowed: a number above 0",
+        ),
+        (
+            {"data": np.ones((2, 2, 1)), "band_width_nm": -1.0},
+            "band_width_nm: got -1.0; .* above 0",
+        ),
+        *(
+            ({"data": np.ones((2, 2, 1)), "wavelength_nm": [nm]}, "wavelength_nm: got .*above 0")
+            for nm in (0.0, -550.0, np.nan)
+        ),
+        (
+            {"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])},
+            r"within: got \(1, 1\) and \(1, 2\); .*\(B, n\)",
+        ),
+        (
+            {"data": np.ones((2, 2, 1)), "within": ([[550.0], [560.0]], [[0.5], [0.5]])},
+            r"within: got \(2, 1\) and \(2, 1\)",
+        ),
     ],
 )
 def test_spectral_image_wrong_shapes_raise(arguments, message):
     with pytest.raises(PixsimError, match=message):
-        SpectralImage(**{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments})
+        SpectralImage(
+            **{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments}
+        )
 
 
-NO_TABLES = [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], [1, 2, 3]), ([400, np.nan], [1, 2])]
+NO_TABLES = [
+    ([], []),
+    ([500], [1]),
+    ([500, 400, 600], [1, 0, 0]),
+    ([400, 500], [1, 2, 3]),
+    ([400, np.nan], [1, 2]),
+]
 INFINITE = [([400, 500], [1.0, np.nan]), ([400, 500], [np.inf, 1.0])]
 
 
 @pytest.mark.parametrize(("nodes", "values"), NO_TABLES + INFINITE)
 def test_spectrum_invalid_table_raises(nodes, values):
-    got = "two nodes or more, in increasing order" if (nodes, values) in NO_TABLES else "NaN or infinity"
+    got = (
+        "two nodes or more, in increasing order"
+        if (nodes, values) in NO_TABLES
+        else "NaN or infinity"
+    )
     with pytest.raises(PixsimError, match=rf"spectrum: got .*{got}"):
         Spectrum(np.array(nodes, float), np.array(values, float))
 
 
 @pytest.mark.parametrize("kind", ["factors", "data"])
-def test_light_in_a_file_is_the_same_and_not_in_memory(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twelve planes of 1 MiB: every sum over them holds at most two planes of float64 and the strips."""
+def test_light_in_a_file_is_the_same_and_not_in_memory(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twelve planes of 1 MiB: every sum over them holds at most two planes of float64 and the
+    strips.
+    """
     values = np.random.default_rng(1).random((12, 512, 512), np.float32)
     nm, spectra = np.linspace(450.0, 650.0, 12), np.random.default_rng(2).random((12, 12))
     images = []
@@ -506,14 +666,30 @@ def test_light_in_a_file_is_the_same_and_not_in_memory(kind: str, monkeypatch: p
         monkeypatch.setattr(mapped, "MOST_BYTES", most)
         planes = mapped.zeros(values.shape, np.float32)
         planes[:] = values
-        content: dict[str, Any] = {"factors": (spectra, planes)} if kind == "factors" else {"data": np.moveaxis(planes, 0, 2)}
+        content: dict[str, Any] = (
+            {"factors": (spectra, planes)}
+            if kind == "factors"
+            else {"data": np.moveaxis(planes, 0, 2)}
+        )
         images.append(SpectralImage(nm, 20.0, 4.0, **content))
     weight, camera = np.linspace(1.0, 2.0, 12), pixsim.Camera()
 
     def sums(image: SpectralImage) -> list[np.ndarray]:
         image.validate()
-        rate = diffract_sum(((plane, weight) for plane in image.planes), image.shape, 4.0, nm, camera.effective_f_number)
-        return [rate, image.weighted(weight), image.band(3), image.mean_spectrum(), image.box_reduced(64).planes]
+        rate = diffract_sum(
+            ((plane, weight) for plane in image.planes),
+            image.shape,
+            4.0,
+            nm,
+            camera.effective_f_number,
+        )
+        return [
+            rate,
+            image.weighted(weight),
+            image.band(3),
+            image.mean_spectrum(),
+            image.box_reduced(64).planes,
+        ]
 
     in_memory = sums(images[0])
     assert mapped.is_mapped(images[1].planes)
@@ -528,4 +704,6 @@ def test_light_in_a_file_is_the_same_and_not_in_memory(kind: str, monkeypatch: p
             np.testing.assert_allclose(one, other, rtol=1e-12)
         else:
             np.testing.assert_array_equal(one, other)
-    assert 4 < peak_mib < 10  # two planes of 2 MiB, the results before them, tables; all planes in float64 would have 24
+    assert (
+        4 < peak_mib < 10
+    )  # two planes of 2 MiB, the results before them, tables; all planes in float64 would have 24

@@ -19,7 +19,9 @@ NM = np.arange(360.0, 831.0)
 def test_observer_is_that_of_colour_science() -> None:
     """The table has ten digits."""
     expected = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    assert colour_matching(expected.wavelengths) == pytest.approx(expected.values, rel=1e-9, abs=1e-20)
+    assert colour_matching(expected.wavelengths) == pytest.approx(
+        expected.values, rel=1e-9, abs=1e-20
+    )
     assert (colour_matching(NM)[:, 1] == photopic_efficiency(NM)).all()
     assert not colour_matching([359.0, 831.0]).any()
 
@@ -28,7 +30,9 @@ def test_observer_is_that_of_colour_science() -> None:
 def test_illuminant_is_that_of_colour_science(name: str) -> None:
     expected = colour.SDS_ILLUMINANTS[name]
     inside = expected.wavelengths >= 360
-    assert illuminant(name, expected.wavelengths[inside]) == pytest.approx(expected.values[inside], rel=1e-5)  # D65 has 6 digits
+    assert illuminant(name, expected.wavelengths[inside]) == pytest.approx(
+        expected.values[inside], rel=1e-5
+    )  # D65 has 6 digits
     assert illuminant(name, 355.0) == illuminant(name, 835.0) == 0
     if name.startswith(("FL", "LED")):
         assert illuminant(name, 379.0) == 0
@@ -36,7 +40,9 @@ def test_illuminant_is_that_of_colour_science(name: str) -> None:
 
 def test_illuminant_d65_is_the_one_that_light_is_measured_with() -> None:
     assert (illuminant("D65", NM) == d65(NM)).all()
-    with pytest.raises(PixsimError, match=r"illuminant: got 'LED-B4'; allowed: A, D50, .* Did you mean 'LED-B3'"):
+    with pytest.raises(
+        PixsimError, match=r"illuminant: got 'LED-B4'; allowed: A, D50, .* Did you mean 'LED-B3'"
+    ):
         illuminant("LED-B4", NM)
 
 

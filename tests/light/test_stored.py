@@ -27,7 +27,12 @@ def picture(kind: str, seed: int = 0) -> SpectralImage:
     if kind == "data":
         content = {"data": np.moveaxis(np.concatenate([values, values[:1]]), 0, 2)}
     return SpectralImage(
-        NM, 50.0, 4.0, header={"seed": seed}, within=(NM[:, None] + [[-5.0, 5.0]], np.full((3, 2), 0.5)), **content
+        NM,
+        50.0,
+        4.0,
+        header={"seed": seed},
+        within=(NM[:, None] + [[-5.0, 5.0]], np.full((3, 2), 0.5)),
+        **content,
     )
 
 
@@ -40,7 +45,9 @@ def test_stored_image_is_the_same(kind: str, tmp_path: Path) -> None:
         assert (one.shape, one.header, one.pitch_um) == (image.shape, image.header, image.pitch_um)
         np.testing.assert_array_equal(one.data, image.data)
         np.testing.assert_array_equal(one.planes, image.planes)
-        np.testing.assert_array_equal(one.weighted(np.array([1.0, 0.0, 2.0])), image.weighted(np.array([1.0, 0.0, 2.0])))
+        np.testing.assert_array_equal(
+            one.weighted(np.array([1.0, 0.0, 2.0])), image.weighted(np.array([1.0, 0.0, 2.0]))
+        )
         np.testing.assert_array_equal(one.within[0], image.within[0])
         np.testing.assert_array_equal(one.with_planes(one.planes).band(1), image.band(1))
     assert not isinstance(copy.copy(held), StoredImage), "a copy may outlive the process"
@@ -57,7 +64,9 @@ def test_picture_file_holds_equal_pictures_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(held[1].data, 2 * one.data)
 
 
-def test_stored_image_is_mapped_only_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_image_is_mapped_only_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mapped: list[weakref.ref[Any]] = []
     memmap = np.memmap
 
@@ -75,15 +84,20 @@ def test_stored_image_is_mapped_only_in_use(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_picture_file_full_disk_raises(tmp_path: Path) -> None:
-    """The limit of a file's size stands for the disk's; in a process of its own, since it is the process' limit."""
+    """The limit of a file's size stands for the disk's; in a process of its own, since it is the
+    process' limit.
+    """
     code = (
-        "import resource, signal, sys, numpy as np, pixsim; from pathlib import Path; from pixsim.light.stored import PictureFile\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
-        "image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((32, 32, 1)))\n"
-        "try: PictureFile(Path(sys.argv[1])).stored(image)\n"
-        "except pixsim.PixsimError as error: print(error)"
+        "import resource, signal, sys, numpy as np, pixsim; from pathlib import Path; from"
+        " pixsim.light.stored import PictureFile\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        " resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nimage ="
+        " pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((32, 32, 1)))\ntry:"
+        " PictureFile(Path(sys.argv[1])).stored(image)\nexcept pixsim.PixsimError as error:"
+        " print(error)"
     )
-    ended = subprocess.run([sys.executable, "-B", "-c", code, tmp_path], capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-B", "-c", code, tmp_path], capture_output=True, text=True, check=False
+    )
     assert "cannot be written (File too large)" in ended.stdout
     assert ended.stderr == ""
     assert "pictures of all lights" in ended.stdout

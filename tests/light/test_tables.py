@@ -1,4 +1,6 @@
-"""Tables against wavelength in the forms that people have: read to the same numbers, or refused with the likely cause."""
+"""Tables against wavelength in the forms that people have: read to the same numbers, or refused
+with the likely cause.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ FORMS: dict[str, str | bytes] = {
     "UTF-16 of a spreadsheet": PLAIN.replace(",", "\t").encode("utf-16"),
     "UTF-16 without a mark": PLAIN.encode("utf-16-le"),
     "UTF-16, the other order": b"\xfe\xff" + PLAIN.encode("utf-16-be"),
-    "rows of header": "Monochromator 3\nMeasured,2024-05-01\nWavelength,Value\nnm,-\n" + PLAIN.partition("\n")[2],
+    "rows of header": (
+        "Monochromator 3\nMeasured,2024-05-01\nWavelength,Value\nnm,-\n" + PLAIN.partition("\n")[2]
+    ),
     "descending": "600,0.25\n500,0.4\n400,0.3\n",
     "µm in the title": "wavelength (µm),QE\n0.4,0.3\n0.5,0.4\n0.6,0.25\n",
     "µm as Latin-1": "wavelength [µm]\tQE\n0,4\t0,3\n0,5\t0,4\n0,6\t0,25\n".encode("latin-1"),
@@ -51,7 +55,9 @@ FORMS: dict[str, str | bytes] = {
     "per cent below the title": "Wavelength;QE\n[nm];[%]\n400;30\n500;40\n600;25\n",
     "per cent in the cells": "nm,QE\n400,30%\n500,40 %\n600,25%\n",
     "per cent in title and cells": "nm;QE (%)\n400;30 %\n500;40 %\n600;25 %\n",
-    "a commented title, as NumPy writes it": "# wavelength_um,QE (%)\n4.0e-01,30\n5.0e-01,40\n6.0e-01,25\n",
+    "a commented title, as NumPy writes it": (
+        "# wavelength_um,QE (%)\n4.0e-01,30\n5.0e-01,40\n6.0e-01,25\n"
+    ),
     "a title with blanks": "Wavelength (nm)  Quantum efficiency (%)\n400 30\n500 40\n600 25\n",
 }
 
@@ -64,10 +70,14 @@ def written(folder: Path, content: str | bytes, name: str = "table.csv") -> Path
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_of_a_table_has_the_same_numbers(form: str, tmp_path: Path) -> None:
-    """In a quantum efficiency and in a spectrum of a scene, whose numbers are decimal: none is moved by its unit."""
+    """In a quantum efficiency and in a spectrum of a scene, whose numbers are decimal: none is
+    moved by its unit.
+    """
     path = written(tmp_path, FORMS[form])
     assert read_curve(path) == QE
-    assert [tuple(map(float, pair.split(":"))) for pair in spectrum_value(path).split(", ")] == list(QE)
+    assert [
+        tuple(map(float, pair.split(":"))) for pair in spectrum_value(path).split(", ")
+    ] == list(QE)
 
 
 @pytest.mark.parametrize("form", ["plain.csv", "space.spd"])
@@ -81,10 +91,16 @@ def test_responsivity_becomes_quantum_efficiency(tmp_path: Path) -> None:
     nm, efficiency = np.array(read_curve(CASES / "38-qe-responsivity/responsivity.csv")).T
     assert efficiency[nm == 550] == pytest.approx(0.7, abs=0.0002)  # half a digit of 0.3105
     given = np.array(read_curve(CASES / "28-csv-qe/plain.csv")).T[1]
-    np.testing.assert_allclose(efficiency, given, atol=0.5e-4 * 3.1)  # half a digit times hc/qλ at 400 nm
+    np.testing.assert_allclose(
+        efficiency, given, atol=0.5e-4 * 3.1
+    )  # half a digit times hc/qλ at 400 nm
     text = "nm,mA/W\n400,96.8\n500,161.3\n"
     milli = np.array(read_curve(written(tmp_path, text)))
-    np.testing.assert_allclose(milli[:, 1], [0.0968, 0.1613] / (photons_per_joule(milli[:, 0]) * 1.602176634e-19), rtol=1e-12)
+    np.testing.assert_allclose(
+        milli[:, 1],
+        [0.0968, 0.1613] / (photons_per_joule(milli[:, 0]) * 1.602176634e-19),
+        rtol=1e-12,
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +121,10 @@ def test_units_of_channels(title: str, name: str, expected: list[float], tmp_pat
 
 def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
     rows = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))
-    for text in ("image_height_mm deg\n0 0\n1 12\n2 21,5\n", "deg;image_height_mm\n21,5;2\n12;1\n0;0\n".encode("utf-16")):
+    for text in (
+        "image_height_mm deg\n0 0\n1 12\n2 21,5\n",
+        "deg;image_height_mm\n21,5;2\n12;1\n0;0\n".encode("utf-16"),
+    ):
         assert Camera(chief_ray_angle=written(tmp_path, text)).chief_ray_angle == rows
     titles = "Image height (mm);CRA (°);Relative illumination (%)\n0;0;100\n1;12;90\n2;21,5;70\n"
     lit = Camera(chief_ray_angle=written(tmp_path, titles)).chief_ray_angle
@@ -116,10 +135,16 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("400,0.3\n350,0.4\n500,0.4", "400 nm followed by 350 nm"),
-        ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000, or state the unit in the title"),
+        (
+            "0.4,0.3\n0.5,0.4\n",
+            "Multiply wavelengths in µm by 1000, or state the unit in the title",
+        ),
         ("4000,0.3\n5000,0.4\n", "These seem to be in Å"),
         ("400000,0.3\n500000,0.4\n", "These seem to be in pm"),
-        ("wavelength (µm),QE\n400,0.3\n500,0.4\n", "These seem to be in nm, though the title says µm"),
+        (
+            "wavelength (µm),QE\n400,0.3\n500,0.4\n",
+            "These seem to be in nm, though the title says µm",
+        ),
         ("400,30\n500,40\n", "In per cent? Divide percentages by 100"),
         ("nm,mA/W\n400,310000\n500,200\n", "In mA/W? Or relative values?"),
         ("energy (eV),QE\n2.1,0.3\n2.5,0.4\n", "in eV, by its title"),
@@ -142,7 +167,9 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
         ("4" * 10**6 + ",1", "file of wavelength in nm"),
     ],
 )
-def test_what_cannot_be_a_curve_is_refused_with_the_likely_cause(text: str, message: str, tmp_path: Path) -> None:
+def test_what_cannot_be_a_curve_is_refused_with_the_likely_cause(
+    text: str, message: str, tmp_path: Path
+) -> None:
     with pytest.raises(ValueError, match="allowed") as error:
         read_curve(written(tmp_path, text))
     assert message in str(error.value)
@@ -155,15 +182,25 @@ def test_stated_per_cent_are_obeyed_and_small_ones_are_noted(tmp_path: Path) -> 
 
 
 def test_title_of_units_alone_leaves_the_names(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "λ;R;G\nnm;A/W;A/W\n400;1;2\n"), "curve", "a table", 2, 1000)
+    table = read_table(
+        written(tmp_path, "λ;R;G\nnm;A/W;A/W\n400;1;2\n"), "curve", "a table", 2, 1000
+    )
     assert [(column.title, column.unit) for column in table.columns] == [("R", "A/W"), ("G", "A/W")]
 
 
 def test_unit_that_wavelengths_seem_to_have() -> None:
     bounds = (300.0, 1200.0)
-    assert unit_hint([400.0, 700.0], bounds) == unit_hint([5.0, 7.0], bounds) == unit_hint([], bounds) == ""
-    assert unit_hint([0.4, 0.7], bounds).startswith("These seem to be in µm. Multiply wavelengths in µm by 1000")
+    assert (
+        unit_hint([400.0, 700.0], bounds)
+        == unit_hint([5.0, 7.0], bounds)
+        == unit_hint([], bounds)
+        == ""
+    )
+    assert unit_hint([0.4, 0.7], bounds).startswith(
+        "These seem to be in µm. Multiply wavelengths in µm by 1000"
+    )
     assert unit_hint([4e-7, 7e-7], bounds).startswith("These seem to be in m.")
     assert (
-        unit_hint([4e5, 7e5], bounds, "µm", "the header") == "These seem to be in nm, though the header says µm. Correct the unit"
+        unit_hint([4e5, 7e5], bounds, "µm", "the header")
+        == "These seem to be in nm, though the header says µm. Correct the unit"
     )

@@ -28,8 +28,12 @@ DARK, LIGHT = 100.0, 1000.0
 TOLERANCE = 3e-4  # error of finite bins on noiseless edges
 
 
-def distances(angle_deg: float, height: int = SIDE, width: int = SIDE, shift: float = 0.2) -> np.ndarray:
-    """Signed distances of the pixel centres from an edge `angle_deg` clockwise from the vertical."""
+def distances(
+    angle_deg: float, height: int = SIDE, width: int = SIDE, shift: float = 0.2
+) -> np.ndarray:
+    """Signed distances of the pixel centres from an edge `angle_deg` clockwise from the
+    vertical.
+    """
     y, x = np.mgrid[:height, :width]
     angle = np.radians(angle_deg)
     return (x - (width - 1) / 2 - shift) * np.cos(angle) + (y - (height - 1) / 2) * np.sin(angle)
@@ -69,7 +73,9 @@ def test_edge_response_square_pixel_matches_sinc(angle_deg: float) -> None:
     d, wide, narrow = distances(angle_deg), (cos + sin) / 2, abs(cos - sin) / 2
     cover = (ramp(d + wide) - ramp(d + narrow) - ramp(d - narrow) + ramp(d - wide)) / (cos * sin)
     frequency, sfr = below_nyquist(DARK + (LIGHT - DARK) * cover)
-    assert np.abs(sfr - np.sinc(frequency * cos) * np.sinc(frequency * sin)).max() < 0.002  # a little aliasing
+    assert (
+        np.abs(sfr - np.sinc(frequency * cos) * np.sinc(frequency * sin)).max() < 0.002
+    )  # a little aliasing
 
 
 def test_edge_response_wide_tails_need_wide_window() -> None:
@@ -106,7 +112,11 @@ def test_first_crossing_interpolates_or_is_none() -> None:
 
 INVALID = {
     "contrast": np.full((64, 64), 100.0) + np.random.default_rng(1).standard_normal((64, 64)),
-    "step of": DARK + 30 * (distances(5.0, 64, 64) > 0) + 40 * np.random.default_rng(1).standard_normal((64, 64)),
+    "step of": (
+        DARK
+        + 30 * (distances(5.0, 64, 64) > 0)
+        + 40 * np.random.default_rng(1).standard_normal((64, 64))
+    ),
     "from the rows or columns": gaussian_edge(0.0),
     "columns, over": gaussian_edge(90.4),
     "at least 24 a side": gaussian_edge()[:20],
@@ -114,8 +124,12 @@ INVALID = {
     "largest value of .*e-3": 1e-310 * gaussian_edge(),
     "largest value of .*e[+]30": 1e300 * gaussian_edge(),
     "NaN or infinite": np.where(distances(5.0) > 150, np.nan, gaussian_edge()),
-    "of a polynomial of degree 5": DARK + 900.0 * (distances(5.0) > 4 * np.sign(np.sin(np.arange(SIDE)[:, None] / 20))),
-    "an edge in 189 of 320 lines": DARK + 900.0 * (distances(5.0) > 6 * np.sign(np.sin(np.arange(SIDE)[:, None] / 20))),
+    "of a polynomial of degree 5": (
+        DARK + 900.0 * (distances(5.0) > 4 * np.sign(np.sin(np.arange(SIDE)[:, None] / 20)))
+    ),
+    "an edge in 189 of 320 lines": (
+        DARK + 900.0 * (distances(5.0) > 6 * np.sign(np.sin(np.arange(SIDE)[:, None] / 20)))
+    ),
     "bins without a pixel": gaussian_edge(45.0),
     "on either side": gaussian_edge(5.0)[:, 160 - 5 : 160 + 200][:, :60],
 }
@@ -151,14 +165,17 @@ def mosaic(layout: str, edge: np.ndarray) -> np.ndarray:
     [
         ("RG/GB", "R", 0.25, 0.001), ("RG/GB", "G", 0.5, 0.001), ("RG/GB", "B", 0.25, 0.001), ("RG/GB", "luminance", 0.25, 0.001),
         ("GR/BG", "0,1", 0.25, 0.001), ("RW/WB", "W", 0.5, 0.001),
-        ("RRGG/RRGG/GGBB/GGBB", "G", 0.25, 0.003),  # clusters of four pixels: replicas at a quarter and at three eighths
+        # clusters of four pixels: replicas at a quarter and at three eighths
+        ("RRGG/RRGG/GGBB/GGBB", "G", 0.25, 0.003),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("angle_deg", [5.0, -94.0])
 def test_channel_of_a_mosaic_has_the_mtf_in_pixels_of_the_sensor(
     layout: str, channel: str, nyquist: float, tolerance: float, angle_deg: float
 ) -> None:
-    """Each channel sees the same edge: its curve is that of all pixels, up to 0.5 cy/px, with bins of up to its own pixel."""
+    """Each channel sees the same edge: its curve is that of all pixels, up to 0.5 cy/px, with bins
+    of up to its own pixel.
+    """
     edge = edge_response(mosaic(layout, gaussian_edge(angle_deg)), layout=layout, channel=channel)
     below = edge.frequency_cy_per_px <= NYQUIST_CY_PER_PX
     assert below.sum() > 50
@@ -176,24 +193,32 @@ def test_channel_in_a_region_is_that_of_the_frame() -> None:
 
 
 def test_luminance_weighs_channels_that_see_other_edges() -> None:
-    """Lateral colour: red and blue are shifted along the normal by ±1 px, after white balance: Σ w exp(-2πi f d)."""
+    """Lateral colour: red and blue are shifted along the normal by ±1 px, after white balance: Σ w
+    exp(-2πi f d).
+    """
     shift = {"R": 1.0, "G": 0.0, "B": -1.0}
     letters = np.array(list("RGGB")).reshape(2, 2)
     picture = np.zeros((SIDE, SIDE))
     for row, column in np.ndindex(2, 2):
         away = distances(5.0)[row::2, column::2] - shift[letters[row, column]]
-        picture[row::2, column::2] = GAINS[letters[row, column]] * (DARK + (LIGHT - DARK) * (1 + erf(away / (0.6 * 2**0.5))) / 2)
+        picture[row::2, column::2] = GAINS[letters[row, column]] * (
+            DARK + (LIGHT - DARK) * (1 + erf(away / (0.6 * 2**0.5))) / 2
+        )
     edge = edge_response(picture, layout="RG/GB", channel="luminance")
     frequency = edge.frequency_cy_per_px[edge.frequency_cy_per_px <= 0.5]
     weights = {"R": 0.2126, "G": 0.7152, "B": 0.0722}
-    wanted = abs(sum(weights[one] * np.exp(-2j * np.pi * frequency * shift[one]) for one in "RGB")) * gaussian_mtf(frequency)
+    wanted = abs(
+        sum(weights[one] * np.exp(-2j * np.pi * frequency * shift[one]) for one in "RGB")
+    ) * gaussian_mtf(frequency)
     np.testing.assert_allclose(edge.sfr[: frequency.size], wanted, atol=0.002)
     assert np.abs(wanted - gaussian_mtf(frequency)).max() > 0.05
 
 
 def test_stacked_sensor_measures_a_plane() -> None:
     sigmas = {"R": 0.5, "G": 0.6, "B": 0.9}
-    picture = np.concatenate([GAINS[letter] * gaussian_edge(sigma_px=sigma) for letter, sigma in sigmas.items()])
+    picture = np.concatenate(
+        [GAINS[letter] * gaussian_edge(sigma_px=sigma) for letter, sigma in sigmas.items()]
+    )
     edge = edge_response(picture, layout="R+G+B", channel="G")
     assert edge.mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=3e-4)
     with pytest.raises(PixsimError, match=r"one channel\. As in --channel R"):
@@ -203,7 +228,10 @@ def test_stacked_sensor_measures_a_plane() -> None:
 @pytest.mark.parametrize("suffix", [".exr", ".tiff", ".png", ".npz"])
 def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"raw{suffix}"
-    write_frame(path, RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.of_text("GR/BG")))
+    write_frame(
+        path,
+        RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.of_text("GR/BG")),
+    )
     with pytest.raises(PixsimError, match="one channel"):
         sfr(path)
     result = sfr(path, channel="R").as_dict()
@@ -219,7 +247,9 @@ def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_pat
         ("rgb16.tif", None, None, 0), ("rgb16.tif", "B", None, 0),
     ],
 )  # fmt: skip
-def test_pictures_of_other_programs_are_measured(file: str, channel: str | None, layout: str | None, warned: int) -> None:
+def test_pictures_of_other_programs_are_measured(
+    file: str, channel: str | None, layout: str | None, warned: int
+) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = sfr(CASES / file, channel=channel, layout=layout).as_dict()
@@ -244,11 +274,15 @@ def test_pictures_of_other_programs_are_measured(file: str, channel: str | None,
         ("ex1.0.png --black 5000 --saturation 4095", "more than it"),
     ],
 )
-def test_pictures_that_would_mislead_are_refused_by_their_cause(line: str, message: str, tmp_path: Path) -> None:
+def test_pictures_that_would_mislead_are_refused_by_their_cause(
+    line: str, message: str, tmp_path: Path
+) -> None:
     assert_refused(*command(f"sfr {CASES}/{line} --out {tmp_path}/o"), [message])
 
 
-@pytest.mark.parametrize("layout", ["RG/GB", "RRGG/RRGG/GGBB/GGBB", "GBGGRG/RGRBGB/GBGGRG/GRGGBG/BGBRGR/GRGGBG"])
+@pytest.mark.parametrize(
+    "layout", ["RG/GB", "RRGG/RRGG/GGBB/GGBB", "GBGGRG/RGRBGB/GBGGRG/GRGGBG/BGBRGR/GRGGBG"]
+)
 def test_mosaic_without_a_layout_is_named(layout: str) -> None:
     noise = np.random.default_rng(4).standard_normal((SIDE, SIDE))
     with pytest.raises(PixsimError, match="looks like a colour mosaic"):
@@ -289,7 +323,9 @@ BOWS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], int]] = {
 @pytest.mark.parametrize("name", BOWS)
 @pytest.mark.parametrize("turned", [False, True])
 def test_curved_edge_has_the_mtf_of_a_straight_one(name: str, turned: bool) -> None:
-    """As distortion bends it. A straight line has MTF50s of 0.254 and 0.119 cy/px at 1.5 and 5 px, for 0.312."""
+    """As distortion bends it. A straight line has MTF50s of 0.254 and 0.119 cy/px at 1.5 and 5 px,
+    for 0.312.
+    """
     bow, degree = BOWS[name]
     picture = curved_edge(bow)
     edge = edge_response(picture.T if turned else picture)
@@ -299,7 +335,9 @@ def test_curved_edge_has_the_mtf_of_a_straight_one(name: str, turned: bool) -> N
     rows = np.linspace(-1, 1, SIDE)[(SIDE - edge.rows_used) // 2 :][: edge.rows_used]
     chord = np.interp(rows, rows[[0, -1]], bow(rows[[0, -1]]))
     assert edge.edge_sagitta_px == pytest.approx(np.abs(bow(rows) - chord).max(), rel=0.03)
-    assert f"(bowed by {edge.edge_sagitta_px:.2g} px, degree {degree})" in sfr_parts(edge.as_dict())[1]
+    assert (
+        f"(bowed by {edge.edge_sagitta_px:.2g} px, degree {degree})" in sfr_parts(edge.as_dict())[1]
+    )
 
 
 def test_curved_edge_in_a_mosaic_has_the_mtf_of_all_pixels() -> None:
@@ -311,10 +349,14 @@ def test_curved_edge_in_a_mosaic_has_the_mtf_of_all_pixels() -> None:
 
 @pytest.mark.filterwarnings("ignore:edge picture")
 def test_interval_of_a_curved_edge_holds_the_truth() -> None:
-    """95 % of 40 pictures: 33 and less are 3.6 σ of a binomial number below. The seeds are fixed."""
+    """95 % of 40 pictures: 33 and less are 3.6 σ of a binomial number below. The seeds are
+    fixed.
+    """
     picture, hits = curved_edge(BOWS["parabola 1.5 px"][0], side=120), 0
     for seed in range(40):
-        edge = edge_response(picture + 10 * np.random.default_rng([12, seed]).standard_normal(picture.shape))
+        edge = edge_response(
+            picture + 10 * np.random.default_rng([12, seed]).standard_normal(picture.shape)
+        )
         low, high = edge.mtf50_interval_cy_per_px
         hits += low is not None and high is not None and low <= TRUE_MTF50 <= high
     assert hits > 33
@@ -325,7 +367,10 @@ def test_noise_of_a_straight_edge_is_no_curve() -> None:
     """1 in 1000 by chance (3 of 3000 others were): 2 of 120 are 1 in 150. The seeds are fixed."""
     rng = np.random.default_rng(5)
     picture = gaussian_edge(height=100, width=100)
-    degrees = [edge_response(picture + noise * rng.standard_normal(picture.shape)).edge_degree for noise in (1, 10, 30) * 40]
+    degrees = [
+        edge_response(picture + noise * rng.standard_normal(picture.shape)).edge_degree
+        for noise in (1, 10, 30) * 40
+    ]
     assert sum(degree > 1 for degree in degrees) < 2
 
 
@@ -333,7 +378,11 @@ PIXEL_NOISE = np.random.default_rng(9).standard_normal((SIDE, SIDE))
 UNEVEN = {
     "waves": curved_edge(lambda place: 0.5 * np.sin(20 * place)),
     "a kink": curved_edge(lambda place: 6 * np.abs(place)),
-    "shifted rows": DARK + 450 * (1 + erf((distances(5.0) + 0.3 * (-1.0) ** np.arange(SIDE)[:, None]) / (0.6 * 2**0.5))),
+    "shifted rows": (
+        DARK
+        + 450
+        * (1 + erf((distances(5.0) + 0.3 * (-1.0) ** np.arange(SIDE)[:, None]) / (0.6 * 2**0.5)))
+    ),
 }
 
 
@@ -356,22 +405,30 @@ def test_sampling_and_noise_are_no_misfit(noise_dn: float, sigma_px: float) -> N
 @pytest.mark.parametrize("below", [0.004, 0.0])
 def test_dark_side_below_black_is_measured(below: float) -> None:
     """As dark subtraction leaves it in floating point; an offset changes no MTF."""
-    picture = ((gaussian_edge() - DARK) / (LIGHT - DARK) - below + 0.003 * PIXEL_NOISE).astype(np.float32)
+    picture = ((gaussian_edge() - DARK) / (LIGHT - DARK) - below + 0.003 * PIXEL_NOISE).astype(
+        np.float32
+    )
     edge = edge_response(picture)
     assert edge.mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=2e-3)
-    assert edge.mtf50_cy_per_px == pytest.approx(edge_response(picture + 0.2).mtf50_cy_per_px, abs=1e-5)
+    assert edge.mtf50_cy_per_px == pytest.approx(
+        edge_response(picture + 0.2).mtf50_cy_per_px, abs=1e-5
+    )
     assert 0.999 < edge.contrast <= 1.0
 
 
 def test_dark_side_far_below_black_is_named() -> None:
-    with pytest.warns(UserWarning, match=r"below black by 10\.0 % of the step: the black level is too high"):
+    with pytest.warns(
+        UserWarning, match=r"below black by 10\.0 % of the step: the black level is too high"
+    ):
         assert edge_response(gaussian_edge() - DARK - 90).contrast == 1.0
 
 
 @pytest.mark.parametrize("noise_dn", [0.5, 1.0, 8.0])
 @pytest.mark.parametrize("clip_dn", [0.0, 1.0])
 def test_clipping_shows_in_the_noise(noise_dn: float, clip_dn: float) -> None:
-    """Clipped at the level of the bright side, or a little above it; without clipping the same picture is measured."""
+    """Clipped at the level of the bright side, or a little above it; without clipping the same
+    picture is measured.
+    """
     picture = np.rint(gaussian_edge() + noise_dn * PIXEL_NOISE)
     edge_response(picture)
     clipped = np.minimum(picture, LIGHT + clip_dn * noise_dn - (noise_dn < 1))
@@ -424,20 +481,29 @@ def test_clipping_of_a_mosaic_without_noise_shows_by_its_kink(channel: str) -> N
 @pytest.mark.parametrize("name", PLATEAUS)
 @pytest.mark.parametrize("is_dark", [False, True])
 def test_edge_without_noise_is_not_clipped(name: str, is_dark: bool) -> None:
-    assert edge_response(edge_of_levels(name, 1.0, is_dark)).mtf50_cy_per_px == pytest.approx(TRUE_MTF50, abs=1e-3)
+    assert edge_response(edge_of_levels(name, 1.0, is_dark)).mtf50_cy_per_px == pytest.approx(
+        TRUE_MTF50, abs=1e-3
+    )
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("angle_deg", [3.0, 12.0, 95.0])
 def test_asymmetric_blur_is_no_clipping(angle_deg: float) -> None:
-    """As of coma: an exponential tail on one side only, in a pixel of one pitch and a Gaussian of 0.3 px."""
+    """As of coma: an exponential tail on one side only, in a pixel of one pitch and a Gaussian of
+    0.3 px.
+    """
     x = np.linspace(-20, 20, 8001)
     line = np.convolve(np.where(x >= 0, np.exp(-x), 0.0), np.exp(-(x**2) / (2 * 0.3**2)), "same")
     line = np.convolve(line, np.abs(x) <= 0.5, "same")
-    edge_response(DARK + (LIGHT - DARK) * np.interp(distances(angle_deg), x, np.cumsum(line) / line.sum()))
+    edge_response(
+        DARK + (LIGHT - DARK) * np.interp(distances(angle_deg), x, np.cumsum(line) / line.sum())
+    )
 
 
-@pytest.mark.parametrize("picture", [np.clip(gaussian_edge(), 300, 800), DARK + 900 * np.clip(distances(5.0) + 0.5, 0, 1)])
+@pytest.mark.parametrize(
+    "picture",
+    [np.clip(gaussian_edge(), 300, 800), DARK + 900 * np.clip(distances(5.0) + 0.5, 0, 1)],
+)
 def test_edge_with_two_kinks_is_named(picture: np.ndarray) -> None:
     """Clipped at both sides, or blurred by a pixel alone."""
     with pytest.warns(UserWarning, match="a kink at both sides"):
@@ -450,22 +516,29 @@ def test_clipping_at_black_is_warned_of() -> None:
 
 
 def coverage(noise: float, side: int, draws: int) -> tuple[int, np.ndarray]:
-    """How often the interval holds the MTF50, and at how many frequencies that of the curve holds the MTF."""
+    """How often the interval holds the MTF50, and at how many frequencies that of the curve holds
+    the MTF.
+    """
     rng = np.random.default_rng([11, side])
     hits, inside = 0, []
     for _ in range(draws):
         edge = gaussian_edge(rng.uniform(4, 6), height=side, width=side)
-        result = edge_response(edge + noise * np.sqrt(edge * LIGHT) * rng.standard_normal(edge.shape))
+        result = edge_response(
+            edge + noise * np.sqrt(edge * LIGHT) * rng.standard_normal(edge.shape)
+        )
         low, high = result.mtf50_interval_cy_per_px
         hits += (low is None or low <= TRUE_MTF50) and (high is None or high >= TRUE_MTF50)
         truth = gaussian_mtf(result.frequency_cy_per_px)
-        inside.append(((result.sfr_interval[0] <= truth) & (truth <= result.sfr_interval[1]))[1:].mean())
+        inside.append(
+            ((result.sfr_interval[0] <= truth) & (truth <= result.sfr_interval[1]))[1:].mean()
+        )
     return hits, np.array(inside)
 
 
 @pytest.mark.filterwarnings("ignore:edge picture")
 def test_intervals_hold_the_truth_as_often_as_they_state() -> None:
-    """95 % of 160 pictures of 64 × 64 pixels, 1 to 10 % of noise: 89 to 98.5 % are 3.5 σ of a binomial number below and 2 above.
+    """95 % of 160 pictures of 64 × 64 pixels, 1 to 10 % of noise: 89 to 98.5 % are 3.5 σ of a
+    binomial number below and 2 above.
 
     Seeds are fixed. An interval that holds 84 % is found in 95 of 100 such tests.
     """
@@ -478,7 +551,9 @@ def test_intervals_hold_the_truth_as_often_as_they_state() -> None:
 @pytest.mark.filterwarnings("ignore:edge picture")
 def test_interval_narrows_with_the_root_of_the_pixels() -> None:
     def width(height: int) -> float:
-        picture = gaussian_edge(height=height) + 10 * np.random.default_rng(2).standard_normal((height, SIDE))
+        picture = gaussian_edge(height=height) + 10 * np.random.default_rng(2).standard_normal(
+            (height, SIDE)
+        )
         edge = edge_response(picture)
         return float(np.diff(edge.sfr_interval, axis=0)[0, 5:40].mean())
 
@@ -530,9 +605,15 @@ def test_read_edge_picture_all_formats_agree(tmp_path: Path) -> None:
 
 
 def test_sfr_command_writes_files(tmp_path: Path) -> None:
-    write_channels(tmp_path / "raw.exr", {"DN": np.rint(gaussian_edge())}, {"bits": 10, "black_level_dn": 20.0, "pitch_um": 5.0})
+    write_channels(
+        tmp_path / "raw.exr",
+        {"DN": np.rint(gaussian_edge())},
+        {"bits": 10, "black_level_dn": 20.0, "pitch_um": 5.0},
+    )
     region = (60, 40, 260, 280)
-    code, out, err = command(f"sfr {tmp_path}/raw.exr --region {','.join(map(str, region))} --out {tmp_path}/o --json")
+    code, out, err = command(
+        f"sfr {tmp_path}/raw.exr --region {','.join(map(str, region))} --out {tmp_path}/o --json"
+    )
     assert (code, err) == (0, "")
     result = json.loads(out)
     assert result == json.loads((tmp_path / "o/summary.json").read_text(encoding="utf-8"))
@@ -548,7 +629,9 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
     assert float(first[1].split(",")[1]) == 1.0
     edge = sfr(tmp_path / "raw.exr", region=region)
     assert edge.write(tmp_path / "python") == tmp_path / "python/report.html"
-    for path in {*(tmp_path / "o").iterdir()} - {tmp_path / "o/pixsim.json"}:  # which has times of files
+    for path in {*(tmp_path / "o").iterdir()} - {
+        tmp_path / "o/pixsim.json"
+    }:  # which has times of files
         assert (tmp_path / "python" / path.name).read_bytes() == path.read_bytes(), path.name
     assert edge.to_csv().encode() == (tmp_path / "o/sfr.csv").read_bytes()
     assert repr(edge).startswith(f"<EdgeResponse MTF50 {edge.mtf50_cy_per_px:.3f} cy/px")
@@ -581,7 +664,9 @@ def test_sfr_summary_without_pitch_has_no_millimetres() -> None:
         ("sfr edge.npy --black-level-dn 2000", "black level is right"),
     ],
 )
-def test_sfr_command_invalid_file_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str) -> None:
+def test_sfr_command_invalid_file_raises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     edge = gaussian_edge()
     np.save("edge.npy", edge)

@@ -1,4 +1,6 @@
-"""Real lenses in a camera: against their rays, the thin lens that stands for them, and the closed forms of a thin real lens."""
+"""Real lenses in a camera: against their rays, the thin lens that stands for them, and the closed
+forms of a thin real lens.
+"""
 
 import math
 import warnings
@@ -41,7 +43,13 @@ from pixsim.viewer.setting import Run
 from tests.scene.test_real_lens import THIN
 
 
-def with_lens(file: str, die_mm: float, distance_m: float = 5.0, given: CameraOptions | None = None, **options: object) -> Camera:
+def with_lens(
+    file: str,
+    die_mm: float,
+    distance_m: float = 5.0,
+    given: CameraOptions | None = None,
+    **options: object,
+) -> Camera:
     camera = Camera(die_mm=die_mm, object_distance_m=distance_m, transmittance=0.8)
     return camera_with_lens(camera, given or CameraOptions(), LensOptions(file=file, **options))
 
@@ -52,11 +60,16 @@ def lens_of(camera: Camera) -> Lens:
 
 
 def test_lens_of_the_users_that_is_scaled_to_the_die_is_told(tmp_path: Path) -> None:
-    """A lens that is bought has one focal length; the default, which fits it to the die, would be another lens."""
+    """A lens that is bought has one focal length; the default, which fits it to the die, would be
+    another lens.
+    """
     file = tmp_path / "mine.toml"
     file.write_text(THIN, encoding="utf-8")
     focal_mm = load_lens_focal(tmp_path)
-    with pytest.warns(UserWarning, match=rf"of {focal_mm:.5g} mm is scaled so .*lens\.focal_length_mm = {focal_mm:.5g} "):
+    with pytest.warns(
+        UserWarning,
+        match=rf"of {focal_mm:.5g} mm is scaled so .*lens\.focal_length_mm = {focal_mm:.5g} ",
+    ):
         scaled = with_lens(str(file), 10.0)
     assert scaled.lens is not None
     assert not math.isclose(scaled.lens.focal_length_mm, focal_mm, rel_tol=0.01)
@@ -67,7 +80,9 @@ def test_lens_of_the_users_that_is_scaled_to_the_die_is_told(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("file", ["singlet", "cooke_triplet"])
-def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief_rays(file: str) -> None:
+def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief_rays(
+    file: str,
+) -> None:
     camera = with_lens(file, 10.0, focal_length_mm=40.0)
     lens = lens_of(camera)
     nm = lens.primary_nm
@@ -78,8 +93,12 @@ def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief
     assert camera.transmittance == 0.8  # the glass has no losses of its own
     rows = np.array(camera.chief_ray_angle)
     field = lens.field_of_height(4.0, nm)
-    assert np.interp(4.0, rows[:, 0], rows[:, 1]) == pytest.approx(float(lens.chief_ray(field, nm).angle_deg), abs=1e-3)
-    assert np.interp(4.0, rows[:, 0], rows[:, 2]) == pytest.approx(float(lens.relative_illumination(field)), abs=3e-5)
+    assert np.interp(4.0, rows[:, 0], rows[:, 1]) == pytest.approx(
+        float(lens.chief_ray(field, nm).angle_deg), abs=1e-3
+    )
+    assert np.interp(4.0, rows[:, 0], rows[:, 2]) == pytest.approx(
+        float(lens.relative_illumination(field)), abs=3e-5
+    )
     assert rows[-1, 0] >= math.hypot(10.0, 10.0) / 2
 
 
@@ -87,7 +106,9 @@ def test_largest_field_reaches_the_corner_unless_a_focal_length_is_given() -> No
     own = load_lens("cooke_triplet")
     camera = with_lens("cooke_triplet", 20.0, 1e4)
     height_mm = float(lens_of(camera).chief_ray(own.max_field_deg, own.primary_nm).height_mm)
-    assert height_mm == pytest.approx(math.hypot(20.0, 20.0) / 2, rel=3e-3)  # the file's plane and the best focus differ a little
+    assert height_mm == pytest.approx(
+        math.hypot(20.0, 20.0) / 2, rel=3e-3
+    )  # the file's plane and the best focus differ a little
 
 
 def test_f_number_stops_down_and_the_widest_is_named() -> None:
@@ -95,14 +116,20 @@ def test_f_number_stops_down_and_the_widest_is_named() -> None:
     assert camera.lens is not None
     assert camera.lens.f_number == 8.0
     assert camera.f_number == pytest.approx(8.0, rel=0.01)
-    with pytest.raises(PixsimError, match=r"camera\.f_number: got 2; allowed: at least 4\.99998, the widest of 'cooke_triplet'"):
+    with pytest.raises(
+        PixsimError,
+        match=r"camera\.f_number: got 2; allowed: at least 4\.99998, the widest of 'cooke_triplet'",
+    ):
         with_lens("cooke_triplet", 10.0, given=CameraOptions(f_number=2.0))
 
 
 @pytest.mark.parametrize(
     ("given", "match"),
     [
-        (CameraOptions(focal_length_mm=4.0), r"camera\.focal_length_mm: .*Set lens\.focal_length_mm"),
+        (
+            CameraOptions(focal_length_mm=4.0),
+            r"camera\.focal_length_mm: .*Set lens\.focal_length_mm",
+        ),
         (CameraOptions(chief_ray_angle=((0.0, 0.0), (9.0, 3.0))), r"camera\.chief_ray_angle: "),
     ],
 )
@@ -150,11 +177,20 @@ def test_settings_and_cameras_without_a_lens_are_written_as_before() -> None:
     assert "lens" not in Camera().model_dump()
     assert Run().model_dump()["lens"] == {}
     camera = with_lens("singlet", 4.0)
-    assert camera_with_lens(Camera(**camera.options.over(Camera()).model_dump()), camera.options, camera.lens_options) == camera
+    assert (
+        camera_with_lens(
+            Camera(**camera.options.over(Camera()).model_dump()),
+            camera.options,
+            camera.lens_options,
+        )
+        == camera
+    )
 
 
 def test_points_lie_where_the_chief_rays_arrive() -> None:
-    """A spot at v tan θ of a picture without distortion, in any direction, is at the chief ray's height in the picture."""
+    """A spot at v tan θ of a picture without distortion, in any direction, is at the chief ray's
+    height in the picture.
+    """
     camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
     distortion, lens = distortion_of(camera), lens_of(camera)
     assert distortion is not None
@@ -169,15 +205,21 @@ def test_points_lie_where_the_chief_rays_arrive() -> None:
         found = np.array([(moved * axis).sum() / moved.sum() for axis in (x, y)])
         height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
         assert abs(height_um / pitch_um - at) > 0.5  # cells
-        np.testing.assert_allclose(found, height_um / pitch_um * np.array([math.cos(turn), math.sin(turn)]), atol=0.02)
+        np.testing.assert_allclose(
+            found, height_um / pitch_um * np.array([math.cos(turn), math.sin(turn)]), atol=0.02
+        )
         back = distortion.removed(moved, pitch_um)
         found = np.array([(back * axis).sum() / back.sum() for axis in (x, y)])
         straight = at * widening * distortion.image_scale
-        np.testing.assert_allclose(found, straight * np.array([math.cos(turn), math.sin(turn)]), atol=0.03)
+        np.testing.assert_allclose(
+            found, straight * np.array([math.cos(turn), math.sin(turn)]), atol=0.03
+        )
 
 
 def test_a_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() -> None:
-    """Also where the plane of best focus is not the paraxial one: near the axis, points stay where they are."""
+    """Also where the plane of best focus is not the paraxial one: near the axis, points stay where
+    they are.
+    """
     distortion = distortion_of(with_lens("double_gauss", 24.0, focal_length_mm=45.0))
     assert distortion is not None
     assert abs(distortion.image_scale - 1) > 5e-4
@@ -192,19 +234,30 @@ def test_a_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() 
 @pytest.mark.parametrize("file", ["phone", "double_gauss"])
 @pytest.mark.parametrize("turn_deg", [0.0, 45.0, 90.0], ids=["radial", "diagonal", "tangential"])
 @pytest.mark.parametrize("frequency", [0.125, 0.24])
-def test_waves_through_distortion_have_their_means_over_film_cells(file: str, turn_deg: float, frequency: float) -> None:
-    """Against quadrature over the cells, within the stated error; cells of the phone's source are up to 13 % larger or smaller.
+def test_waves_through_distortion_have_their_means_over_film_cells(
+    file: str, turn_deg: float, frequency: float
+) -> None:
+    """Against quadrature over the cells, within the stated error; cells of the phone's source are
+    up to 13 % larger or smaller.
 
-    Frequencies in cycles per cell. Values between cells instead of means over other cells would be 1.2 % off at the second.
+    Frequencies in cycles per cell. Values between cells instead of means over other cells would be
+    1.2 % off at the second.
     """
     die_mm, rows, columns = {"phone": 2.7, "double_gauss": 24.0}[file], 48, 800
     pitch_um = die_mm * 1e3 / columns
     camera = camera_with_lens(
-        Camera(die_mm=die_mm, die_height_mm=rows * pitch_um * 1e-3, object_distance_m=5.0), CameraOptions(), LensOptions(file=file)
+        Camera(die_mm=die_mm, die_height_mm=rows * pitch_um * 1e-3, object_distance_m=5.0),
+        CameraOptions(),
+        LensOptions(file=file),
     )
     distortion, turn = distortion_of(camera), math.radians(turn_deg)
     assert distortion is not None
-    source = CubicSpline(*(np.concatenate([-at[:0:-1], at]) for at in (distortion.height_mm, distortion.undistorted_mm)))
+    source = CubicSpline(
+        *(
+            np.concatenate([-at[:0:-1], at])
+            for at in (distortion.height_mm, distortion.undistorted_mm)
+        )
+    )
     y, x = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
 
     def wave(y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -222,13 +275,17 @@ def test_waves_through_distortion_have_their_means_over_film_cells(file: str, tu
     moved = distortion.applied(picture.real, pitch_um, distortion.widening)
     moved = moved + 1j * distortion.applied(picture.imag, pitch_um, distortion.widening)
     inside = slice(12, -12), slice(12, -12)
-    rms = float(np.sqrt(np.mean(np.abs(moved - truth)[inside] ** 2) / np.mean(np.abs(truth)[inside] ** 2)))
+    rms = float(
+        np.sqrt(np.mean(np.abs(moved - truth)[inside] ** 2) / np.mean(np.abs(truth)[inside] ** 2))
+    )
     at = frequency * np.array([math.sin(turn), math.cos(turn)])
     stated = float(moved_error(distortion, pitch_um, at)[0, 1])
     assert stated / 20 < rms < stated
     assert stated < 0.012
     if frequency > 0.2:
-        assert moved_error(distortion, pitch_um, np.array([0.3]))[0, 0] == 0  # beyond half of the Nyquist frequency
+        assert (
+            moved_error(distortion, pitch_um, np.array([0.3]))[0, 0] == 0
+        )  # beyond half of the Nyquist frequency
 
 
 def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
@@ -257,7 +314,9 @@ def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
 
 
 def traced_centroid_um(lens: Lens, field_deg: float, nm: float) -> tuple[float, float]:
-    """Height of the chief ray, and how much further out the mean of all rays lies, with equal light in all directions."""
+    """Height of the chief ray, and how much further out the mean of all rays lies, with equal light
+    in all directions.
+    """
     radius, turn = np.linspace(0, 1, 61)[:, None], np.arange(96) * (2 * np.pi / 96)
     x, y = radius * np.sin(turn), radius * np.cos(turn)
     waves = lens.wavefront(np.array([field_deg]), np.array([nm]), x.ravel(), y.ravel())
@@ -266,22 +325,37 @@ def traced_centroid_um(lens: Lens, field_deg: float, nm: float) -> tuple[float, 
     order = 1j * np.fft.fftfreq(turn.size, 1 / turn.size)[:, None]
     around = np.fft.ifft(order * np.fft.fft(cosines, axis=1), axis=1).real
     area = np.abs(outwards[..., 0] * around[..., 1] - outwards[..., 1] * around[..., 0])
-    light = area * np.where(radius == 1, 1, np.where(np.arange(61)[:, None] % 2, 4, 2))  # Simpson's rule; at radius 0 it is 0
-    return 1e3 * float(waves.chief_y_mm[0]), 1e3 * float((light * waves.y_mm[0].reshape(x.shape)).sum() / light.sum())
+    light = area * np.where(
+        radius == 1, 1, np.where(np.arange(61)[:, None] % 2, 4, 2)
+    )  # Simpson's rule; at radius 0 it is 0
+    return 1e3 * float(waves.chief_y_mm[0]), 1e3 * float(
+        (light * waves.y_mm[0].reshape(x.shape)).sum() / light.sum()
+    )
 
 
 @pytest.mark.parametrize(
     ("file", "field", "nm", "within"),
-    [("singlet", 5.0, 550.0, 0.1), ("cooke_triplet", 10.0, 550.0, 0.03), ("phone", 6.0, 450.0, 0.03), ("phone", 12.0, 450.0, 0.06)],
+    [
+        ("singlet", 5.0, 550.0, 0.1),
+        ("cooke_triplet", 10.0, 550.0, 0.03),
+        ("phone", 6.0, 450.0, 0.03),
+        ("phone", 12.0, 450.0, 0.06),
+    ],
 )
 def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction(
     file: str, field: float, nm: float, within: float
 ) -> None:
-    """The singlet's rays miss by 60 µm of 50 mm: what counts as equal light in all directions differs by 12 % of its centroid.
+    """The singlet's rays miss by 60 µm of 50 mm: what counts as equal light in all directions
+    differs by 12 % of its centroid.
 
-    At 12° the phone lens's centroid is within 1 µm of the chief ray, of which the polynomials' slopes at the rim leave 0.04 µm.
+    At 12° the phone lens's centroid is within 1 µm of the chief ray, of which the polynomials'
+    slopes at the rim leave 0.04 µm.
     """
-    focal_mm, die_mm, pitch_um = {"singlet": (50.0, 16.0, 3.0), "cooke_triplet": (50.0, 26.0, 1.5), "phone": (4.0, 3.2, 1.5)}[file]
+    focal_mm, die_mm, pitch_um = {
+        "singlet": (50.0, 16.0, 3.0),
+        "cooke_triplet": (50.0, 26.0, 1.5),
+        "phone": (4.0, 3.2, 1.5),
+    }[file]
     camera = with_lens(file, die_mm, 1e4, focal_length_mm=focal_mm, refocus="paraxial")
     lens = lens_of(camera)
     chief_um, spot_um = traced_centroid_um(lens, field, nm)
@@ -294,7 +368,10 @@ def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction
     for azimuth in np.radians([0, 45, 90, 135, 180, 225, 270, 315]):
         outwards = np.array([math.cos(azimuth), math.sin(azimuth)])
         psf = point_spread(light, *(height_um * outwards), pitch_um, cells)
-        found_um = np.array([(psf.kernel * offsets).sum(), (psf.kernel * offsets[:, None]).sum()]) / psf.kernel.sum()
+        found_um = (
+            np.array([(psf.kernel * offsets).sum(), (psf.kernel * offsets[:, None]).sum()])
+            / psf.kernel.sum()
+        )
         assert found_um @ outwards == pytest.approx(wanted_um, abs=within * abs(spot_um))
         assert abs(found_um[0] * outwards[1] - found_um[1] * outwards[0]) < 0.005 * abs(spot_um)
 
@@ -327,7 +404,9 @@ glass = "air"
 
 
 def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) -> None:
-    """Light of two wavelengths from one point of the scene lies where the chief rays of both arrive, in any direction."""
+    """Light of two wavelengths from one point of the scene lies where the chief rays of both
+    arrive, in any direction.
+    """
     file = tmp_path / "own.toml"
     file.write_text(STOP_IN_FRONT, encoding="utf-8")
     camera = with_lens(str(file), 10.0, 1e4, focal_length_mm=40.0)
@@ -335,7 +414,10 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
     heights_um = 1e3 * np.asarray(lens.chief_ray(field, np.array([450.0, 550.0, 650.0])).height_mm)
     assert heights_um[2] - heights_um[0] > 80  # µm, ten cells
     cells, pitch_um = 65, 8.0
-    offsets, tiling = (np.arange(cells) - cells // 2) * pitch_um, Tiling(800.0, cells * pitch_um, 0.0)
+    offsets, tiling = (
+        (np.arange(cells) - cells // 2) * pitch_um,
+        Tiling(800.0, cells * pitch_um, 0.0),
+    )
     for nm, height_um in zip((450.0, 650.0), heights_um[[0, 2]], strict=True):
         psfs = psfs_of(camera, (1250, 1250), pitch_um, tiling, np.array([nm]), np.ones(1))
         chief_um, spot_um = traced_centroid_um(lens, field, nm)
@@ -345,9 +427,13 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
             outwards = np.array([math.cos(turn), math.sin(turn)])
             x_um, y_um = heights_um[1] * outwards
             kernel = psfs.at([(x_um, y_um)], pitch_um, cells)[0].kernel.astype(float)
-            # Where coarse detail lands: the first moment misses the light beyond the cells, more of it on one side.
+            # Where coarse detail lands: the first moment misses the light beyond the cells, more of
+            # it on one side.
             period_um = cells * pitch_um / 2
-            phases = [np.angle((kernel * np.exp(-2j * np.pi * at / period_um)).sum()) for at in (offsets, offsets[:, None])]
+            phases = [
+                np.angle((kernel * np.exp(-2j * np.pi * at / period_um)).sum())
+                for at in (offsets, offsets[:, None])
+            ]
             found_um = -np.array(phases) / (2 * np.pi) * period_um
             assert found_um @ outwards == pytest.approx(wanted_um, abs=0.01 * pitch_um)
             assert abs(found_um[0] * outwards[1] - found_um[1] * outwards[0]) < 0.01 * pitch_um
@@ -355,7 +441,10 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
 
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
     camera = with_lens("cooke_triplet", 24.0, focal_length_mm=50.0)
-    (front,), (finer,) = fitted_wavefronts(camera, (550.0,), 17), fitted_wavefronts(camera, (550.0,), 33)
+    (front,), (finer,) = (
+        fitted_wavefronts(camera, (550.0,), 17),
+        fitted_wavefronts(camera, (550.0,), 33),
+    )
     middles = front.height_um[:-1] + np.diff(front.height_um) / 2
     for middle, exact in zip(middles, finer.numbers[1::2], strict=True):
         found = front.at(float(middle))
@@ -374,7 +463,8 @@ def test_lens_on_another_die_sees_the_same_field() -> None:
 
 
 def test_a_die_beyond_the_image_circle_is_dark_there() -> None:
-    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated, and has no light.
+    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated,
+    and has no light.
 
     The pupil there, of which no light comes, is that of the outermost light.
     """
@@ -394,7 +484,9 @@ def test_few_wavelengths_have_the_moments_of_the_bands() -> None:
     nm, share = few_wavelengths(bands, weight, 4)
     for power in range(8):  # Gauss's quadrature of 4 nodes is exact up to degree 7
         exact = (weight * (bands - 550) ** power).sum() / weight.sum()
-        assert (share * (nm - 550) ** power).sum() == pytest.approx(exact, rel=1e-4, abs=1e-5 * 150**power)
+        assert (share * (nm - 550) ** power).sum() == pytest.approx(
+            exact, rel=1e-4, abs=1e-5 * 150**power
+        )
     nm, share = few_wavelengths(np.array([450.0, 550.0, 650.0]), np.array([0.0, 2.0, 0.0]), 4)
     assert (nm.tolist(), share.tolist()) == ([550.0], [1.0])
 
@@ -404,18 +496,24 @@ def test_blur_of_a_lens_preserves_an_even_scene_and_is_remembered() -> None:
     tiling = Tiling(1000.0, 300.0, 0.0)
     bands, weight = np.array([500.0, 600.0]), np.ones(2)
     blur = blur_of(camera, (96, 96), 62.5, tiling, bands, weight)
-    np.testing.assert_allclose(blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-6)  # in single precision
+    np.testing.assert_allclose(
+        blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-6
+    )  # in single precision
     assert blur_of(camera, (96, 96), 62.5, tiling, bands, weight) is blur
 
 
-def test_mtf_of_a_lens_is_that_of_diffraction_where_it_is_stopped_down_and_far_below_it_over_a_large_die() -> None:
+def test_mtf_of_a_lens_is_that_of_diffraction_where_it_is_stopped_down_and_far_below_it_over_a_large_die() -> (
+    None
+):
     """Its rms over the die: of a tiny die on the axis of a slow lens that of the thin lens."""
     frequency, ones = np.linspace(0, 45, 10), np.ones(1)
     plane = {"data": np.ones((50, 50, 1)), "header": {LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))}}
     image = SpectralImage([550.0], 10.0, 2.0, **plane)
     slow = with_lens("singlet", 0.1, given=CameraOptions(f_number=32.0), focal_length_mm=12.0)
     found = lens_mtf(image, slow, ones, frequency)
-    np.testing.assert_allclose(found, diffraction_otf(frequency, 550.0, slow.effective_f_number), atol=5e-3)
+    np.testing.assert_allclose(
+        found, diffraction_otf(frequency, 550.0, slow.effective_f_number), atol=5e-3
+    )
     fast = with_lens("singlet", 2.7, focal_length_mm=12.0)
     worse = lens_mtf(image, fast, ones, frequency)
     assert worse is not None

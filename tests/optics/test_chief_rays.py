@@ -1,4 +1,6 @@
-"""Chief ray angles of a camera: from files, rows and TOML, as values in hashes and settings, and what is refused."""
+"""Chief ray angles of a camera: from files, rows and TOML, as values in hashes and settings, and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lens").mkdir()
     (tmp_path / "lens/cra.csv").write_text(CRA, encoding="utf-8")
-    (tmp_path / "lens/camera.toml").write_text('[camera]\nchief_ray_angle = "cra.csv"\n', encoding="utf-8")
+    (tmp_path / "lens/camera.toml").write_text(
+        '[camera]\nchief_ray_angle = "cra.csv"\n', encoding="utf-8"
+    )
     return tmp_path
 
 
@@ -66,27 +70,60 @@ def test_table_is_read_by_the_names_of_its_columns(text: str, rows: object, tmp_
         ("image_height_mm,deg\n0,0\n2,x\n", "no 2 numbers in line 3"),
         ("image_height_mm,deg\n0,0\n2,nan\n", "nan.* in row 2; allowed: finite"),
         ("image_height_mm,deg\n0,0\ninf,3\n", "inf.* in row 2; allowed: finite"),
-        ("image_height_mm,deg\n-1,0\n2,3\n", "begins with -1 mm and 0 degrees; allowed: 0 mm and 0 degrees"),
+        (
+            "image_height_mm,deg\n-1,0\n2,3\n",
+            "begins with -1 mm and 0 degrees; allowed: 0 mm and 0 degrees",
+        ),
         ("image_height_mm,deg\n0,1\n2,3\n", "begins with 0 mm and 1 degrees"),
-        ("image_height_mm,deg\n0,0\n2,3\n1,2\n", "2 mm followed by 1 mm; allowed: image heights that increase"),
-        ("image_height_mm,deg\n0,0\n2,90\n", "90 degrees in row 2; allowed: above -90 and below 90"),
-        ("image_height_mm,deg\n0,0\n1.5,20\n", "ends at an image height of 1.5 mm; allowed: up to the corner.*1.9189 mm"),
-        ("image_height_mm,deg\n0,0\n1.9,62\n2,5\n", "62 degrees at 1.9 mm.*horizon.*Give smaller angles or a larger f_number"),
-        ("image_height_mm,deg,relative_illumination\n0,0,100\n2,3,80\n", "of 100 in row 1.*Divide percentages by 100"),
-        ("image_height_mm,deg,relative_illumination\n0,0,.8\n2,3,.7\n", "0.8 on the axis; allowed: 1 there. Divide all values by"),
-        ("image_height_mm,deg,relative_illumination\n0,0,1\n2,3,-.1\n", "of -0.1 in row 2; allowed: 0 to 2"),
-        ("image_height_mm,deg\n" + "".join(f"{row / 500},0\n" for row in range(1001)), "of 1001 rows; allowed: 2 to 1000 rows"),
+        (
+            "image_height_mm,deg\n0,0\n2,3\n1,2\n",
+            "2 mm followed by 1 mm; allowed: image heights that increase",
+        ),
+        (
+            "image_height_mm,deg\n0,0\n2,90\n",
+            "90 degrees in row 2; allowed: above -90 and below 90",
+        ),
+        (
+            "image_height_mm,deg\n0,0\n1.5,20\n",
+            "ends at an image height of 1.5 mm; allowed: up to the corner.*1.9189 mm",
+        ),
+        (
+            "image_height_mm,deg\n0,0\n1.9,62\n2,5\n",
+            "62 degrees at 1.9 mm.*horizon.*Give smaller angles or a larger f_number",
+        ),
+        (
+            "image_height_mm,deg,relative_illumination\n0,0,100\n2,3,80\n",
+            "of 100 in row 1.*Divide percentages by 100",
+        ),
+        (
+            "image_height_mm,deg,relative_illumination\n0,0,.8\n2,3,.7\n",
+            "0.8 on the axis; allowed: 1 there. Divide all values by",
+        ),
+        (
+            "image_height_mm,deg,relative_illumination\n0,0,1\n2,3,-.1\n",
+            "of -0.1 in row 2; allowed: 0 to 2",
+        ),
+        (
+            "image_height_mm,deg\n" + "".join(f"{row / 500},0\n" for row in range(1001)),
+            "of 1001 rows; allowed: 2 to 1000 rows",
+        ),
         ("image_height_mm,deg\n" + "0,0\n" * 300_000, "of 1200020 bytes.*of up to 1048576 bytes"),
         ("\x00\x01", "without these columns|not text"),
     ],
 )
 def test_table_that_is_none_is_refused_with_its_file(text: str, message: str, folder: Path) -> None:
-    """The message names the setting and the mend, in Python, by the option, and with the TOML file that names the table."""
+    """The message names the setting and the mend, in Python, by the option, and with the TOML file
+    that names the table.
+    """
     (folder / "cra.csv").write_text(text, encoding="utf-8")
     (folder / "lens/cra.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError, match=f"chief_ray_angle.*({message.replace('cra.csv', '(lens/)?cra.csv')})"):
+    with pytest.raises(
+        PixsimError, match=f"chief_ray_angle.*({message.replace('cra.csv', '(lens/)?cra.csv')})"
+    ):
         Camera(f_number=1.4, chief_ray_angle="cra.csv")
-    (folder / "lens/camera.toml").write_text('[camera]\nf_number = 1.4\nchief_ray_angle = "cra.csv"\n', encoding="utf-8")
+    (folder / "lens/camera.toml").write_text(
+        '[camera]\nf_number = 1.4\nchief_ray_angle = "cra.csv"\n', encoding="utf-8"
+    )
     with pytest.raises(PixsimError, match="chief_ray_angle"):
         checked(Run, [settings_layer(folder / "lens/camera.toml")]).camera.over(Camera())
 
@@ -121,18 +158,26 @@ def test_die_of_the_scene_and_of_the_options_decides_what_the_table_must_reach()
 
 
 def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(folder: Path) -> None:
-    """In a settings file, a study, and the values of its axis; an edit of the table changes the hash of the settings."""
+    """In a settings file, a study, and the values of its axis; an edit of the table changes the
+    hash of the settings.
+    """
     layer = settings_layer(folder / "lens/camera.toml")
     settings: Run = checked(Run, [layer])
     assert settings.camera.chief_ray_angle == ROWS
     kept = tomllib.loads(settings_text(settings, "command"))
     assert kept["camera"]["chief_ray_angle"] == [list(row) for row in ROWS]
-    axis = '[[axis]]\nname = "angles"\nset = "camera.chief_ray_angle"\nvalues = ["cra.csv", "flat.csv"]\n'
+    axis = (
+        '[[axis]]\nname = "angles"\nset = "camera.chief_ray_angle"\nvalues = ["cra.csv",'
+        ' "flat.csv"]\n'
+    )
     (folder / "lens/flat.csv").write_text("image_height_mm,deg\n0,0\n2,0\n", encoding="utf-8")
     (folder / "lens/study.toml").write_text(tiny_toml() + axis, encoding="utf-8")
     study = load_study("lens/study.toml")  # in its working directory, so that the labels are short
     values = tomllib.loads(settings_text(study, "command"))["axis"][0]["values"]
-    assert [value["set"]["camera"]["chief_ray_angle"][-1] for value in values] == [[2.0, 21.5], [2.0, 0.0]]
+    assert [value["set"]["camera"]["chief_ray_angle"][-1] for value in values] == [
+        [2.0, 21.5],
+        [2.0, 0.0],
+    ]
     again = Study.model_validate({"name": "again", "axis": [{"name": "angles", "values": values}]})
     assert [point.label for point in again.axis[0].points] == ["lens/cra.csv", "lens/flat.csv"]
     (folder / "lens/cra.csv").write_text(CRA.replace("21.5", "22"), encoding="utf-8")
@@ -142,9 +187,14 @@ def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(folde
 
 def test_option_takes_a_file(folder: Path) -> None:
     """In a plan, which needs no render; relative to the working directory."""
-    stack = "--pixel.stack.height-um 8 --pixel.stack.index 1.5 --pixel.stack.microlens square --pixel.fill-factor 0.3"
+    stack = (
+        "--pixel.stack.height-um 8 --pixel.stack.index 1.5 --pixel.stack.microlens square"
+        " --pixel.fill-factor 0.3"
+    )
     options = "", "--camera.chief-ray-angle lens/cra.csv"
-    plans = [command(f"plan flat --variant scalar_spectral --json {stack} {more}")[1] for more in options]
+    plans = [
+        command(f"plan flat --variant scalar_spectral --json {stack} {more}")[1] for more in options
+    ]
     assert ["chief rays of camera.chief_ray_angle" in plan for plan in plans] == [False, True]
     code, _, err = command("plan flat --variant scalar_spectral --camera.chief-ray-angle cra.csv")
     assert code != 0
@@ -152,7 +202,9 @@ def test_option_takes_a_file(folder: Path) -> None:
 
 
 def test_cameras_of_a_comparison_share_the_lens_and_its_table() -> None:
-    """The lens for another die is the same one made larger, whose image heights grow with it; a cropped die has them as is."""
+    """The lens for another die is the same one made larger, whose image heights grow with it; a
+    cropped die has them as is.
+    """
     reference = Camera(die_mm=2.0, die_height_mm=1.5, chief_ray_angle=ROWS)
     larger = Camera(die_mm=4.0, die_height_mm=4.0)
     _, seen = matched_cameras([reference, larger], "view")
@@ -162,5 +214,10 @@ def test_cameras_of_a_comparison_share_the_lens_and_its_table() -> None:
 
 
 def test_pages_show_the_range_of_a_table_in_its_unit() -> None:
-    rows = {name: value for name, value, *_ in record_rows("camera", CameraOptions(chief_ray_angle=ROWS), from_data_sheet=False)}
+    rows = {
+        name: value
+        for name, value, *_ in record_rows(
+            "camera", CameraOptions(chief_ray_angle=ROWS), from_data_sheet=False
+        )
+    }
     assert rows["chief_ray_angle"] == "curve of 3 points, 0 to 2 mm"

@@ -1,4 +1,6 @@
-"""Blur that varies over the field, against closed forms, superposition point by point, and conservation of light."""
+"""Blur that varies over the field, against closed forms, superposition point by point, and
+conservation of light.
+"""
 
 import math
 from collections.abc import Callable
@@ -49,9 +51,15 @@ RINGS, SPOKES = 16, 48
 
 
 def fitted(
-    f_number: float, heights_mm: Array, distance_mm: float, waves: Callable[[Array, Array, float], Array], shift_um: float = 0.0
+    f_number: float,
+    heights_mm: Array,
+    distance_mm: float,
+    waves: Callable[[Array, Array, float], Array],
+    shift_um: float = 0.0,
 ) -> FittedWavefronts:
-    """Wavefronts of a thin lens whose OPD is a function of coordinates on the lens, in radii, and of the tangent of the field."""
+    """Wavefronts of a thin lens whose OPD is a function of coordinates on the lens, in radii, and
+    of the tangent of the field.
+    """
     radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
     angle = np.arange(SPOKES) * (2 * np.pi / SPOKES)
     u, v = ((radius[:, None] * turned).ravel() for turned in (np.sin(angle), np.cos(angle)))
@@ -60,10 +68,13 @@ def fitted(
         tangent = height_mm / distance_mm
         outline = thin_lens_pupil(f_number, tangent, 90.0).boundary(ROUND)[0]
         tan_alpha = 0.5 / f_number
-        # The chief ray rises away from the axis; a point of the lens on that side sends its ray at a smaller angle.
+        # The chief ray rises away from the axis; a point of the lens on that side sends its ray at
+        # a smaller angle.
         slopes = np.stack([tan_alpha * u, tangent + tan_alpha * v], -1)
         cosines = slopes / np.sqrt(1 + np.square(slopes).sum(-1, keepdims=True))
-        fronts.append(PupilRays(cosines, waves(u, v, tangent), outline, 1e3 * height_mm + shift_um * tangent))
+        fronts.append(
+            PupilRays(cosines, waves(u, v, tangent), outline, 1e3 * height_mm + shift_um * tangent)
+        )
     return fit_wavefronts(NM, 1e3 * heights_mm, fronts)
 
 
@@ -80,7 +91,9 @@ def otf_along(psf: Array, pitch_um: float) -> tuple[Array, Array, Array]:
 
 @pytest.mark.parametrize("from_z", [0.5, 5.0, 19.0, 21.0, 60.0])
 def test_veil_of_light_that_falls_as_the_cube_of_the_distance(from_z: float):
-    """The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong beyond z = 20."""
+    """The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
+    beyond z = 20.
+    """
     to_z, radius_um = 1.4 * from_z, 40.0
     near, far = veil_mtf(np.array([from_z, to_z]) / (2 * np.pi * radius_um * 1e-3), radius_um)
     right, error = quad(lambda z: j0(z) / z**2, from_z, to_z, epsabs=1e-12)
@@ -89,7 +102,9 @@ def test_veil_of_light_that_falls_as_the_cube_of_the_distance(from_z: float):
 
 
 @pytest.mark.parametrize("degrees", [0.0, 20.0, 35.0])
-def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines(degrees: float) -> None:
+def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines(
+    degrees: float,
+) -> None:
     f_number, distance_mm = 32.0, 10.0
     nodes = np.linspace(0, distance_mm * math.tan(math.radians(40)), 9)
     light = ChannelWavefronts([fitted(f_number, nodes, distance_mm, perfect)], np.ones(1))
@@ -98,32 +113,55 @@ def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines
     frequency, along, across = otf_along(psf, 4.0)
     cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 2 * f_number) / 2
     # The image point looks along x: radially the pupil is seen cos³ as wide, sagittally cos.
-    np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
-    np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+    np.testing.assert_allclose(
+        along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3
+    )
+    np.testing.assert_allclose(
+        across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3
+    )
 
 
 def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines() -> None:
-    """Equiconvex, f = 1 mm, f/100, 10 nm thick, stop at the lens: from its rays to its OTF, with 0.006 waves of astigmatism."""
+    """Equiconvex, f = 1 mm, f/100, 10 nm thick, stop at the lens: from its rays to its OTF, with
+    0.006 waves of astigmatism.
+    """
     glass = constant_glass("n = 1.5", 1.5)
     surfaces = Surface(1.0, 1e-5, glass), Surface(-1.0, 1.0)
-    lens = lens_of(Prescription("thin", "", "", surfaces, 0, "f_number", 100.0, "angle_deg", 20.0, (NM,), NM))
+    lens = lens_of(
+        Prescription("thin", "", "", surfaces, 0, "f_number", 100.0, "angle_deg", 20.0, (NM,), NM)
+    )
     fields = np.linspace(0, 20, 5)
     (rays,) = pupil_rays(lens, fields, np.array([NM]))
-    light = ChannelWavefronts([fit_wavefronts(NM, np.array([one.height_um for one in rays]), rays)], np.ones(1))
+    light = ChannelWavefronts(
+        [fit_wavefronts(NM, np.array([one.height_um for one in rays]), rays)], np.ones(1)
+    )
     for degrees, one in zip(fields.tolist(), rays, strict=True):
-        frequency, along, across = otf_along(periodic_psf(light, one.height_um, 0.0, 12.0, 400), 12.0)
+        frequency, along, across = otf_along(
+            periodic_psf(light, one.height_um, 0.0, 12.0, 400), 12.0
+        )
         cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 200.0) / 2
-        np.testing.assert_allclose(along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3)
-        np.testing.assert_allclose(across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3)
+        np.testing.assert_allclose(
+            along, diffraction_otf(frequency, NM, effective / cosine**3), atol=1e-3
+        )
+        np.testing.assert_allclose(
+            across, diffraction_otf(frequency, NM, effective / cosine), atol=1e-3
+        )
 
 
 def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
-    """Phases of the pupil function are those of Σ c u^a v^b, to the rounding of single precision."""
+    """Phases of the pupil function are those of Σ c u^a v^b, to the rounding of single
+    precision.
+    """
     exponents, outline = powers(), np.ones(OUTLINE_ANGLES)
     coefficients = np.random.default_rng(3).normal(0, 0.05, len(exponents))
     half, step = 0.1, 0.1 / 40
-    amplitude, _ = pupil_function(np.concatenate([[half, half, 0.0], coefficients, outline]), NM, 0.0, step)
-    v, reach = (np.arange(amplitude.shape[1]) - amplitude.shape[1] // 2) * step / half, amplitude.shape[0] // 2
+    amplitude, _ = pupil_function(
+        np.concatenate([[half, half, 0.0], coefficients, outline]), NM, 0.0, step
+    )
+    v, reach = (
+        (np.arange(amplitude.shape[1]) - amplitude.shape[1] // 2) * step / half,
+        amplitude.shape[0] // 2,
+    )
     u = ((np.arange(amplitude.shape[0]) - reach) * step / half)[:, None]
     waves = sum(c * u**a * v**b for c, (a, b) in zip(coefficients, exponents, strict=True))
     inside = np.hypot(u, v) < 0.95
@@ -132,22 +170,33 @@ def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
 
 
 def hopkins(frequency: Array, w20: float) -> Array:
-    """OTF of a defocused circular pupil; frequency 2 is the cut-off. H. H. Hopkins, Proc. R. Soc. A 231 (1955) 91, eq. (25)."""
-    s, places = np.unique(frequency, return_inverse=True)  # of a square of frequencies an eighth differ, and each takes 240 J_n
+    """OTF of a defocused circular pupil; frequency 2 is the cut-off. H. H. Hopkins, Proc. R. Soc. A
+    231 (1955) 91, eq. (25).
+    """
+    s, places = np.unique(
+        frequency, return_inverse=True
+    )  # of a square of frequencies an eighth differ, and each takes 240 J_n
     a = 4 * np.pi * w20 * s
     beta = np.arccos(s / 2)
     n = np.arange(1, 60)[:, None]
     sign = (-1.0) ** (n + 1)
-    first = beta * jv(1, a) + 0.5 * np.sum(sign * np.sin(2 * n * beta) / n * (jv(2 * n - 1, a) - jv(2 * n + 1, a)), axis=0)
+    first = beta * jv(1, a) + 0.5 * np.sum(
+        sign * np.sin(2 * n * beta) / n * (jv(2 * n - 1, a) - jv(2 * n + 1, a)), axis=0
+    )
     m = np.arange(0, 60)[:, None]
-    second = np.sum((-1.0) ** m * np.sin((2 * m + 1) * beta) / (2 * m + 1) * (jv(2 * m, a) - jv(2 * m + 2, a)), axis=0)
+    second = np.sum(
+        (-1.0) ** m * np.sin((2 * m + 1) * beta) / (2 * m + 1) * (jv(2 * m, a) - jv(2 * m + 2, a)),
+        axis=0,
+    )
     return (4 / (np.pi * a) * (np.cos(a * s / 2) * first - np.sin(a * s / 2) * second))[places]
 
 
 @pytest.mark.parametrize("w20", [0.25, 0.5, 1.0, 2.0])
 def test_defocus_has_the_otf_of_hopkins(w20: float) -> None:
     f_number = 200.0
-    light = ChannelWavefronts([fitted(f_number, np.zeros(1), 1.0, lambda u, v, _: w20 * (u**2 + v**2))], np.ones(1))
+    light = ChannelWavefronts(
+        [fitted(f_number, np.zeros(1), 1.0, lambda u, v, _: w20 * (u**2 + v**2))], np.ones(1)
+    )
     pitch_um = 20.0
     frequency, otf, _ = otf_along(periodic_psf(light, 0.0, 0.0, pitch_um, 900), pitch_um)
     reduced = 2 * frequency * NM * 1e-6 * math.hypot(1, 2 * f_number) / 2
@@ -163,16 +212,25 @@ FILM, PITCH_UM, CELLS = 256, 2.0, 33  # cells are the pixels; they resolve all t
 def uneven(u: Array, v: Array, tangent: float) -> Array:
     """A lens with spherical aberration, coma, astigmatism and field curvature, in waves."""
     square = u**2 + v**2
-    return 0.3 * square**2 + 1.5 * tangent * v * square + 6 * tangent**2 * v**2 - 4 * tangent**2 * square
+    return (
+        0.3 * square**2
+        + 1.5 * tangent * v * square
+        + 6 * tangent**2 * v**2
+        - 4 * tangent**2 * square
+    )
 
 
 @pytest.fixture(scope="module")
 def uneven_light() -> ChannelWavefronts:
-    return ChannelWavefronts([fitted(F_NUMBER, np.linspace(0, 0.4, 17), DISTANCE_MM, uneven)], np.ones(1))
+    return ChannelWavefronts(
+        [fitted(F_NUMBER, np.linspace(0, 0.4, 17), DISTANCE_MM, uneven)], np.ones(1)
+    )
 
 
 def superposed_at(picture: Array, points: Array) -> Array:
-    """The blurred picture at cells (n, 2) by superposition: the PSF of each lit cell is a quadrature over the lens."""
+    """The blurred picture at cells (n, 2) by superposition: the PSF of each lit cell is a
+    quadrature over the lens.
+    """
     node, weight = np.polynomial.legendre.leggauss(14)
     radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(60) * (2 * np.pi / 60)
     u, v = ((radius * turned).ravel() for turned in (np.sin(angle), np.cos(angle)))
@@ -181,19 +239,29 @@ def superposed_at(picture: Array, points: Array) -> Array:
     values = []
     for point in points:
         first = np.maximum(point - CELLS // 2, 0)
-        lit = np.argwhere(picture[first[0] : point[0] + CELLS // 2 + 1, first[1] : point[1] + CELLS // 2 + 1]) + first
+        lit = (
+            np.argwhere(
+                picture[first[0] : point[0] + CELLS // 2 + 1, first[1] : point[1] + CELLS // 2 + 1]
+            )
+            + first
+        )
         source = (lit - (FILM - 1) / 2)[:, ::-1]
         outward = source / np.hypot(*source.T)[:, None]
         away_um = (point - lit)[:, ::-1] * PITCH_UM
         tangent = (np.hypot(*source.T) * PITCH_UM * 1e-3 / DISTANCE_MM)[:, None]
         radial, sagittal = tangent + tan_alpha * v, tan_alpha * u
         cosine = 1 / np.sqrt(1 + radial**2 + sagittal**2)
-        along, aside = (outward * away_um).sum(1), outward[:, 0] * away_um[:, 1] - outward[:, 1] * away_um[:, 0]
+        along, aside = (
+            (outward * away_um).sum(1),
+            outward[:, 0] * away_um[:, 1] - outward[:, 1] * away_um[:, 0],
+        )
         path_um = (radial * along[:, None] + sagittal * aside[:, None]) * cosine
         area = weight * cosine**4  # of directions, for each part of the lens, in units of π tan²α
         phase = np.float32(2 * np.pi * (path_um / um - uneven(u, v, tangent)))
         amplitude = (area * np.cos(phase)).sum(1) + 1j * (area * np.sin(phase)).sum(1)
-        psf = np.abs(amplitude) ** 2 / area.sum(1) * np.pi * tan_alpha**2 / um**2  # Parseval: adds up to 1
+        psf = (
+            np.abs(amplitude) ** 2 / area.sum(1) * np.pi * tan_alpha**2 / um**2
+        )  # Parseval: adds up to 1
         values.append((picture[lit[:, 0], lit[:, 1]] * psf).sum() * PITCH_UM**2)
     return np.array(values)
 
@@ -203,26 +271,49 @@ def random_dots() -> Array:
 
 
 def contrast_chart() -> Array:
-    """Frequencies that rise to the right, contrast that rises downwards, as in the packaged csf chart, about its mean."""
+    """Frequencies that rise to the right, contrast that rises downwards, as in the packaged csf
+    chart, about its mean.
+    """
     x, y = np.arange(FILM) / FILM, np.arange(FILM)[:, None] / FILM
     return 0.01 ** (1 - y) * np.sin(2 * np.pi * 4 * (16**x - 1) / np.log(16))
 
 
-def psfs_of(light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> RadialPsfs:
-    return radial_psfs(light, pitch_um, cells, spacing * pitch_um / 2, tiles_reach_um(shape, pitch_um, spacing, cells))
+def psfs_of(
+    light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
+) -> RadialPsfs:
+    return radial_psfs(
+        light,
+        pitch_um,
+        cells,
+        spacing * pitch_um / 2,
+        tiles_reach_um(shape, pitch_um, spacing, cells),
+    )
 
 
-def blur_of(light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
-    return field_blur(psfs_of(light, shape, pitch_um, spacing, cells), shape, pitch_um, spacing, cells)
+def blur_of(
+    light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
+) -> FieldBlur:
+    return field_blur(
+        psfs_of(light, shape, pitch_um, spacing, cells), shape, pitch_um, spacing, cells
+    )
 
 
 def bound_of(light: ChannelWavefronts, spacing: int) -> float:
-    """The bound of tiles for random dots all over the picture, from places on the way to its corner."""
+    """The bound of tiles for random dots all over the picture, from places on the way to its
+    corner.
+    """
     psfs = psfs_of(light, (FILM, FILM), PITCH_UM, spacing, CELLS)
     places = [(part * FILM / 2 * PITCH_UM,) * 2 for part in (0.25, 0.5, 0.7, 0.8)]
     window = max(even_window(light, *place, PITCH_UM, CELLS) for place in places)
-    exact = np.array([np.fft.rfft2(periodic_psf(light, *place, PITCH_UM, window)) for place in places])
-    tiles = np.array([transform_of(amid_tiles(psfs, *place, PITCH_UM, spacing, CELLS), PITCH_UM, window) for place in places])
+    exact = np.array(
+        [np.fft.rfft2(periodic_psf(light, *place, PITCH_UM, window)) for place in places]
+    )
+    tiles = np.array(
+        [
+            transform_of(amid_tiles(psfs, *place, PITCH_UM, spacing, CELLS), PITCH_UM, window)
+            for place in places
+        ]
+    )
     return picture_error(tiles, exact, PITCH_UM, PITCH_UM, share=[0.2, 0.3, 0.3, 0.2])
 
 
@@ -235,7 +326,9 @@ def bounds(uneven_light: ChannelWavefronts) -> list[float]:
 
 
 # Each point of the chart is a sum over a thousand lit cells, of the dots over four.
-@pytest.mark.parametrize(("picture", "count"), [(random_dots(), 64), (contrast_chart(), 16)], ids=["random dots", "csf"])
+@pytest.mark.parametrize(
+    ("picture", "count"), [(random_dots(), 64), (contrast_chart(), 16)], ids=["random dots", "csf"]
+)
 def test_tiles_agree_with_superposition_within_their_bound(
     picture: Array, count: int, uneven_light: ChannelWavefronts, bounds: list[float]
 ) -> None:
@@ -244,8 +337,12 @@ def test_tiles_agree_with_superposition_within_their_bound(
     for spacing, bound in zip(SPACINGS, bounds, strict=True):
         blur = blur_of(uneven_light, picture.shape, PITCH_UM, spacing, CELLS)
         reach = CELLS // 2
-        found = blur.superposed(np.pad(picture, reach))[0][2 * reach : -2 * reach, 2 * reach : -2 * reach]
-        errors.append(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / found[30:-30, 30:-30].std())
+        found = blur.superposed(np.pad(picture, reach))[0][
+            2 * reach : -2 * reach, 2 * reach : -2 * reach
+        ]
+        errors.append(
+            np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / found[30:-30, 30:-30].std()
+        )
         assert errors[-1] < bound
 
 
@@ -254,17 +351,25 @@ COARSE_UM = 4.0  # cells that do not resolve what the lens of f/4 passes
 
 @pytest.fixture(scope="module")
 def sharp_light() -> ChannelWavefronts:
-    return ChannelWavefronts([fitted(4.0, np.linspace(0, 0.6, 17), DISTANCE_MM, uneven)], np.ones(1))
+    return ChannelWavefronts(
+        [fitted(4.0, np.linspace(0, 0.6, 17), DISTANCE_MM, uneven)], np.ones(1)
+    )
 
 
-def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_the_lens(sharp_light: ChannelWavefronts) -> None:
-    """All light counts, also that beyond the PSFs; superposition takes whole PSFs from their own pupils.
+def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_the_lens(
+    sharp_light: ChannelWavefronts,
+) -> None:
+    """All light counts, also that beyond the PSFs; superposition takes whole PSFs from their own
+    pupils.
 
-    The part of the tiles falls with the fourth power of their number, as cubic windows have it; what a PSF lacks stays.
+    The part of the tiles falls with the fourth power of their number, as cubic windows have it;
+    what a PSF lacks stays.
     """
     side, cells, near = 128, 33, 32
     dots = random_dots()[:side, :side]
-    points = np.random.default_rng(5).integers(near, side - near, (4, 2))  # they tell their RMS, half of the gate, to 35 %
+    points = np.random.default_rng(5).integers(
+        near, side - near, (4, 2)
+    )  # they tell their RMS, half of the gate, to 35 %
 
     def psf_of(source: Array) -> Array:
         y_um, x_um = (source - (side - 1) / 2) * COARSE_UM
@@ -272,58 +377,101 @@ def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_
 
     exact = []
     for point in points:
-        lit = np.argwhere(dots[point[0] - near : point[0] + near + 1, point[1] - near : point[1] + near + 1]) + point - near
+        lit = (
+            np.argwhere(
+                dots[point[0] - near : point[0] + near + 1, point[1] - near : point[1] + near + 1]
+            )
+            + point
+            - near
+        )
         here = np.roll(psf_of(point), (near, near), (0, 1))[: 2 * near + 1, : 2 * near + 1].sum()
-        exact.append(sum(float(psf_of(source)[tuple(point - source)]) for source in lit) + dots.mean() * (1 - here))
+        exact.append(
+            sum(float(psf_of(source)[tuple(point - source)]) for source in lit)
+            + dots.mean() * (1 - here)
+        )
     pictures = {}
     for spacing in (32, 16, 8, 4):
         blur = blur_of(sharp_light, dots.shape, COARSE_UM, spacing, cells)
         pictures[spacing] = blur.blurred(dots) * blur.even
     contrast = pictures[4].std()
-    parts = [float(np.sqrt(np.mean((pictures[spacing] - pictures[4]) ** 2)) / contrast) for spacing in (32, 16, 8)]
-    totals = [float(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / contrast) for found in pictures.values()]
+    parts = [
+        float(np.sqrt(np.mean((pictures[spacing] - pictures[4]) ** 2)) / contrast)
+        for spacing in (32, 16, 8)
+    ]
+    totals = [
+        float(np.sqrt(np.mean((found[tuple(points.T)] - exact) ** 2)) / contrast)
+        for found in pictures.values()
+    ]
     assert math.log2(parts[0] / parts[1]) > 1.8, parts
     assert math.log2(parts[1] / parts[2]) > 1.8, parts
     assert max(totals[1:]) < 0.001, totals
 
 
 def test_a_psf_is_seen_through_a_low_pass_that_ends_softly() -> None:
-    """The raised cosine's response in closed form, convolved with a PSF whose samples resolve it."""
-    light = ChannelWavefronts([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven, shift_um=9.0)], np.ones(1))
+    """The raised cosine's response in closed form, convolved with a PSF whose samples resolve
+    it.
+    """
+    light = ChannelWavefronts(
+        [fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven, shift_um=9.0)], np.ones(1)
+    )
     finer, window, place = 8, 96, (250.0, 120.0)
     fine = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM / finer, window * finer))
     found = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM, window))
-    away = (np.arange(window)[:, None] - window // 2) - (np.arange(window * finer) - window * finer // 2) / finer  # in cells
+    away = (np.arange(window)[:, None] - window // 2) - (
+        np.arange(window * finer) - window * finer // 2
+    ) / finer  # in cells
     with np.errstate(divide="ignore", invalid="ignore"):
         through = np.sinc(away) * np.cos(np.pi * BAND_END * away) / (1 - (2 * BAND_END * away) ** 2)
     through[np.isclose(np.abs(away), 1 / (2 * BAND_END))] = np.pi / 4 * np.sinc(1 / (2 * BAND_END))
     wanted = through @ fine @ through.T
     middle = slice(window // 4, -window // 4)
     norm = np.sqrt(np.sum(wanted**2))
-    assert np.sqrt(np.sum((found - wanted)[middle, middle] ** 2)) < 3e-4 * norm  # what repeats from beyond the window
+    assert (
+        np.sqrt(np.sum((found - wanted)[middle, middle] ** 2)) < 3e-4 * norm
+    )  # what repeats from beyond the window
     outside = wanted.copy()
     outside[window // 2 - 16 : window // 2 + 17, window // 2 - 16 : window // 2 + 17] = 0
     assert np.sqrt(np.sum(outside**2)) < 4e-3 * norm  # a band that breaks off leaves 7 % there
 
 
-def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light: ChannelWavefronts) -> None:
-    """Between the distances that are computed, at any azimuth, and at the end of what is known; beyond it there is none."""
+def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(
+    sharp_light: ChannelWavefronts,
+) -> None:
+    """Between the distances that are computed, at any azimuth, and at the end of what is known;
+    beyond it there is none.
+    """
     step_um, cells = 16.0, 33
     psfs = radial_psfs(sharp_light, COARSE_UM, cells, step_um, 200.0)
-    for height_um, azimuth in ((0.0, 0.0), (3.0, 0.4), (100.0, 0.8), (200.0, 2.1), (psfs.reach_um, -2.5)):
+    for height_um, azimuth in (
+        (0.0, 0.0),
+        (3.0, 0.4),
+        (100.0, 0.8),
+        (200.0, 2.1),
+        (psfs.reach_um, -2.5),
+    ):
         place = height_um * math.cos(azimuth), height_um * math.sin(azimuth)
-        whole = np.roll(periodic_psf(sharp_light, *place, COARSE_UM, 240), (cells // 2, cells // 2), (0, 1))
+        whole = np.roll(
+            periodic_psf(sharp_light, *place, COARSE_UM, 240), (cells // 2, cells // 2), (0, 1)
+        )
         error = psfs.at([place], COARSE_UM, cells)[0].kernel - whole[:cells, :cells]
         assert np.sqrt(np.sum(error**2)) < 5e-4 * np.sqrt(np.sum(whole**2)), (height_um, azimuth)
     assert 200.0 <= psfs.reach_um < 200.0 + 2 * step_um
-    with pytest.raises(PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"):
+    with pytest.raises(
+        PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"
+    ):
         psfs.at([(300.0, 0.0)], COARSE_UM, cells)
-    with pytest.raises(PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"):
+    with pytest.raises(
+        PixsimError, match=r"film cell of a PSF: got 3\.9 µm; allowed: at least 4 µm"
+    ):
         psfs.at([(0.0, 0.0)], 3.9, cells)
 
 
-def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: ChannelWavefronts) -> None:
-    """A film ten times finer than the lens has the PSFs of the coarsest film that shows all of it."""
+def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(
+    sharp_light: ChannelWavefronts,
+) -> None:
+    """A film ten times finer than the lens has the PSFs of the coarsest film that shows all of
+    it.
+    """
     resolving = resolving_um(sharp_light)
     known = radial_psfs(sharp_light, resolving / 10, 301, 50.0, 400.0)
     assert known.pitch_um == 0.0
@@ -331,14 +479,20 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
         kernel = known.at([(210.0, 90.0)], pitch_um, cells)[0].kernel
         right = point_spread(sharp_light, 210.0, 90.0, pitch_um, cells).kernel
         assert np.abs(kernel - right).max() < 2e-3 * right.max()  # of the interpolation, as above
-        assert kernel.sum() == pytest.approx(right.sum(), abs=0.01)  # what lies beyond the windows folds back
+        assert kernel.sum() == pytest.approx(
+            right.sum(), abs=0.01
+        )  # what lies beyond the windows folds back
 
 
-def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: ChannelWavefronts) -> None:
+def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(
+    sharp_light: ChannelWavefronts,
+) -> None:
     known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
     window = np.fft.irfft2(known.transform([(200.0, 100.0)], 1.0, (150, 121))[0], (150, 121))
     kernel = known.at([(200.0, 100.0)], 1.0, 33)[0].kernel
-    np.testing.assert_allclose(np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max())
+    np.testing.assert_allclose(
+        np.roll(window, (16, 16), axis=(0, 1))[:33, :33], kernel, atol=1e-3 * kernel.max()
+    )
     point = np.zeros((150, 121))
     point[40, 50] = 1.0
     (spread,) = known.blurred([(point, 1.0)], 200.0, 100.0)
@@ -358,29 +512,46 @@ def test_least_squares_are_those_of_lapack() -> None:
     right = np.linalg.lstsq(terms.T, values, rcond=None)[0]
     np.testing.assert_allclose(left, values - right @ terms, atol=1e-10)
     np.testing.assert_allclose(coefficients @ terms, right @ terms, atol=1e-9)
-    twice, _ = least_squares(np.array([terms[1], terms[1]]), terms[1])  # one of two equal terms is enough
+    twice, _ = least_squares(
+        np.array([terms[1], terms[1]]), terms[1]
+    )  # one of two equal terms is enough
     assert twice.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("cells", "spacing", "psf_cells"), [(128, 5, 9), (96, 8, 17), (9, 8, 3), (40, 4, 33), (1024, 43, 65)])
-def test_psfs_reach_as_far_as_tiles_and_points_amid_them(cells: int, spacing: int, psf_cells: int) -> None:
+@pytest.mark.parametrize(
+    ("cells", "spacing", "psf_cells"),
+    [(128, 5, 9), (96, 8, 17), (9, 8, 3), (40, 4, 33), (1024, 43, 65)],
+)
+def test_psfs_reach_as_far_as_tiles_and_points_amid_them(
+    cells: int, spacing: int, psf_cells: int
+) -> None:
     reach_um = tiles_reach_um((cells, cells), 1.0, spacing, psf_cells)
-    tiles = [math.hypot(*place) * spacing for place in tiles_alike((cells + psf_cells - 1,) * 2, spacing)]
-    corner = (cells / 2 + 1.5 * spacing) * math.sqrt(2)  # the farthest tile around a corner that is amid tiles
+    tiles = [
+        math.hypot(*place) * spacing for place in tiles_alike((cells + psf_cells - 1,) * 2, spacing)
+    ]
+    corner = (cells / 2 + 1.5 * spacing) * math.sqrt(
+        2
+    )  # the farthest tile around a corner that is amid tiles
     assert max(*tiles, corner) <= reach_um
 
 
 def test_mirrors_do_not_change_the_blur(uneven_light: ChannelWavefronts) -> None:
-    """A picture mirrored or transposed is blurred as the mirrored blur: tiles of one octant serve all of them."""
+    """A picture mirrored or transposed is blurred as the mirrored blur: tiles of one octant serve
+    all of them.
+    """
     picture = random_dots()[:97, :97]
     blur = blur_of(uneven_light, picture.shape, PITCH_UM, 16, 17)
     one = blur.blurred(picture)
     for turned in (np.flipud, np.fliplr, np.transpose):
-        np.testing.assert_allclose(turned(blur.blurred(turned(picture))), one, atol=2e-6)  # in single precision
+        np.testing.assert_allclose(
+            turned(blur.blurred(turned(picture))), one, atol=2e-6
+        )  # in single precision
 
 
 @pytest.mark.parametrize("shape", [(96, 96), (97, 97), (96, 65), (65, 128), (96, 128), (65, 97)])
-def test_light_is_preserved_before_it_leaves_the_picture(shape: tuple[int, int], uneven_light: ChannelWavefronts) -> None:
+def test_light_is_preserved_before_it_leaves_the_picture(
+    shape: tuple[int, int], uneven_light: ChannelWavefronts
+) -> None:
     picture = np.random.default_rng(1).random(shape)
     blur = blur_of(uneven_light, shape, PITCH_UM, 16, 17)
     reach = blur.cells // 2
@@ -397,13 +568,20 @@ COMA = 4.0
 @pytest.fixture(scope="module")
 def coma_blur() -> FieldBlur:
     light = ChannelWavefronts(
-        [fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, lambda u, v, t: COMA * t * v * (u**2 + v**2))], np.ones(1)
+        [
+            fitted(
+                F_NUMBER, np.linspace(0, 0.4, 9), 1.0, lambda u, v, t: COMA * t * v * (u**2 + v**2)
+            )
+        ],
+        np.ones(1),
     )
     return blur_of(light, (161, 161), PITCH_UM, 20, 65)
 
 
 @pytest.mark.parametrize(("x", "y"), QUADRANTS)
-def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(x: int, y: int, coma_blur: FieldBlur) -> None:
+def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(
+    x: int, y: int, coma_blur: FieldBlur
+) -> None:
     """Coma W = c t v (u² + v²) sends light outwards by the mean of λ ∂W/∂(cosine), c t λ/NA."""
     distance_mm, offset = 1.0, 40
     picture = np.zeros((161, 161))
@@ -412,7 +590,10 @@ def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(x
     blurred = coma_blur.superposed(np.pad(picture, 32))[0][64:-64, 64:-64]
     rows, columns = np.arange(161)[:, None], np.arange(161)
     found = np.array(
-        [(blurred * axis).sum() / blurred.sum() - start for axis, start in zip((columns, rows), place[::-1], strict=True)]
+        [
+            (blurred * axis).sum() / blurred.sum() - start
+            for axis, start in zip((columns, rows), place[::-1], strict=True)
+        ]
     )
     tangent = math.hypot(x, y) * offset * PITCH_UM * 1e-3 / distance_mm
     expected_um = COMA * tangent * NM * 1e-3 * 2 * F_NUMBER
@@ -422,23 +603,31 @@ def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(x
 
 
 def test_lateral_colour_moves_the_psf() -> None:
-    light = ChannelWavefronts([fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, perfect, shift_um=30.0)], np.ones(1))
+    light = ChannelWavefronts(
+        [fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, perfect, shift_um=30.0)], np.ones(1)
+    )
     kernel = point_spread(light, 0.0, 300.0, PITCH_UM, 65).kernel
     rows = np.arange(65) - 32
-    assert (kernel * rows[:, None]).sum() / kernel.sum() * PITCH_UM == pytest.approx(30.0 * 0.3, rel=0.01)
+    assert (kernel * rows[:, None]).sum() / kernel.sum() * PITCH_UM == pytest.approx(
+        30.0 * 0.3, rel=0.01
+    )
     assert (kernel * rows).sum() == pytest.approx(0, abs=1e-6)
 
 
 def test_psfs_act_on_means_over_cells_and_give_such_means() -> None:
-    """Cells four times finer, blurred and averaged, against averages that are blurred: equal for all detail that the film holds.
+    """Cells four times finer, blurred and averaged, against averages that are blurred: equal for
+    all detail that the film holds.
 
-    PSFs that are means over cells themselves would blur such means once more, by sinc² of the frequency times the cell.
+    PSFs that are means over cells themselves would blur such means once more, by sinc² of the
+    frequency times the cell.
     """
     light = ChannelWavefronts([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven)], np.ones(1))
     cells, finer = 120, 4
     generator = np.random.default_rng(9)
     spectrum = np.fft.rfft2(generator.standard_normal((cells * finer,) * 2))
-    frequency = np.hypot(np.fft.fftfreq(cells * finer)[:, None], np.fft.rfftfreq(cells * finer)) * finer
+    frequency = (
+        np.hypot(np.fft.fftfreq(cells * finer)[:, None], np.fft.rfftfreq(cells * finer)) * finer
+    )
     picture = np.fft.irfft2(spectrum * (frequency < 0.45))  # of 0.5, the film's Nyquist frequency
 
     def averaged(fine: Array) -> Array:
@@ -451,8 +640,14 @@ def test_psfs_act_on_means_over_cells_and_give_such_means() -> None:
     right = averaged(blurred(picture, fine_psf))
     found = blurred(averaged(picture), periodic_psf(light, 200.0, 100.0, PITCH_UM, cells))
     assert np.sqrt(np.mean((found - right) ** 2)) < 1e-4 * right.std()
-    half = finer // 2  # a cell's middle lies between fine cells: the mean of both ways to divide them
-    of_cells = [averaged(np.roll(fine_psf, (row, column), (0, 1))) for row in (half, half - 1) for column in (half, half - 1)]
+    half = (
+        finer // 2
+    )  # a cell's middle lies between fine cells: the mean of both ways to divide them
+    of_cells = [
+        averaged(np.roll(fine_psf, (row, column), (0, 1)))
+        for row in (half, half - 1)
+        for column in (half, half - 1)
+    ]
     twice = blurred(averaged(picture), finer**2 * np.mean(of_cells, axis=0))
     assert np.sqrt(np.mean((twice - right) ** 2)) > 0.05 * right.std()
 

@@ -1,4 +1,6 @@
-"""Light that two surfaces reflect: shares against the sum of all reflections, and foci against closed forms."""
+"""Light that two surfaces reflect: shares against the sum of all reflections, and foci against
+closed forms.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,27 @@ GLASS = constant_glass("glass", INDEX)
 
 
 def through(reflectance: np.ndarray) -> float:
-    """Share of the light that a stack of surfaces lets through by all its reflections, one more surface at a time."""
+    """Share of the light that a stack of surfaces lets through by all its reflections, one more
+    surface at a time.
+    """
     transmitted = reflected_behind = 0.0
     for number, r in enumerate(reflectance.tolist()):
         if not number:
             transmitted, reflected_behind = 1 - r, r
             continue
         rounds = 1 / (1 - reflected_behind * r)
-        transmitted, reflected_behind = (transmitted * (1 - r) * rounds, r + (1 - r) ** 2 * reflected_behind * rounds)
+        transmitted, reflected_behind = (
+            transmitted * (1 - r) * rounds,
+            r + (1 - r) ** 2 * reflected_behind * rounds,
+        )
     return transmitted
 
 
 @pytest.mark.parametrize("coated", [None, 0.002])
 def test_shares_add_up_to_the_light_of_all_reflections(coated: float | None) -> None:
-    """But for light that is reflected four times or more, by the fourth power of the reflectance."""
+    """But for light that is reflected four times or more, by the fourth power of the
+    reflectance.
+    """
     indices = [1.0, INDEX, 1.5, 1.0, INDEX, 1.0]
     r = reflectances(indices, coated)
     assert r[1] == pytest.approx((0.2 / 3.2) ** 2, rel=1e-12)  # a cemented surface has no coating
@@ -64,7 +73,9 @@ def test_light_crosses_a_plate_three_times() -> None:
 
 
 def test_ghosts_of_a_lens_are_in_the_image_of_its_object() -> None:
-    """The packaged singlet: the light that crosses it straight makes a point, and its ghost is that of the unfolded trace."""
+    """The packaged singlet: the light that crosses it straight makes a point, and its ghost is that
+    of the unfolded trace.
+    """
     lens = pixsim.load_lens("singlet").refocused("paraxial", 400.0)
     (ghost,) = lens.ghosts(lens.primary_nm)
     entrance_mm = lens.first_order(lens.primary_nm).entrance_pupil_from_first_vertex_mm
@@ -73,9 +84,15 @@ def test_ghosts_of_a_lens_are_in_the_image_of_its_object() -> None:
     surfaces = lens.prescription.surfaces
     indices = [1.0, float(surfaces[0].glass.index(np.array([lens.primary_nm]))[0]), 1.0]
     direct = paraxial(surfaces, indices, np.array([height]), np.array([slope]))
-    assert float((direct[0] + surfaces[-1].thickness_mm * direct[1])[0]) == pytest.approx(0, abs=1e-9)
+    assert float((direct[0] + surfaces[-1].thickness_mm * direct[1])[0]) == pytest.approx(
+        0, abs=1e-9
+    )
     path, around = unfolded(surfaces, indices, 0, 1)
-    assert [one.thickness_mm for one in path[:3]] == [surfaces[0].thickness_mm, -surfaces[0].thickness_mm, surfaces[0].thickness_mm]
+    assert [one.thickness_mm for one in path[:3]] == [
+        surfaces[0].thickness_mm,
+        -surfaces[0].thickness_mm,
+        surfaces[0].thickness_mm,
+    ]
     assert around == [1.0, indices[1], -indices[1], indices[1], 1.0]
     assert ghost.blur_mm > 1
     assert ghost.surfaces == (1, 2)

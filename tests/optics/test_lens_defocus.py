@@ -12,5 +12,7 @@ def test_depths_and_discs_are_inverse_and_the_disc_is_the_thin_lens_s(signed_um:
     depth_m = depth_of_disc_m(camera, signed_um)
     assert signed_disc_um(camera, depth_m) == pytest.approx(signed_um, abs=1e-9)
     image_mm = 1e3 * depth_m * 25.0 / (1e3 * depth_m - 25.0)
-    gap = (camera.image_distance_mm - image_mm) / image_mm  # of the marginal rays, over their distance from the axis
+    gap = (
+        camera.image_distance_mm - image_mm
+    ) / image_mm  # of the marginal rays, over their distance from the axis
     assert 1e3 * 25.0 / 2.0 * gap == pytest.approx(signed_um, rel=1e-9, abs=1e-9)

@@ -20,7 +20,9 @@ def test_pupil_has_its_area_centre_and_rays():
     disc = disc_pupil(0.3, [0.0, 25.0], 40.0)
     pupil = Pupil(disc.centre, 0.75 * disc.radial, 0.9 * disc.tangential)
     np.testing.assert_allclose(pupil.area, math.pi * 0.09 * 0.75 * 0.9, rtol=1e-15)
-    centre = math.sin(math.radians(25)) * np.array([math.cos(math.radians(40)), math.sin(math.radians(40))])
+    centre = math.sin(math.radians(25)) * np.array(
+        [math.cos(math.radians(40)), math.sin(math.radians(40))]
+    )
     np.testing.assert_allclose(pupil.chief_cosines, [[0, 0], centre], rtol=1e-14, atol=1e-17)
     rays = pupil.directions(3, 8)
     np.testing.assert_allclose(rays.shares.sum(axis=-1), 1, rtol=1e-14)
@@ -36,5 +38,7 @@ def test_pupil_has_its_area_centre_and_rays():
 def test_pupils_up_to_the_horizon_only(chief_deg):
     most = 1 - math.sin(math.radians(abs(chief_deg)))
     disc_pupil(most * (1 - 1e-6), chief_deg, 10.0)
-    with pytest.raises(PixsimError, match=r"pupil: got direction cosines up to 1 .*below 1, the horizon"):
+    with pytest.raises(
+        PixsimError, match=r"pupil: got direction cosines up to 1 .*below 1, the horizon"
+    ):
         disc_pupil(min(most * (1 + 3e-6), 1.0), chief_deg, 10.0)

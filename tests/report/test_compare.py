@@ -23,7 +23,10 @@ from pixsim.studies.design import Case
 from pixsim.studies.paired import Pairs
 from pixsim.viewer.setting import Run
 
-SMALL = "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
+SMALL = (
+    "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant"
+    " scalar_spectral"
+)
 
 
 def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
@@ -34,7 +37,9 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
     assert "64 × 48 pixels of 15 µm behind 2.89" in out
     assert "film of 48 × 36 samples for all" in out
     code, out, _ = command(f"compare {SMALL} --dry-run --json --match lens", *files)
-    cameras = [sensor["camera"]["focal_length_mm"] for sensor in json.loads(out)["sensors"].values()]
+    cameras = [
+        sensor["camera"]["focal_length_mm"] for sensor in json.loads(out)["sensors"].values()
+    ]
     assert cameras == [3.86, 3.86]
 
 
@@ -48,7 +53,10 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
         ("compare {0} {1} -D colour=1", ["colour"]),
         ("compare {0} {1} --pixel.full-well-e -5", ["full_well_e", "-5"]),
         ("compare {0} {1} --study cheng2000", ["'cheng2000'", "chen2000"]),
-        ("compare {0} {1} --study chen2000-sensitivity", ["dark current", "set.process", "from their own files"]),
+        (
+            "compare {0} {1} --study chen2000-sensitivity",
+            ["dark current", "set.process", "from their own files"],
+        ),
     ],
 )
 def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Path) -> None:
@@ -59,18 +67,25 @@ def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Pat
 
 
 def test_compare_says_each_note_once(tmp_path: Path) -> None:
-    """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the terminal.
+    """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the
+    terminal.
 
     A note on the numbers of one sheet names its sensor too.
     """
     files = two_sheets(tmp_path)
-    files[0].write_text(files[0].read_text(encoding="utf-8").replace("prnu = 0.0", "prnu = 0.06"), encoding="utf-8")
-    code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
+    files[0].write_text(
+        files[0].read_text(encoding="utf-8").replace("prnu = 0.0", "prnu = 0.06"), encoding="utf-8"
+    )
+    code, out, err = command(
+        f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files
+    )
     assert code == 0
     notes = [line.removeprefix("note: ") for line in out.splitlines() if line.startswith("note: ")]
     assert [note.split()[0] for note in notes] == ["quiet:", "noisy_one:"]
     assert all("clips dark noise" in note for note in notes)
-    (warned,) = re.findall(r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)$", err, re.MULTILINE)
+    (warned,) = re.findall(
+        r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)$", err, re.MULTILINE
+    )
     assert err.count("warning: ") == 1
     assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [
         {"id": "unit_slip", "text": warned},
@@ -80,7 +95,8 @@ def test_compare_says_each_note_once(tmp_path: Path) -> None:
     assert [page.count(f"Note: {note}.") for note in (warned, *notes)] == [1] * 3
 
 
-# --- the words of an answer ---------------------------------------------------------------------------------------------
+# --- the words of an answer
+# ---------------------------------------------------------------------------------------------
 
 CERTAIN = " (probability > .75)"  # two pairs
 
@@ -99,7 +115,9 @@ CERTAIN = " (probability > .75)"  # two pairs
         ([1.0, 1.1], [1.0, 1.1], 0.01, "a and b have the same mean ΔE in every pair of frames"),
     ],
 )  # fmt: skip
-def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float], film: float | None, words: str) -> None:
+def test_verdict_is_as_sure_as_its_numbers(
+    first: list[float], other: list[float], film: float | None, words: str
+) -> None:
     pairs = Pairs(("a", "b"), np.array(first, float), np.array(other, float))
     assert pair_sentence(pairs, film) == words
 
@@ -117,30 +135,45 @@ def on_displays(*differences: float) -> tuple[DisplayDifference, ...]:
     [
         ((0.2, 0.6, 0.2), []),
         ((0.2, 0.005, 0.2), []),
-        ((0.2, -0.2, 0.2), ["depends on the display: a is better on 600 dots, b on 300 dots, a on 1200 dots"]),
+        (
+            (0.2, -0.2, 0.2),
+            ["depends on the display: a is better on 600 dots, b on 300 dots, a on 1200 dots"],
+        ),
         ((0.005, -0.2, 0.2), ["depends on the display: b is better on 300 dots, a on 1200 dots"]),
     ],
 )
 def test_verdict_depends_on_the_display_where_the_sign_differs(
     differences: tuple[float, ...], words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Comparison, "display_differences", lambda self, other, match=None: on_displays(*differences))
-    monkeypatch.setattr(Comparison, "groups", lambda self, match=None: [SimpleNamespace(first=SimpleNamespace(condition=""))])
+    monkeypatch.setattr(
+        Comparison, "display_differences", lambda self, other, match=None: on_displays(*differences)
+    )
+    monkeypatch.setattr(
+        Comparison,
+        "groups",
+        lambda self, match=None: [SimpleNamespace(first=SimpleNamespace(condition=""))],
+    )
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None: 1)
     job = SimpleNamespace(names=("a", "b"), matches=("view",))
     assert depends(Comparison(job, None, ()), "b") == words  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("metrics", [["detectability"], ["detectability", "delta_e"]])
-def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(metrics: list[str], tmp_path: Path) -> None:
+def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(
+    metrics: list[str], tmp_path: Path
+) -> None:
     """In the terminal, the page, the figure and its table."""
     asked = " ".join(f"--metric {name}" for name in metrics)
     small = "--scene target --display.dots 32 --resolution 64 --repeats 3 --jobs 1 --match view"
-    code, out, err = command(f"compare {asked} {small} --out {tmp_path / 'out'}", *two_sheets(tmp_path))
+    code, out, err = command(
+        f"compare {asked} {small} --out {tmp_path / 'out'}", *two_sheets(tmp_path)
+    )
     assert code == 0, err
     head, *others = out.splitlines()
     assert re.match(
-        r"quiet is better than noisy_one by [\d.]+ ± [\d.]+ in detectability d′ \(probability > .875\) with match view", head
+        r"quiet is better than noisy_one by [\d.]+ ± [\d.]+ in detectability d′ \(probability >"
+        r" .875\) with match view",
+        head,
     )
     is_asked = "delta_e" in metrics
     assert any(re.match(r"  .* by [\d.]+ ± [\d.]+ ΔE", line) for line in others) == is_asked
@@ -149,34 +182,56 @@ def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(metrics:
     assert ("differences of mean ΔE" in page) == is_asked
 
     found = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
-    assert found["verdicts"]["noisy_one"].partition(" with match")[0] == head.partition(" with match")[0]
+    assert (
+        found["verdicts"]["noisy_one"].partition(" with match")[0]
+        == head.partition(" with match")[0]
+    )
     rows = (tmp_path / "out/figures/scores.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "case,sensor,repeat,detectability"
-    means = [np.mean([float(row.split(",")[3]) for row in rows[1:] if row.split(",")[1] == name]) for name in found["names"]]
-    assert means == pytest.approx([found["metrics"]["detectability"]["scores"][name][1] for name in found["names"]])
+    means = [
+        np.mean([float(row.split(",")[3]) for row in rows[1:] if row.split(",")[1] == name])
+        for name in found["names"]
+    ]
+    assert means == pytest.approx(
+        [found["metrics"]["detectability"]["scores"][name][1] for name in found["names"]]
+    )
 
 
 @pytest.mark.parametrize(
     ("signs", "words"),
     [
-        ([1, -1, 0], "a is better than b at light 100, b is better than a at light 0.05, neither is surely better at light 1"),
+        (
+            [1, -1, 0],
+            (
+                "a is better than b at light 100, b is better than a at light 0.05, neither is"
+                " surely better at light 1"
+            ),
+        ),
         ([1, 1, 1], "a is better than b in all 3 cases"),
         ([0, 0, 0], "neither is surely better in all 3 cases"),
     ],
 )
-def test_headline_over_axes_says_where_which_is_better(signs: list[int], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_headline_over_axes_says_where_which_is_better(
+    signs: list[int], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cases = [Case(settings=Run(), at={"light": light}) for light in (100, 0.05, 1)]
     job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases, base=(Run(),))
     monkeypatch.setattr("pixsim.report.verdicts.depends", lambda result, other: [])
-    monkeypatch.setattr(Comparison, "sign", lambda self, other, metric=None: signs[self.combination])
+    monkeypatch.setattr(
+        Comparison, "sign", lambda self, other, metric=None: signs[self.combination]
+    )
     assert over_cases(Comparison(job, None, ()), "b") == f"{words} with match lens"  # type: ignore[arg-type]
 
 
-def test_each_value_of_an_axis_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_value_of_an_axis_is_a_comparison_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Bit for bit; compare.json has all cases, and the page says them."""
     monkeypatch.chdir(tmp_path)
     files = two_sheets(tmp_path)
-    axis = '{ name = "light", set = "scene.parameters.luminance_cd_per_m2", values = [0.05, 100.0] }'
+    axis = (
+        '{ name = "light", set = "scene.parameters.luminance_cd_per_m2", values = [0.05, 100.0] }'
+    )
     Path("lights.toml").write_text(f'name = "lights"\naxis = [{axis}]\n', encoding="utf-8")
     small = "--display.dots 32 --resolution 48 --repeats 3 --jobs 1 --match view"
     code, out, err = command(f"compare --study lights.toml --out out {small}", *files)
@@ -185,14 +240,26 @@ def test_each_value_of_an_axis_is_a_comparison_of_its_own(tmp_path: Path, monkey
     other = found["names"][1]
     assert out.splitlines()[0] == found["verdicts"][other]
     for light, case in zip((0.05, 100.0), found["cases"], strict=True):
-        options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}
+        options = {
+            "display": {"dots": 32},
+            "resolution": 48,
+            "repeats": 3,
+            "jobs": 1,
+            "match": "view",
+        }
         alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **options)
         assert case["at"] == {"light": light}
-        assert {name: case[name] for name in numbers(alone)} == json.loads(json.dumps(numbers(alone)))
+        assert {name: case[name] for name in numbers(alone)} == json.loads(
+            json.dumps(numbers(alone))
+        )
         assert f"light {light:g}" in text_of(tmp_path / "out")
     again = Path("out/results.csv").read_bytes()
     monkeypatch.chdir("out")
-    (line,) = [line for line in Path("settings.toml").read_text(encoding="utf-8").splitlines() if "pixsim compare" in line]
+    (line,) = [
+        line
+        for line in Path("settings.toml").read_text(encoding="utf-8").splitlines()
+        if "pixsim compare" in line
+    ]
     code, _, err = command(f"{line.partition('pixsim ')[2]} --jobs 1 --out ../again")
     assert code == 0, err
     assert Path("../again/results.csv").read_bytes() == again
@@ -210,8 +277,12 @@ def test_number_has_no_more_digits_than_its_error_allows() -> None:
 
 @pytest.mark.parametrize("match", ["view", "lens", "own"])
 def test_terminal_page_and_json_say_the_match(match: str, tmp_path: Path) -> None:
-    """The verdict on the same two sensors may turn with it, so the first line has it in all places."""
-    code, out, err = command(f"compare {SMALL} --match {match} --out {tmp_path / 'out'}", *two_sheets(tmp_path))
+    """The verdict on the same two sensors may turn with it, so the first line has it in all
+    places.
+    """
+    code, out, err = command(
+        f"compare {SMALL} --match {match} --out {tmp_path / 'out'}", *two_sheets(tmp_path)
+    )
     assert code == 0, err
     words = f"with match {match}"
     verdicts = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["verdicts"]

@@ -42,8 +42,15 @@ def test_texts_of_figures_lie_inside_and_apart(name: str, scale: float) -> None:
         for axes in plate.figure.axes:
             view = axes.get_window_extent().padded(1)
             for axis, side in ((axes.xaxis, "intervalx"), (axes.yaxis, "intervaly")):
-                boxes = [label.get_window_extent() for label in axis.get_ticklabels() if label.get_text() and label.get_visible()]
-                (low, high), middles = getattr(view, side), [np.mean(getattr(box, side)) for box in boxes]
+                boxes = [
+                    label.get_window_extent()
+                    for label in axis.get_ticklabels()
+                    if label.get_text() and label.get_visible()
+                ]
+                (low, high), middles = (
+                    getattr(view, side),
+                    [np.mean(getattr(box, side)) for box in boxes],
+                )
                 labels += [
                     box for box, middle in zip(boxes, middles, strict=True) if low <= middle <= high
                 ]  # the others are not drawn
@@ -65,12 +72,17 @@ def test_csv_has_a_row_for_each_field() -> None:
     rows = list(csv.DictReader(io.StringIO(data.to_csv())))
     fields = data.as_dict()["fields"]
     assert [float(row["rms_spot_um"]) for row in rows] == [field["rms_spot_um"] for field in fields]
-    assert [float(row["mtf_sagittal_30_lp_per_mm"]) for row in rows] == [field["mtf"][1]["sagittal"] for field in fields]
+    assert [float(row["mtf_sagittal_30_lp_per_mm"]) for row in rows] == [
+        field["mtf"][1]["sagittal"] for field in fields
+    ]
 
 
 def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     """Also for a lens whose only field is the axis."""
-    line = "lens singlet --object-distance-m 1 --field-deg 0 --wavelength-nm 500 --wavelength-nm 600 --json --out"
+    line = (
+        "lens singlet --object-distance-m 1 --field-deg 0 --wavelength-nm 500 --wavelength-nm 600"
+        " --json --out"
+    )
     code, out, err = command(line, tmp_path / "out")
     assert code == 0, err
 
@@ -81,12 +93,23 @@ def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     assert content["object_distance_mm"] == 1000.0
     assert [each["field_deg"] for each in content["fields"]] == [0.0]
     assert [each["wavelength_nm"] for each in content["first_order"]] == [500.0, 600.0]
-    made = pixsim.lens("singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0])
+    made = pixsim.lens(
+        "singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0]
+    )
     assert content == {"schema": SCHEMA} | json.loads(json.dumps(made.as_dict()))
     assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
-    names = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    names = {
+        path.relative_to(tmp_path / "out")
+        for path in (tmp_path / "out").rglob("*")
+        if path.is_file()
+    }
     names -= {Path("pixsim.json")}  # it states times
     assert len(names) > 10
-    assert all((tmp_path / "python" / name).read_bytes() == (tmp_path / "out" / name).read_bytes() for name in names)
+    assert all(
+        (tmp_path / "python" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+        for name in names
+    )
     focal = pixsim.load_lens("singlet").first_order(587.5618).focal_length_mm
-    assert content["image_distance_mm"] == pytest.approx(47.67 + focal**2 / (1000 - focal), abs=1.0), "refocused"
+    assert content["image_distance_mm"] == pytest.approx(
+        47.67 + focal**2 / (1000 - focal), abs=1.0
+    ), "refocused"

@@ -1,4 +1,6 @@
-"""Figures of a study's axes: numbers of closed-form optima, what captions say, and what a figure leaves out."""
+"""Figures of a study's axes: numbers of closed-form optima, what captions say, and what a figure
+leaves out.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +30,17 @@ from pixsim.studies.settings import Axis
 
 PITCH_UM = np.geomspace(2.0, 16.0, 7)
 LIGHT = pixsim.SpectralImage([550.0], 10.0, 21.2, data=np.ones((8, 8, 1)), header={})
-BEND = 0.3  # of ΔE in the square of the logarithm of the pitch, around a least ΔE of 1: no curve is fitted by its logarithm
+# of ΔE in the square of the logarithm of the pitch, around a least ΔE of 1: no curve is fitted by
+# its logarithm
+BEND = 0.3
 Optima = Callable[[dict[str, Any], str, str], float]
 
 
 @cache
 def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
-    """Mean ΔE = least (1 + BEND ln² (p/optimum)) of two sensors, with a scatter far below the gates, and its fit."""
+    """Mean ΔE = least (1 + BEND ln² (p/optimum)) of two sensors, with a scatter far below the
+    gates, and its fit.
+    """
     mean = least * (1 + BEND * np.log(PITCH_UM / optimum_um) ** 2)
     delta_e = mean[:, None] * np.array([1 - 1e-4, 1 + 1e-4])
     return delta_e, fit_curve(PITCH_UM, delta_e)
@@ -43,24 +49,49 @@ def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
 def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
     delta_e, fit = fitted(optimum_um, least)
     of_case = {"at": case.at, "condition": case.condition, "alone": case.alone}
-    return Curve(technology, 0.35, PITCH_UM, np.ones(PITCH_UM.size), {"mean_delta_e": delta_e}, fit, case=CaseLabels(**of_case))
+    return Curve(
+        technology,
+        0.35,
+        PITCH_UM,
+        np.ones(PITCH_UM.size),
+        {"mean_delta_e": delta_e},
+        fit,
+        case=CaseLabels(**of_case),
+    )
 
 
 def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -> StudyResult:
-    """The result of a study whose optima and least mean ΔE are functions of axis values, condition and technology."""
+    """The result of a study whose optima and least mean ΔE are functions of axis values, condition
+    and technology.
+    """
     plan = tiny(**study)
     parts = []
     for case in cases_of(plan):
         of = case.at, case.condition
-        curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.settings.technologies)
-        parts.append(StudyResult(case.settings, curves, Light(LIGHT, pixsim.Camera(f_number=case.settings.camera.f_number or 4.0))))
+        curves = tuple(
+            curve_of(name, optima_um(*of, name), least(*of, name), case)
+            for name in case.settings.technologies
+        )
+        parts.append(
+            StudyResult(
+                case.settings,
+                curves,
+                Light(LIGHT, pixsim.Camera(f_number=case.settings.camera.f_number or 4.0)),
+            )
+        )
     curves = tuple(curve for part in parts for curve in part.curves)
     return CasesResult(plan, curves, parts[0].light, parts=tuple(parts))
 
 
 def test_result_with_axes_prints_as_a_line_of_optima() -> None:
-    result = result_of(lambda at, *_: at["lens"], axis=[{"name": "lens", "set": "camera.f_number", "values": [4.0, 8.0]}])
-    assert re.fullmatch(r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm\); 0\.35um, lens 8: [^;]* µm\)>", repr(result))
+    result = result_of(
+        lambda at, *_: at["lens"],
+        axis=[{"name": "lens", "set": "camera.f_number", "values": [4.0, 8.0]}],
+    )
+    assert re.fullmatch(
+        r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm\); 0\.35um, lens 8: [^;]* µm\)>",
+        repr(result),
+    )
 
 
 LUMINANCE = {
@@ -70,7 +101,8 @@ LUMINANCE = {
 }
 LENS = {"name": "lens", "set": "camera.f_number", "values": [8.0, 2.8, 4.0]}  # not in order
 DAY_AND_NIGHT = [
-    {"name": name, "set": {"exposure": {"max_integration_s": time_s}}} for name, time_s in (("day", 0.01), ("night", 0.03))
+    {"name": name, "set": {"exposure": {"max_integration_s": time_s}}}
+    for name, time_s in (("day", 0.01), ("night", 0.03))
 ]
 FIT = 2e-3  # of a pitch: the curve is fitted through 7 sizes and sampled at 801
 
@@ -96,7 +128,10 @@ def plates(two_axes: StudyResult) -> dict[str, Plate]:
 
 
 def rows_of(plate: Plate) -> list[dict[str, Any]]:
-    return [dict(zip(plate.table, values, strict=True)) for values in zip(*plate.table.values(), strict=True)]
+    return [
+        dict(zip(plate.table, values, strict=True))
+        for values in zip(*plate.table.values(), strict=True)
+    ]
 
 
 def expected_um(row: dict[str, Any]) -> float:
@@ -105,14 +140,22 @@ def expected_um(row: dict[str, Any]) -> float:
 
 
 def drawn(plate: Plate, panel: int = 0) -> list[tuple[list[float], list[float]]]:
-    return [(list(line.get_xdata()), list(line.get_ydata())) for line in plate.figure.axes[panel].lines]
+    return [
+        (list(line.get_xdata()), list(line.get_ydata())) for line in plate.figure.axes[panel].lines
+    ]
 
 
-# --- numbers ----------------------------------------------------------------------------------------------------------
+# --- numbers
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_axis_plates_are_named_by_axes(plates: dict[str, Plate]) -> None:
-    along = ["optimum_by_luminance", "delta_e_by_pitch_and_luminance", "optimum_by_lens", "delta_e_by_pitch_and_lens"]
+    along = [
+        "optimum_by_luminance",
+        "delta_e_by_pitch_and_luminance",
+        "optimum_by_lens",
+        "delta_e_by_pitch_and_lens",
+    ]
     assert list(plates) == [*along, "optimum_by_luminance_and_lens"]
 
 
@@ -128,13 +171,17 @@ def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
 
 
 def test_tables_hold_the_lines_drawn(plates: dict[str, Plate]) -> None:
-    assert {name: lines for name, plate in plates.items() if (lines := lines_without_rows(plate))} == {}
+    assert {
+        name: lines for name, plate in plates.items() if (lines := lines_without_rows(plate))
+    } == {}
 
 
 def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> None:
     plate = plates["optimum_by_lens"]
     points = {(x, y) for xs, ys in drawn(plate) for x, y in zip(xs, ys, strict=True)}
-    bars = np.array([bar for bars in plate.figure.axes[0].collections for bar in bars.get_segments()])
+    bars = np.array(
+        [bar for bars in plate.figure.axes[0].collections for bar in bars.get_segments()]
+    )
     for row in rows_of(plate):
         low, high = ((row["lens"], row[f"interval_{end}_um"]) for end in ("low", "high"))
         assert (row["lens"], row["optimum_um"]) in points
@@ -146,7 +193,9 @@ def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> N
 
 
 def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> None:
-    """ΔE = least (1 + BEND ln²(p/optimum)) is within 1 % of the least where |ln(p/optimum)| < √(0.01/BEND)."""
+    """ΔE = least (1 + BEND ln²(p/optimum)) is within 1 % of the least where |ln(p/optimum)| <
+    √(0.01/BEND).
+    """
     within = math.sqrt(0.01 / BEND)
     plate = plates["delta_e_by_pitch_and_luminance"]
     assert len(rows_of(plate)) == 6 * 4 * 41, "two conditions, three lenses"
@@ -155,19 +204,30 @@ def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> Non
         curve = least(row, "", "") * (1 + BEND * math.log(row["pitch_um"] / best_um) ** 2)
         assert row["mean_delta_e"] == pytest.approx(curve, rel=3e-3)
         # To a step of the fitted curve's 801 places, a factor of 1.0026.
-        assert math.log(row["within_1_percent_low_um"] / best_um) == pytest.approx(-within, abs=0.006)
-        assert math.log(row["within_1_percent_high_um"] / best_um) == pytest.approx(within, abs=0.006)
+        assert math.log(row["within_1_percent_low_um"] / best_um) == pytest.approx(
+            -within, abs=0.006
+        )
+        assert math.log(row["within_1_percent_high_um"] / best_um) == pytest.approx(
+            within, abs=0.006
+        )
 
 
 # The first six of the eight places beside the lens.
-PANELS = [*(("day", light) for light in (1.0, 10.0, 100.0, 1000.0)), *(("night", light) for light in (1.0, 10.0))]
+PANELS = [
+    *(("day", light) for light in (1.0, 10.0, 100.0, 1000.0)),
+    *(("night", light) for light in (1.0, 10.0)),
+]
 
 
 def test_map_has_a_line_through_optima(plates: dict[str, Plate]) -> None:
     plate = plates["delta_e_by_pitch_and_lens"]
     rows = rows_of(plate)
     for panel, (condition, luminance) in enumerate(PANELS):
-        own = {row["lens"]: row for row in rows if (row["condition"], row["luminance"]) == (condition, luminance)}
+        own = {
+            row["lens"]: row
+            for row in rows
+            if (row["condition"], row["luminance"]) == (condition, luminance)
+        }
         assert list(own) == [2.8, 4.0, 8.0], "in increasing order"
         lines = drawn(plate, panel)
         assert (list(own), [row["optimum_um"] for row in own.values()]) in lines
@@ -176,16 +236,26 @@ def test_map_has_a_line_through_optima(plates: dict[str, Plate]) -> None:
 
 
 def test_map_colours_are_those_of_the_table(plates: dict[str, Plate]) -> None:
-    """A cell has the colour of the mean ΔE at its pitch and f-number, which the closed form gives above."""
+    """A cell has the colour of the mean ΔE at its pitch and f-number, which the closed form gives
+    above.
+    """
     plate = plates["delta_e_by_pitch_and_lens"]
     for panel, place in enumerate(PANELS):
         cells = plate.figure.axes[panel].collections[0]
-        values = [row["mean_delta_e"] for row in rows_of(plate) if (row["condition"], row["luminance"]) == place]
+        values = [
+            row["mean_delta_e"]
+            for row in rows_of(plate)
+            if (row["condition"], row["luminance"]) == place
+        ]
         assert cells.get_array().T.ravel().tolist() == values
-        assert cells.norm.vmin == min(row["mean_delta_e"] for row in rows_of(plate)), "all panels have one scale"
+        assert cells.norm.vmin == min(row["mean_delta_e"] for row in rows_of(plate)), (
+            "all panels have one scale"
+        )
 
 
-@pytest.mark.parametrize(("high", "kind"), [(1.0, "Normalize"), (9.0, "Normalize"), (11.0, "LogNorm")])
+@pytest.mark.parametrize(
+    ("high", "kind"), [(1.0, "Normalize"), (9.0, "Normalize"), (11.0, "LogNorm")]
+)
 def test_colours_are_logarithmic_over_a_decade(high: float, kind: str) -> None:
     across, up = maps.Scale("x", (1.0, 2.0)), maps.Scale("y", (1.0, 2.0, 3.0))
     values = np.linspace(1.0, high, 6).reshape(3, 2)
@@ -200,7 +270,9 @@ def test_colours_are_logarithmic_over_a_decade(high: float, kind: str) -> None:
 
 def test_cutoff_pitch_is_that_of_the_camera(plates: dict[str, Plate]) -> None:
     """λ/(4 sin α) with tan α = 1/(2 N (1 + m)) and m of 3.86 mm at 1 m, at 550 nm."""
-    of_lens = {row["lens"]: row["cutoff_pitch_um"] for row in rows_of(plates["delta_e_by_pitch_and_lens"])}
+    of_lens = {
+        row["lens"]: row["cutoff_pitch_um"] for row in rows_of(plates["delta_e_by_pitch_and_lens"])
+    }
     for f_number, actual in of_lens.items():
         alpha = math.atan(1 / (2 * f_number * (1 + 3.86 / (1000 - 3.86))))
         assert actual == pytest.approx(0.55 / (4 * math.sin(alpha)), rel=1e-9)
@@ -213,14 +285,22 @@ def test_map_of_two_has_the_optima_of_the_table(plates: dict[str, Plate]) -> Non
     for panel, condition in enumerate(("day", "night")):
         axes = plate.figure.axes[panel]
         own = [row for row in rows if row["condition"] == condition]
-        assert axes.collections[0].get_array().ravel().tolist() == [row["optimum_um"] for row in own]
+        assert axes.collections[0].get_array().ravel().tolist() == [
+            row["optimum_um"] for row in own
+        ]
         across = [label.get_text() for label in axes.xaxis.get_ticklabels()]
         assert across == ["1", "10", "100", "1000"]
-    assert [label.get_text() for label in plate.figure.axes[0].yaxis.get_ticklabels()] == ["2.8", "4", "8"]
+    assert [label.get_text() for label in plate.figure.axes[0].yaxis.get_ticklabels()] == [
+        "2.8",
+        "4",
+        "8",
+    ]
 
 
 def test_map_of_two_has_contours_of_the_best_value() -> None:
-    """Of least ΔE = light^0.2 over 8 lights, along which alone it varies: contours run along the other axis."""
+    """Of least ΔE = light^0.2 over 8 lights, along which alone it varies: contours run along the
+    other axis.
+    """
     light = LUMINANCE | {"count": 8}
     result = result_of(optimum_um, lambda at, *_: at["luminance"] ** 0.2, axis=[light, LENS])
     axes = maps.axis_plates(result)[-1].figure.axes[0]
@@ -232,8 +312,13 @@ def test_map_of_two_has_contours_of_the_best_value() -> None:
 
 
 def test_maps_fill_their_figures() -> None:
-    """With optima inside and at an end: the layout leaves out what is not drawn. Two panels and a bar have 0.6 of the width."""
-    result = result_of(lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0, axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}])
+    """With optima inside and at an end: the layout leaves out what is not drawn. Two panels and a
+    bar have 0.6 of the width.
+    """
+    result = result_of(
+        lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0,
+        axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}],
+    )
     for plate in maps.axis_plates(result)[1::2]:
         plate.figure.draw_without_rendering()
         panels = [axes.get_position() for axes in plate.figure.axes[:-1]]
@@ -241,34 +326,53 @@ def test_maps_fill_their_figures() -> None:
         assert all(panel.height > 0.25 for panel in panels)
 
 
-# --- captions ---------------------------------------------------------------------------------------------------------
+# --- captions
+# ---------------------------------------------------------------------------------------------------------
 
-LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
+LIGHTS = {
+    "name": "light",
+    "set": "scene.parameters.luminance_cd_per_m2",
+    "values": [1.0, 10.0, 100.0],
+}
 
 
 def test_captions_do_not_depend_on_the_numbers_drawn() -> None:
-    """Of a study whose optima rise along an axis, and of one whose optima fall and lie at an end of the sizes."""
+    """Of a study whose optima rise along an axis, and of one whose optima fall and lie at an end of
+    the sizes.
+    """
     rising, falling = (
-        result_of(lambda at, *_, power=power: 6.0 * at["light"] ** power, axis=[LIGHTS, LENS]) for power in (0.1, -0.5)
+        result_of(lambda at, *_, power=power: 6.0 * at["light"] ** power, axis=[LIGHTS, LENS])
+        for power in (0.1, -0.5)
     )
-    captions = [[plate.caption for plate in maps.axis_plates(result)] for result in (rising, falling)]
+    captions = [
+        [plate.caption for plate in maps.axis_plates(result)] for result in (rising, falling)
+    ]
     assert captions[0] == captions[1]
 
 
 def test_panels_are_named_by_the_values_of_the_other_axis() -> None:
     labels = {"f/2.8": 5.0, "f/8": 8.0, "f/4": 6.0}
-    values = [{"label": label, "set": {"camera": {"f_number": float(label[2:])}}} for label in labels]
-    plates = maps.axis_plates(result_of(lambda at, *_: labels[at["optics"]], axis=[{"name": "optics", "values": values}]))
+    values = [
+        {"label": label, "set": {"camera": {"f_number": float(label[2:])}}} for label in labels
+    ]
+    plates = maps.axis_plates(
+        result_of(lambda at, *_: labels[at["optics"]], axis=[{"name": "optics", "values": values}])
+    )
     assert plates[0].table["optics"] == list(labels), "in the order of the file"
-    assert [label.get_text() for label in plates[1].figure.axes[0].get_xticklabels()] == list(labels)
+    assert [label.get_text() for label in plates[1].figure.axes[0].get_xticklabels()] == list(
+        labels
+    )
     alone = {"name": "lens", "set": "camera.f_number", "values": [4.0]}
     plates = maps.axis_plates(result_of(lambda *_: 6.0, axis=[alone, LIGHTS]))
     titles = [axes.get_title() for axes in plates[1].figure.axes[:3]]
-    assert titles == ["light 1 cd/m²", "light 10 cd/m²", "light 100 cd/m²"], "a panel for each value of the other axis"
+    assert titles == ["light 1 cd/m²", "light 10 cd/m²", "light 100 cd/m²"], (
+        "a panel for each value of the other axis"
+    )
     assert plates[-1].name == "optimum_by_lens_and_light"
 
 
-# --- what a figure leaves out -------------------------------------------------------------------------------------------
+# --- what a figure leaves out
+# -------------------------------------------------------------------------------------------
 
 
 def test_thinning_states_itself(two_axes: StudyResult, plates: dict[str, Plate]) -> None:
@@ -284,7 +388,12 @@ def test_thinning_states_itself(two_axes: StudyResult, plates: dict[str, Plate])
 
 def test_panels_are_at_most_six() -> None:
     names = ["0.5um", "0.35um", "0.25um", "0.18um"]
-    result = result_of(optimum_um, axis=[LENS | {"values": [2.8, 8.0]}], technologies=names, condition=DAY_AND_NIGHT)
+    result = result_of(
+        optimum_um,
+        axis=[LENS | {"values": [2.8, 8.0]}],
+        technologies=names,
+        condition=DAY_AND_NIGHT,
+    )
     plate = maps.axis_plates(result)[1]
     panels = [axes.get_title() for axes in plate.figure.axes if axes.get_title()]
     every = [f"{name}, {condition}" for name in names for condition in ("day", "night")]
@@ -296,12 +405,17 @@ def test_panels_are_at_most_six() -> None:
 
 @pytest.mark.parametrize(
     ("name", "setting", "smaller", "larger"),
-    [("technology", "pixel.technology", "0.35um", "0.5um"), ("raster", "display.raster", "one_to_one", "fixed_size")],
+    [
+        ("technology", "pixel.technology", "0.35um", "0.5um"),
+        ("raster", "display.raster", "one_to_one", "fixed_size"),
+    ],
 )
 def test_axis_over_words_is_one_line(name: str, setting: str, smaller: str, larger: str) -> None:
     """The lens's limit is that of the camera, whatever the raster of the display."""
     axis = {"name": "kind", "set": setting, "values": [larger, smaller]}
-    along, over = maps.axis_plates(result_of(lambda at, *_: 6.0 if at["kind"] == smaller else 7.0, axis=[axis]))
+    along, over = maps.axis_plates(
+        result_of(lambda at, *_: 6.0 if at["kind"] == smaller else 7.0, axis=[axis])
+    )
     assert along.table["kind"] == [larger, smaller]
     assert name != "technology" or along.table["technology"] == [larger, smaller]
     assert not along.figure.legends
@@ -314,17 +428,24 @@ def test_axis_over_words_is_one_line(name: str, setting: str, smaller: str, larg
     [((1.0, 10.0, 100.0), True), ((1.0, 3.0, 10.0, 30.0), True), ((1.0, 6.0, 9.0), False), ((2.8, 4.0, 5.6, 8.0), False),
      ((-1.0, 0.0, 100.0), False), ((0.0, 1.0, 100.0), False), ((4.0,), False), ((100.0, 1.0, 10.0), True)],
 )  # fmt: skip
-def test_scale_of_listed_values_is_logarithmic_over_a_decade(values: tuple[float, ...], log: bool) -> None:
+def test_scale_of_listed_values_is_logarithmic_over_a_decade(
+    values: tuple[float, ...], log: bool
+) -> None:
     scale = maps.Scale.of(Axis(name="x", set=("pixel.dsnu",), values=values))
     assert scale.log == log
     assert scale.values == tuple(sorted(values))
     assert (np.diff(scale.edges) > 0).all()
     assert ((scale.edges[:-1] < scale.places) & (scale.places < scale.edges[1:])).all()
-    between = np.sqrt(scale.places[1:] * scale.places[:-1]) if log else (scale.places[1:] + scale.places[:-1]) / 2
+    between = (
+        np.sqrt(scale.places[1:] * scale.places[:-1])
+        if log
+        else (scale.places[1:] + scale.places[:-1]) / 2
+    )
     np.testing.assert_allclose(scale.edges[1:-1], between)
 
 
-# --- optima that are not known ------------------------------------------------------------------------------------------
+# --- optima that are not known
+# ------------------------------------------------------------------------------------------
 
 
 def hatched(plate: Plate, panel: int) -> set[tuple[float, float]]:
@@ -338,9 +459,15 @@ def test_optima_at_an_end_are_hollow_and_hatched() -> None:
     along, _, _, _, two = maps.axis_plates(result)
     lines = along.figure.axes[0].lines
     arrows = [
-        line for line in lines if line.get_marker() == "^" and line.get_zorder() == 5 and line.get_markerfacecolor() != "white"
+        line
+        for line in lines
+        if line.get_marker() == "^"
+        and line.get_zorder() == 5
+        and line.get_markerfacecolor() != "white"
     ]
-    assert [(*line.get_xdata(), *line.get_ydata()) for line in arrows] == [(8.0, 16.0)] * 3, "one for each light"
+    assert [(*line.get_xdata(), *line.get_ydata()) for line in arrows] == [(8.0, 16.0)] * 3, (
+        "one for each light"
+    )
     hollow = [line for line in lines if line.get_markerfacecolor() == "white"]
     assert [tuple(line.get_xdata()) for line in hollow] == [(8.0,)] * 3
     rows = rows_of(along)
@@ -349,11 +476,14 @@ def test_optima_at_an_end_are_hollow_and_hatched() -> None:
     assert hatched(two, 0) == {(1.5, light - 0.5) for light in range(3)}
 
 
-# --- names --------------------------------------------------------------------------------------------------------------
+# --- names
+# --------------------------------------------------------------------------------------------------------------
 
 
 def test_names_of_columns_and_files_are_unique() -> None:
-    """Also of axes that are called as columns are, or as each other but for case, spaces and other scripts."""
+    """Also of axes that are called as columns are, or as each other but for case, spaces and other
+    scripts.
+    """
     axes = [
         {"name": "optimum_um", "set": "pixel.prnu", "values": [0.01, 0.02]},
         {"name": "Optimum_um", "set": "camera.f_number", "values": [4.0, 5.0]},
@@ -366,7 +496,9 @@ def test_names_of_columns_and_files_are_unique() -> None:
     assert names == maps.plate_names(result.study)
     assert all(re.fullmatch(r"[\w.\-]+", name, re.ASCII) for name in names)
     for plate in plates:
-        assert all(np.isfinite(row["optimum_um"]) and row["optimum_um"] > 5.9 for row in rows_of(plate)), "not the axis' value"
+        assert all(
+            np.isfinite(row["optimum_um"]) and row["optimum_um"] > 5.9 for row in rows_of(plate)
+        ), "not the axis' value"
         assert {row["optimum_um_2"] for row in rows_of(plate)} <= {0.01, 0.02}
 
 
@@ -378,10 +510,13 @@ def test_no_plates_without_axes() -> None:
 
 def test_plates_are_reproducible() -> None:
     grid = maps.Grid(result_of(lambda *_: 6.0, axis=[LENS]))
-    assert maps.map_along(grid, grid.scales[0]).drawn() == maps.map_along(grid, grid.scales[0]).drawn()
+    assert (
+        maps.map_along(grid, grid.scales[0]).drawn() == maps.map_along(grid, grid.scales[0]).drawn()
+    )
 
 
-# --- axes moved alone ---------------------------------------------------------------------------------------------------
+# --- axes moved alone
+# ---------------------------------------------------------------------------------------------------
 
 ALONE = [
     {"name": "prnu", "set": "pixel.prnu", "values": [0.005, 0.03], "alone": True},
@@ -392,7 +527,11 @@ ALONE = [
 def moved_um(at: dict[str, Any], condition: str, technology: str) -> float:
     moved = {"prnu": {0.005: 0.99, 0.03: 1.05}, "read noise": {1.0: 0.9, 5.0: 1.1, 20.0: 1.4}}
     night = 1.3 if condition == "night" else 1.0
-    return 5.0 * night * math.prod(moved[name].get(value, 1.0) for name, value in at.items() if name in moved)
+    return (
+        5.0
+        * night
+        * math.prod(moved[name].get(value, 1.0) for name, value in at.items() if name in moved)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -411,8 +550,12 @@ def test_alone_plate_holds_moves_about_the_base(tornado: Plate) -> None:
     rows = rows_of(tornado)
     assert len(rows) == 2 * (1 + 2 + 3)
     for row in rows:
-        assert row["optimum_um"] == pytest.approx(moved_um({row["axis"]: row["value"]}, row["condition"], ""), rel=FIT)
-    assert [row["axis"] for row in rows[:6]] == ["base", *["read noise"] * 3, *["prnu"] * 2], "the widest first"
+        assert row["optimum_um"] == pytest.approx(
+            moved_um({row["axis"]: row["value"]}, row["condition"], ""), rel=FIT
+        )
+    assert [row["axis"] for row in rows[:6]] == ["base", *["read noise"] * 3, *["prnu"] * 2], (
+        "the widest first"
+    )
 
 
 def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
@@ -420,12 +563,22 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
     (axes,) = tornado.figure.axes
     bars = [("night", "read noise"), ("day", "read noise"), ("night", "prnu"), ("day", "prnu")]
     assert [label.get_text() for label in axes.get_yticklabels()] == [
-        *("night, read noise (electrons)", "day, read noise (electrons)", "night, prnu", "day, prnu")
+        *(
+            "night, read noise (electrons)",
+            "day, read noise (electrons)",
+            "night, prnu",
+            "day, prnu",
+        )
     ]
     for patch, (condition, name) in zip(axes.patches, bars, strict=True):
         rows = [row for row in rows_of(tornado) if row["condition"] == condition]
-        sizes_um = [rows[0]["optimum_um"], *(row["optimum_um"] for row in rows if row["axis"] == name)]
-        assert (patch.get_x(), patch.get_x() + patch.get_width()) == pytest.approx((min(sizes_um), max(sizes_um)))
+        sizes_um = [
+            rows[0]["optimum_um"],
+            *(row["optimum_um"] for row in rows if row["axis"] == name),
+        ]
+        assert (patch.get_x(), patch.get_x() + patch.get_width()) == pytest.approx(
+            (min(sizes_um), max(sizes_um))
+        )
     assert {text.get_text() for text in axes.texts} == {"1", "20", "0.005", "0.03"}
 
 
@@ -439,7 +592,10 @@ def test_table_of_axes_moved_alone_has_the_widest_first(moved: StudyResult) -> N
 
 def test_alone_axes_are_not_in_the_maps() -> None:
     result = result_of(moved_um, axis=[*ALONE, LENS | {"values": [2.8, 8.0]}])
-    assert [plate.name for plate in maps.axis_plates(result)] == ["optimum_by_lens", "delta_e_by_pitch_and_lens"]
+    assert [plate.name for plate in maps.axis_plates(result)] == [
+        "optimum_by_lens",
+        "delta_e_by_pitch_and_lens",
+    ]
     assert maps.plate_names(result.study)[-1] == "tornado"
     assert maps.axis_plates(result)[0].table["lens"] == [2.8, 8.0]
 
@@ -447,12 +603,22 @@ def test_alone_axes_are_not_in_the_maps() -> None:
 @own_style()
 def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
     """Seven values in a panel of half the width are tilted."""
-    scale = maps.Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))
+    scale = maps.Scale.of(
+        Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log")
+    )
     figure = new_figure(2.4, 2.0)
     axes = figure.subplots()
     scale.draw_on(axes.xaxis, 28)
     figure.draw_without_rendering()
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "3.162", "10", "31.62", "100", "316.2", "1000"]
+    assert [label.get_text() for label in axes.get_xticklabels()] == [
+        "1",
+        "3.162",
+        "10",
+        "31.62",
+        "100",
+        "316.2",
+        "1000",
+    ]
     assert {label.get_rotation() for label in axes.get_xticklabels()} == {30.0}
     places_px = axes.transData.transform([(value, 0.5) for value in scale.values])[:, 0]
     height_px = axes.get_xticklabels()[0].get_fontsize() * figure.dpi / 72

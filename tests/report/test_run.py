@@ -1,4 +1,6 @@
-"""`pixsim run` by the command line: saved and foreign pictures, files, notes, and what its page says of them."""
+"""`pixsim run` by the command line: saved and foreign pictures, files, notes, and what its page
+says of them.
+"""
 
 from __future__ import annotations
 
@@ -57,9 +59,18 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
 @pytest.mark.parametrize("lens", ["", LENS])
 def test_run_saved_irradiance_same_score(rendered, lens, tmp_path):
     folder, before = rendered
-    after, err = scored(f"run {folder / 'irradiance.exr'} {lens} {OPTIONS} --json --out {tmp_path / 'again'}")
+    after, err = scored(
+        f"run {folder / 'irradiance.exr'} {lens} {OPTIONS} --json --out {tmp_path / 'again'}"
+    )
     assert err == ""
-    for name in ("mean_delta_e", "max_delta_e", "mean_electrons_e", "integration_s", "camera", "irradiance"):
+    for name in (
+        "mean_delta_e",
+        "max_delta_e",
+        "mean_electrons_e",
+        "integration_s",
+        "camera",
+        "irradiance",
+    ):
         assert after[name] == before[name], name
     for name in ("raw.exr", "delta_e.exr", "image.png", "ideal.png", "irradiance.exr"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
@@ -68,14 +79,22 @@ def test_run_saved_irradiance_same_score(rendered, lens, tmp_path):
 
 
 def test_run_npz_same_score(rendered, tmp_path):
-    """Its bands are at their centres: at 400 and 800 nm, where the response begins and ends, that is half a band too much."""
+    """Its bands are at their centres: at 400 and 800 nm, where the response begins and ends, that
+    is half a band too much.
+    """
     folder, before = rendered
     write_npz(tmp_path / "picture.npz", pixsim.read_exr(folder / "irradiance.exr"))
-    after, err = scored(f"run {tmp_path / 'picture.npz'} {LENS} {OPTIONS} --json --out {tmp_path / 'out'}")
+    after, err = scored(
+        f"run {tmp_path / 'picture.npz'} {LENS} {OPTIONS} --json --out {tmp_path / 'out'}"
+    )
     assert err == ""
-    assert after["irradiance"]["luminance_cd_per_m2"] == pytest.approx(1000, rel=1e-5)  # d65 at the digits of emitter_scale
+    assert after["irradiance"]["luminance_cd_per_m2"] == pytest.approx(
+        1000, rel=1e-5
+    )  # d65 at the digits of emitter_scale
     electrons = after["mean_electrons_e"] / after["integration_s"]
-    assert electrons == pytest.approx(before["mean_electrons_e"] / before["integration_s"], rel=1e-2)
+    assert electrons == pytest.approx(
+        before["mean_electrons_e"] / before["integration_s"], rel=1e-2
+    )
     # Other noise, and D65 as white, since the file states no lamp.
     assert after["mean_delta_e"] == pytest.approx(before["mean_delta_e"], rel=0.02)
 
@@ -88,16 +107,25 @@ def test_read_with_camera_takes_die_from_file(rendered):
 
 def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
     """What it was warned of is on stderr, too."""
-    line = f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}"
+    line = (
+        f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out"
+        f" {tmp_path}"
+    )
     score, err = scored(line)
-    assert [note["id"] for note in score["notes"]] == ["other_camera", "white_clipped", "black_level"]
+    assert [note["id"] for note in score["notes"]] == [
+        "other_camera",
+        "white_clipped",
+        "black_level",
+    ]
     other, bright, dark = (note["text"] for note in score["notes"])
     assert other.startswith("the irradiance was rendered with another camera")
     assert "of the ideal image is brighter than display white" in bright
     assert err.startswith(f"warning: {other}")
     assert [err.count(note) for note in (other, bright)] == [1, 1]
     assert dark.startswith("the black level of 0 DN clips dark noise")
-    assert json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    assert (
+        json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    )
     page = html.unescape(text_of(tmp_path))
     assert all(note["text"][1:] in page for note in score["notes"])  # with a capital letter first
 
@@ -118,20 +146,30 @@ def foreign_exr(path: Path, units: str | None, light: float = 0.01) -> Path:
 def test_run_missing_units_raises(tmp_path):
     path = foreign_exr(tmp_path / "bare.exr", None)
     out = tmp_path / "out"
-    assert_refused(*command(f"run {path} {OPTIONS} --out {out}"), ["bare.exr", "none in the file", "--units", "W.m^-2.nm^-1"])
+    assert_refused(
+        *command(f"run {path} {OPTIONS} --out {out}"),
+        ["bare.exr", "none in the file", "--units", "W.m^-2.nm^-1"],
+    )
     assert not out.exists()
     stated, err = scored(f"run {path} --units W.m^-2.nm^-1 {OPTIONS} --json --out {out}")
     assert "the scene does not define its white" in err
     message, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
     assert message["mean_electrons_e"] == stated["mean_electrons_e"]
-    micro, _ = scored(f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}")
-    assert micro["mean_electrons_e"] == pytest.approx(stated["mean_electrons_e"], rel=1e-6)  # 1 µW/cm² is 0.01 W/m²
+    micro, _ = scored(
+        f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}"
+    )
+    assert micro["mean_electrons_e"] == pytest.approx(
+        stated["mean_electrons_e"], rel=1e-6
+    )  # 1 µW/cm² is 0.01 W/m²
 
 
 def test_run_radiance_passes_lens(tmp_path):
     path = foreign_exr(tmp_path / "seen.exr", "W.m^-2.sr^-1.nm^-1", 0.1)
     exposure = "--exposure.integration-s 1e-4"
-    lines = [f"run {path} --camera.f-number {n} {exposure} {OPTIONS} --json --out {tmp_path / 'out'}" for n in (4, 8)]
+    lines = [
+        f"run {path} --camera.f-number {n} {exposure} {OPTIONS} --json --out {tmp_path / 'out'}"
+        for n in (4, 8)
+    ]
     rates = [scored(line)[0]["mean_electrons_e"] for line in lines]
     m = pixsim.Camera().magnification
     # On the axis; 20° off it .5 % more. 4 for 1/N² alone is 1.2 % off.
@@ -144,25 +182,38 @@ def test_run_unknown_white_is_measured(tmp_path):
     message, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
     white = message["irradiance"]["luminance_cd_per_m2"]
     assert message["irradiance"]["white_from"] == "99th percentile of the ideal image"
-    # D65, in place of its unknown white, that gives the sensor the ramp's electrons behind the lens; even over bands of 100 nm.
+    # D65, in place of its unknown white, that gives the sensor the ramp's electrons behind the
+    # lens; even over bands of 100 nm.
     fine_nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
-    electrons, daylight = pixsim.derive(pixsim.Pixel()).quantum_efficiency(fine_nm) * fine_nm, pixsim.spectral.d65(fine_nm)
+    electrons, daylight = (
+        pixsim.derive(pixsim.Pixel()).quantum_efficiency(fine_nm) * fine_nm,
+        pixsim.spectral.d65(fine_nm),
+    )
     of_white = pixsim.spectral.photopic_efficiency(fine_nm).mean(axis=1) @ daylight.mean(axis=1)
-    expected = 683.002 * 0.01 * electrons.sum() * of_white / (electrons.mean(axis=1) @ daylight.mean(axis=1))
+    expected = (
+        683.002
+        * 0.01
+        * electrons.sum()
+        * of_white
+        / (electrons.mean(axis=1) @ daylight.mean(axis=1))
+    )
     image, camera = read_with_camera(path, CameraOptions())
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
-    fall_off = pixsim.optics.field_factor(image.shape, image.pitch_um, *lens) / pixsim.optics.irradiance_factor(
-        lens[1], 0.0, lens[2]
-    )
+    fall_off = pixsim.optics.field_factor(
+        image.shape, image.pitch_um, *lens
+    ) / pixsim.optics.irradiance_factor(lens[1], 0.0, lens[2])
     expected *= np.percentile(np.linspace(0.2, 1, 64) * fall_off, 99)
     assert white == pytest.approx(expected, rel=0.04)  # a border that is not scored, and two digits
     wide, guess = err.splitlines()
     assert "bands of up to 100 nm" in wide
-    assert guess == (
-        f"warning: the scene does not define its white: using {white:g} cd/m², the 99th percentile of the ideal image in the "
-        f"sensor's response, rounded up; set --display.white-cd-per-m2 {white:g} to fix this value"
+    assert (
+        guess == f"warning: the scene does not define its white: using {white:g} cd/m², the 99th"
+        " percentile of the ideal image in the sensor's response, rounded up; set"
+        f" --display.white-cd-per-m2 {white:g} to fix this value"
     )
-    kept, err = scored(f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}")
+    kept, err = scored(
+        f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}"
+    )
     assert err.splitlines() == [wide]
     assert kept["mean_delta_e"] == message["mean_delta_e"]
     assert "white_from" not in kept["irradiance"]
@@ -184,7 +235,9 @@ def test_run_unknown_white_is_measured(tmp_path):
 )
 def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert_refused(*command("run " + line.format(exr=rendered[0] / "irradiance.exr") + " --out out"), wanted)
+    assert_refused(
+        *command("run " + line.format(exr=rendered[0] / "irradiance.exr") + " --out out"), wanted
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -193,19 +246,28 @@ def test_files_of_an_earlier_run_and_of_the_user_stay(rendered, tmp_path):
     (tmp_path / "raw.npz").write_bytes(b"mine")
     here = f"{OPTIONS} --json --out {tmp_path}"
     scored(f"run {folder / 'irradiance.exr'} {here} --raw tiff")
-    assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    assert {"irradiance.exr", "raw.tiff", "report.html"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
     scored(f"run {tmp_path / 'irradiance.exr'} {here} --irradiance none")
     assert "irradiance.exr" in {path.name for path in tmp_path.iterdir()}
     assert (tmp_path / "raw.npz").read_bytes() == b"mine"
 
 
 def test_run_frames_share_the_sensor_and_have_noise_of_their_own(tmp_path):
-    """Under even light: covariance of frames is the fixed pattern, half the variance of differences the temporal noise."""
-    even = pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 84.8, data=np.full((32, 32, 3), 0.002))
+    """Under even light: covariance of frames is the fixed pattern, half the variance of differences
+    the temporal noise.
+    """
+    even = pixsim.SpectralImage(
+        [450.0, 550.0, 650.0], 100.0, 84.8, data=np.full((32, 32, 3), 0.002)
+    )
     pixsim.write_npz(tmp_path / "even.npz", even)
     pixel = "--pixel.pitch-um 10 --pixel.bits 14 --pixel.black-level-dn 500 --pixel.prnu 0.02"
     half = "--exposure.well-target 0.5"  # nothing clips
-    line = f"run {tmp_path / 'even.npz'} {pixel} {half} --display.dots 32 --raw npz --json --out {tmp_path}"
+    line = (
+        f"run {tmp_path / 'even.npz'} {pixel} {half} --display.dots 32 --raw npz --json --out"
+        f" {tmp_path}"
+    )
     summaries = {}
     frames: dict[int, list] = {}
     for count in (1, 3, 2):
@@ -228,10 +290,17 @@ def test_run_frames_share_the_sensor_and_have_noise_of_their_own(tmp_path):
     pixel = pixsim.Pixel.model_validate(summaries[1]["pixel"])
     readout, time_s = Readout.of(derive(pixel)), summaries[1]["integration_s"]
     dn = np.array([frame.dn for frame in frames[3]], float)
-    signal_e = (dn.mean() - pixel.black_level_dn) / readout.dn_per_e - readout.dark_current_e_per_s * time_s
-    temporal, total = (float(frame_variance_dn2(signal_e, time_s, readout, fixed)) for fixed in (False, True))
-    # Of 271² pixels: a standard error of 0.37 % for three frames' temporal variance, and of 0.52 % for a fixed pattern.
-    assert np.mean([(dn[i] - dn[j]).var() / 2 for i, j in ((0, 1), (0, 2), (1, 2))]) == pytest.approx(temporal, rel=0.015)
+    signal_e = (
+        dn.mean() - pixel.black_level_dn
+    ) / readout.dn_per_e - readout.dark_current_e_per_s * time_s
+    temporal, total = (
+        float(frame_variance_dn2(signal_e, time_s, readout, fixed)) for fixed in (False, True)
+    )
+    # Of 271² pixels: a standard error of 0.37 % for three frames' temporal variance, and of 0.52 %
+    # for a fixed pattern.
+    assert np.mean(
+        [(dn[i] - dn[j]).var() / 2 for i, j in ((0, 1), (0, 2), (1, 2))]
+    ) == pytest.approx(temporal, rel=0.015)
     across = [np.cov(dn[i].ravel(), dn[j].ravel())[0, 1] for i, j in ((0, 1), (0, 2), (1, 2))]
     assert across == pytest.approx([total - temporal] * 3, rel=0.025)
 
@@ -240,7 +309,9 @@ def test_run_frames_share_the_sensor_and_have_noise_of_their_own(tmp_path):
 @pytest.mark.parametrize("frames", ["0", "-1", "1000"])
 def test_run_of_no_or_too_many_frames_raises(frames, more, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert_refused(*command(f"run csf --frames={frames} {more}"), [f"--frames: got {frames}", "1 to 999"])
+    assert_refused(
+        *command(f"run csf --frames={frames} {more}"), [f"--frames: got {frames}", "1 to 999"]
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -253,7 +324,10 @@ def test_run_of_no_or_too_many_frames_raises(frames, more, tmp_path, monkeypatch
         ("run csf -D resolution=64", "score.json"),
         ("study pixel-size --quick", "figures/light_against_detail.svg"),
         ("study pixel-size --quick --pitch.count 5", "results.csv"),
-        ("study pixel-size --quick --axis pixel.prnu=0.01,0.02", "figures/optimum_by_pixel.prnu.csv"),
+        (
+            "study pixel-size --quick --axis pixel.prnu=0.01,0.02",
+            "figures/optimum_by_pixel.prnu.csv",
+        ),
         ("accuracy csf --quick", "ladder.csv"),
         ("compare '{here}/quiet.toml' '{here}/noisy one.toml'", "pictures/image_quiet.png"),
         ("datasheet 0.35um", "figures/snr.svg"),
@@ -266,7 +340,9 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
     path.parent.mkdir(exist_ok=True)
     path.write_text("my own")
     if line.startswith("sfr"):  # a chart of the run is no edge
-        edge = np.full((128, 128), 100, np.uint16) + 500 * (np.arange(128) + np.arange(128)[:, None] / 12 > 70)
+        edge = np.full((128, 128), 100, np.uint16) + 500 * (
+            np.arange(128) + np.arange(128)[:, None] / 12 > 70
+        )
         np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
         line = f"sfr {tmp_path / 'edge.npy'}"
     two_sheets(tmp_path)
@@ -286,13 +362,21 @@ def test_run_irradiance_option_sets_contents(tmp_path):
     for content in ("full", "factors", "none", "reduced"):
         file = tmp_path / content / "irradiance.exr"
         score, err = scored(f"{line} --irradiance {content} --out {tmp_path / content}")
-        scores[content] = {name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")}
-        assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
+        scores[content] = {
+            name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")
+        }
+        assert ("holds its bands in full" in err) == (
+            content == "factors"
+        )  # a cube of another program has no factors
         assert file.exists() == (content != "none")
         if content != "none":
-            assert pixsim.read_exr(file).shape == ((32, 1024) if content == "reduced" else (64, 2048))
+            assert pixsim.read_exr(file).shape == (
+                (32, 1024) if content == "reduced" else (64, 2048)
+            )
     assert all(score == scores["full"] for score in scores.values())
-    again, err = scored(f"run {file} --pixel.pitch-um 10 --display.dots 128 --json --out {tmp_path / 'again'}")
+    again, err = scored(
+        f"run {file} --pixel.pitch-um 10 --display.dots 128 --json --out {tmp_path / 'again'}"
+    )
     assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
     assert again["irradiance"]["reduced"] == {"samples": [64, 2048], "factor": 2.0}
     assert again["mean_electrons_e"] == pytest.approx(scores["full"]["mean_electrons_e"], rel=1e-3)
@@ -310,57 +394,97 @@ def test_run_irradiance_option_sets_contents(tmp_path):
     ],
 )
 def test_dry_run_says_what_limits_the_render_noise(more, rays):
-    run = Run.model_validate({"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 10.0}, "resolution": 32, **more})
+    run = Run.model_validate(
+        {"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 10.0}, "resolution": 32, **more}
+    )
     outline = run_outline(prepare("macbeth", run))
     assert outline["errors"]["rays_a_pixel"] == (rays and pytest.approx(rays))
-    line = next(line for line in map(str, outline_document("run", outline, Path("out")).terminal) if line.startswith("errors"))
+    line = next(
+        line
+        for line in map(str, outline_document("run", outline, Path("out")).terminal)
+        if line.startswith("errors")
+    )
     assert "of the film alone, at least" in line
 
 
 @pytest.mark.parametrize(
     ("given", "assumed"),
-    [({"die_mm": 8.4}, True), ({"die_mm": 8.4, "focal_length_mm": 3.86}, False), ({}, False), ({"focal_length_mm": 6.0}, False)],
+    [
+        ({"die_mm": 8.4}, True),
+        ({"die_mm": 8.4, "focal_length_mm": 3.86}, False),
+        ({}, False),
+        ({"focal_length_mm": 6.0}, False),
+    ],
 )
 def test_focal_length_of_a_given_die_is_assumed(given, assumed):
-    """3.86 mm was chosen for the small die of the scene: on a large one it is a wide-angle lens, 2 atan(8.4/(2·3.875))."""
+    """3.86 mm was chosen for the small die of the scene: on a large one it is a wide-angle lens, 2
+    atan(8.4/(2·3.875)).
+    """
     run = Run.model_validate({"camera": given, "pixel": {"pitch_um": 20.0}, "resolution": 32})
     camera = pixsim.load_scene("csf").camera(run.camera)
     words = run.camera.assumption(camera)
-    assert words == ("focal length 3.86 mm assumed, that of the scene: a field of 94.6° × 94.6°" if assumed else "")
-    _, line, *_ = map(str, outline_document("run", run_outline(prepare("csf", run)), Path("out")).terminal)
+    assert words == (
+        "focal length 3.86 mm assumed, that of the scene: a field of 94.6° × 94.6°"
+        if assumed
+        else ""
+    )
+    _, line, *_ = map(
+        str, outline_document("run", run_outline(prepare("csf", run)), Path("out")).terminal
+    )
     assert line.startswith("camera")
     assert ("assumed" in line) == assumed
 
 
 def test_lens_is_named_with_its_scale():
-    camera = pixsim.load_scene("csf").camera(CameraOptions(die_mm=4.0), LensOptions(file="phone", focal_length_mm=5.0))
+    camera = pixsim.load_scene("csf").camera(
+        CameraOptions(die_mm=4.0), LensOptions(file="phone", focal_length_mm=5.0)
+    )
     assert lens_words(camera).startswith("lens phone scaled to 5 mm, f/")
     assert not lens_words(pixsim.Camera())
     assert not CameraOptions(die_mm=4.0).assumption(camera), "the lens has its own"
 
 
 def test_pictures_are_written_to_no_pdf(tmp_path):
-    with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult; allowed: 'svg', since it has pictures"):
+    with pytest.raises(
+        PixsimError,
+        match="figures: got 'pdf' for a RunResult; allowed: 'svg', since it has pictures",
+    ):
         pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
-    """Irradiance as another program wrote it: a picture of ones and twos, these about half as bright as white."""
+    """Irradiance as another program wrote it: a picture of ones and twos, these about half as
+    bright as white.
+    """
     nm = np.arange(400.0, 701.0, 20.0)
     data = 5e-5 * steps[:, :, None] * np.ones(nm.size)
-    np.savez(path, data=data, wavelength_nm=nm, units="W m^-2 nm^-1", pitch_um=pitch_um, white_cd_per_m2=300.0)
+    np.savez(
+        path,
+        data=data,
+        wavelength_nm=nm,
+        units="W m^-2 nm^-1",
+        pitch_um=pitch_um,
+        white_cd_per_m2=300.0,
+    )
     return path
 
 
-SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10 --pixel.quantum-efficiency 0.6"
+SHEET = (
+    "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10"
+    " --pixel.quantum-efficiency 0.6"
+)
 
 
 def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
-    """The page names the file, and lists no setting of a process, nor a fill factor, which was not given."""
+    """The page names the file, and lists no setting of a process, nor a fill factor, which was not
+    given.
+    """
     y, x = np.indices((6, 3000))
     light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
     sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
-    code, _, err = command(f"run {tmp_path / 'mine.npz'} {sensor} --camera.die-mm 4.5 --out {tmp_path / 'out'}")
+    code, _, err = command(
+        f"run {tmp_path / 'mine.npz'} {sensor} --camera.die-mm 4.5 --out {tmp_path / 'out'}"
+    )
     assert code == 0, err
     page = " ".join(text_of(tmp_path / "out").split())
     assert "<h1>mine with 1.5 µm pixels</h1>" in page
@@ -370,7 +494,17 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
     assert "Noise and non-uniformities that the data sheet does not state are zero." in page
     rows = set(re.findall(r'<tr><th scope="row">([^<]+)</th>', page))
     assert {"pixel.full_well_e", "pixel.technology"} <= rows
-    assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law", "photodiode area over pixel area"} & rows
+    assert (
+        not {
+            "capacitance",
+            "well_limit",
+            "conversion",
+            "response",
+            "fill_factor_law",
+            "photodiode area over pixel area",
+        }
+        & rows
+    )
     assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
 
 
@@ -383,9 +517,12 @@ def test_run_page_enlarges_small_picture(rendered):
 @pytest.mark.parametrize(
     ("shape", "small"),
     [((1024, 1024), (1024, 1024)), ((1025, 8), (512, 4)), ((700, 3000), (233, 1000)),
-     ((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))],  # thinner than a block
+     # thinner than a block
+     ((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))],
 )  # fmt: skip
-def test_large_picture_is_reduced_to_means_of_whole_blocks(shape: tuple[int, int], small: tuple[int, int]) -> None:
+def test_large_picture_is_reduced_to_means_of_whole_blocks(
+    shape: tuple[int, int], small: tuple[int, int]
+) -> None:
     whole = np.random.default_rng(3).random(shape)
     down, across = (n // m for n, m in zip(shape, small, strict=True))
     blocks = whole[: down * small[0], : across * small[1]].reshape(small[0], down, small[1], across)
@@ -396,7 +533,9 @@ def test_large_picture_is_reduced_to_means_of_whole_blocks(shape: tuple[int, int
 
 
 def test_colour_rows_are_those_of_score_json() -> None:
-    """Noise gains, SMI, error of the patches and shares out of gamut; none for a monochrome sensor."""
+    """Noise gains, SMI, error of the patches and shares out of gamut; none for a monochrome
+    sensor.
+    """
     facts = {
         "layout": "RG/CB",
         "white_spectrum": "D65",

@@ -1,4 +1,6 @@
-"""settings.toml of a run, a study and a comparison: one command makes the same numbers again, from another folder."""
+"""settings.toml of a run, a study and a comparison: one command makes the same numbers again, from
+another folder.
+"""
 
 from __future__ import annotations
 
@@ -50,11 +52,17 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "qe.csv").write_text("400,0.3\n550,0.6123456789012345\n700,0.4\n", encoding="utf-8")
     (folder / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
     write_chart(folder / "star.exr", siemens_star(64, 64))
-    light = np.linspace(1e-3, 5e-3, 48)[:, None, None] * np.linspace(0.2, 1, 48)[:, None] * np.ones(31)
-    pixsim.write_npz(folder / "light.npz", pixsim.SpectralImage(np.arange(400.0, 701.0, 10.0), 10.0, 31.25, data=light))
+    light = (
+        np.linspace(1e-3, 5e-3, 48)[:, None, None] * np.linspace(0.2, 1, 48)[:, None] * np.ones(31)
+    )
+    pixsim.write_npz(
+        folder / "light.npz",
+        pixsim.SpectralImage(np.arange(400.0, 701.0, 10.0), 10.0, 31.25, data=light),
+    )
     (folder / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     (folder / "dusk.toml").write_text(
-        f'name = "s"\n{DUSK}[[condition]]\nname = "day"\nset.camera.f_number = 4.0\n', encoding="utf-8"
+        f'name = "s"\n{DUSK}[[condition]]\nname = "day"\nset.camera.f_number = 4.0\n',
+        encoding="utf-8",
     )
     two_sheets(folder)
     monkeypatch.chdir(folder)
@@ -69,13 +77,20 @@ def done(line: str) -> None:
 
 def command_in(folder: Path) -> str:
     """The command in the head of settings.toml, without the name of the program."""
-    (line,) = [text for text in (folder / "settings.toml").read_text(encoding="utf-8").splitlines() if text.startswith("# pixsim ")]
+    (line,) = [
+        text
+        for text in (folder / "settings.toml").read_text(encoding="utf-8").splitlines()
+        if text.startswith("# pixsim ")
+    ]
     return shlex.join(shlex.split(line)[2:])
 
 
 RUN_FILES = ("raw.exr", "delta_e.exr", "image.png", "ideal.png")
 SCORE = ("mean_delta_e", "camera", "exposure", "display", "seed", "render_noise", "dark")
-PAIR = "compare quiet.toml 'noisy one.toml' --display.dots 32 --resolution 48 --repeats 2 --variant scalar_spectral"
+PAIR = (
+    "compare quiet.toml 'noisy one.toml' --display.dots 32 --resolution 48 --repeats 2 --variant"
+    " scalar_spectral"
+)
 REPEATED = "compare sensors/quiet.toml sensors/noisy_one.toml"
 COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_dots", "display")
 
@@ -83,7 +98,8 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
 @pytest.mark.parametrize(
     ("line", "head", "files", "numbers"),
     [
-        # The sheet's pixels across, 1.1 mm / 12 µm and 1.5 mm / 12 µm, are the dots; the chart ends at their Nyquist frequency.
+        # The sheet's pixels across, 1.1 mm / 12 µm and 1.5 mm / 12 µm, are the dots; the chart ends
+        # at their Nyquist frequency.
         ("run csf --config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3 --resolution 48 --render-noise 10",
          "run csf --config settings.toml", RUN_FILES, SCORE),
         ("run flat --config sheet.toml --resolution 48 --render-noise 10", "run flat --config settings.toml", RUN_FILES, SCORE),
@@ -98,9 +114,17 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
     ],
 )  # fmt: skip
 def test_command_of_settings_makes_the_same_numbers(
-    line: str, head: str, files: tuple[str, ...], numbers: tuple[str, ...], desk: Path, tmp_path: Path, monkeypatch: Any
+    line: str,
+    head: str,
+    files: tuple[str, ...],
+    numbers: tuple[str, ...],
+    desk: Path,
+    tmp_path: Path,
+    monkeypatch: Any,
 ) -> None:
-    """The command in settings.toml, in its folder, gives every number again, bit for bit; `assert_repeats` has it for studies."""
+    """The command in settings.toml, in its folder, gives every number again, bit for bit;
+    `assert_repeats` has it for studies.
+    """
     no_light = "--irradiance none" if line.startswith("run") else "--jobs 1"
     out, again = desk / "out", tmp_path / "again"
     done(f"{line} {no_light} --out out")
@@ -110,10 +134,18 @@ def test_command_of_settings_makes_the_same_numbers(
     done(f"{repeat} {no_light} --out {again}")
     for name in files:
         assert (again / name).read_bytes() == (out / name).read_bytes(), name
-    (before,) = (path for path in out.glob("*.json") if path.name in ("score.json", "summary.json", "compare.json"))
-    first, second = (json.loads((folder / before.name).read_text(encoding="utf-8")) for folder in (out, again))
+    (before,) = (
+        path
+        for path in out.glob("*.json")
+        if path.name in ("score.json", "summary.json", "compare.json")
+    )
+    first, second = (
+        json.loads((folder / before.name).read_text(encoding="utf-8")) for folder in (out, again)
+    )
     assert {name: second[name] for name in numbers} == {name: first[name] for name in numbers}
-    settings, same = ((folder / "settings.toml").read_text(encoding="utf-8") for folder in (out, again))
+    settings, same = (
+        (folder / "settings.toml").read_text(encoding="utf-8") for folder in (out, again)
+    )
     assert tomllib.loads(same) == tomllib.loads(settings)
     assert "qe.csv" not in settings, "values, not files"
     if line.startswith("run") and "sheet" in line and "light" not in line and "dots" not in line:
@@ -123,26 +155,45 @@ def test_command_of_settings_makes_the_same_numbers(
 def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The limit ends the first run after its first two renders; its noise as the target ends the second one there too."""
+    """The limit ends the first run after its first two renders; its noise as the target ends the
+    second one there too.
+    """
     scene, same = "run macbeth --variant scalar_spectral --irradiance none", tmp_path / "again"
-    done(f"{scene} --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --max-seconds 1e-9 --out out")
+    done(
+        f"{scene} --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --max-seconds"
+        " 1e-9 --out out"
+    )
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
     done(f"{scene} --config out/settings.toml --out {same}")
-    first, again = (json.loads((folder / "score.json").read_text(encoding="utf-8")) for folder in (desk / "out", same))
-    assert (first["render_noise"]["ended_by"], again["render_noise"]["ended_by"]) == ("max_seconds", "target")
+    first, again = (
+        json.loads((folder / "score.json").read_text(encoding="utf-8"))
+        for folder in (desk / "out", same)
+    )
+    assert (first["render_noise"]["ended_by"], again["render_noise"]["ended_by"]) == (
+        "max_seconds",
+        "target",
+    )
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
 def study_of(desk: Path, toml: str, under: str = "", **options: object) -> StudyResult:
     """Run a study, by its own file, or by that file over another one."""
     (desk / "own.toml").write_text(f'name = "own"\nrepeats = 2\n{toml}', encoding="utf-8")
-    files = {"plan": desk / under, "config": desk / "own.toml"} if under else {"plan": desk / "own.toml"}
+    files = (
+        {"plan": desk / under, "config": desk / "own.toml"}
+        if under
+        else {"plan": desk / "own.toml"}
+    )
     with warnings.catch_warnings(action="ignore"):
-        return pixsim.study(out=desk / "out", **{"jobs": 1, "parameters": {"spp": 4}} | files | options)
+        return pixsim.study(
+            out=desk / "out", **{"jobs": 1, "parameters": {"spp": 4}} | files | options
+        )
 
 
 def assert_repeats(result: StudyResult, folder: Path, variant: str | None = None) -> None:
-    """The study of a result's settings.toml, in another folder, has the same numbers; its head names the command."""
+    """The study of a result's settings.toml, in another folder, has the same numbers; its head
+    names the command.
+    """
     folder.mkdir()
     (folder / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
     assert command_in(folder) == f"study settings.toml{f' --variant {variant}' if variant else ''}"
@@ -150,24 +201,45 @@ def assert_repeats(result: StudyResult, folder: Path, variant: str | None = None
         patch.chdir(folder)
         again = pixsim.study("settings.toml", "again", variant=variant, jobs=1)
     for first, second in zip(result.curves, again.curves, strict=True):
-        assert np.array_equal(first.delta_e, second.delta_e, equal_nan=True)  # of sizes with fewer sensors
-    assert len({curve.delta_e.tobytes() for curve in result.curves}) == len(result.curves), "what a case sets is used"
+        assert np.array_equal(
+            first.delta_e, second.delta_e, equal_nan=True
+        )  # of sizes with fewer sensors
+    assert len({curve.delta_e.tobytes() for curve in result.curves}) == len(result.curves), (
+        "what a case sets is used"
+    )
     assert tomllib.loads(again.settings_toml) == tomllib.loads(result.settings_toml)
 
 
 @pytest.mark.parametrize(
     ("toml", "options"),
     [
-        pytest.param("", {"config": "sheet.toml"}, marks=pytest.mark.slow),  # two studies; the next has the sheet, too
-        ("", {"scene": "slanted_edge", "config": "sheet.toml", "window_mm": 0.9, "pitch": {"min_um": 10}}),
+        pytest.param(
+            "", {"config": "sheet.toml"}, marks=pytest.mark.slow
+        ),  # two studies; the next has the sheet, too
+        (
+            "",
+            {
+                "scene": "slanted_edge",
+                "config": "sheet.toml",
+                "window_mm": 0.9,
+                "pitch": {"min_um": 10},
+            },
+        ),
         (
             "camera.die_mm = 1.0\npitch.min_fill_factor = 0.3\n",
             {"pixel": {"technology": "mine.toml"}, "parameters": {"chart": "star.exr"}},
         ),
     ],
 )
-def test_study_settings_make_same_numbers(toml: str, options: dict[str, Any], desk: Path, tmp_path: Path) -> None:
-    result = study_of(desk, f"render_noise = 10\npitch.count = 6\ndisplay.dots = 50\n{toml}", resolution=COARSE, **options)
+def test_study_settings_make_same_numbers(
+    toml: str, options: dict[str, Any], desk: Path, tmp_path: Path
+) -> None:
+    result = study_of(
+        desk,
+        f"render_noise = 10\npitch.count = 6\ndisplay.dots = 50\n{toml}",
+        resolution=COARSE,
+        **options,
+    )
     assert result.curves[0].delta_e.size >= 12  # and those that an open end asks for
     assert_repeats(result, tmp_path / "again")
 
@@ -187,19 +259,32 @@ def test_settings_of_study_with_layers_and_range_repeat_it(desk: Path, tmp_path:
     [
         # test_run_settings_after_time_limit has it for a run
         pytest.param(
-            "macbeth", {"max_seconds": 1e-9, "render_noise": 1e-3, "resolution": 32}, "max_seconds", marks=pytest.mark.slow
+            "macbeth",
+            {"max_seconds": 1e-9, "render_noise": 1e-3, "resolution": 32},
+            "max_seconds",
+            marks=pytest.mark.slow,
         ),
         ("flat", {"max_seconds": 1e6}, "target"),
     ],
 )
 def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
-    scene: str, options: dict[str, float], ended_by: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: str,
+    options: dict[str, float],
+    ended_by: str,
+    desk: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The clock may have ended the render, or chosen the film of one that it did not end."""
-    result = study_of(desk, "pitch = { count = 5 }", scene=scene, config="sheet.toml", window_mm=0.5, **options)
+    result = study_of(
+        desk, "pitch = { count = 5 }", scene=scene, config="sheet.toml", window_mm=0.5, **options
+    )
     assert result.irradiance.header["render_noise"]["ended_by"] == ended_by
     kept = tomllib.loads(result.settings_toml)
-    assert (kept["resolution"], kept["max_seconds"]) == (result.irradiance.shape[1], NO_TIME_LIMIT_S)
+    assert (kept["resolution"], kept["max_seconds"]) == (
+        result.irradiance.shape[1],
+        NO_TIME_LIMIT_S,
+    )
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
     assert_repeats(result, tmp_path / "again")
 
@@ -209,44 +294,76 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
     [
         (AXIS, 1e3 / 24),
         # More values of the claim of the first.
-        pytest.param(DUSK + '[[condition]]\nname = "edge"\nset.scene.file = "slanted_edge"\n', None, marks=pytest.mark.slow),
         pytest.param(
-            DUSK + '[[condition]]\nname = "few"\nset.display.dots = 32\nset.scene.parameters.max_lp_per_mm = 20\n',
+            DUSK + '[[condition]]\nname = "edge"\nset.scene.file = "slanted_edge"\n',
+            None,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            DUSK + '[[condition]]\nname = "few"\nset.display.dots ='
+            " 32\nset.scene.parameters.max_lp_per_mm = 20\n",
             1e3 / 24,
             marks=pytest.mark.slow,
         ),
         pytest.param(
-            AXIS.replace("pixel.read_noise_e", "display.dots").replace("2, 20", "32, 64"), 1e3 / 24, marks=pytest.mark.slow
+            AXIS.replace("pixel.read_noise_e", "display.dots").replace("2, 20", "32, 64"),
+            1e3 / 24,
+            marks=pytest.mark.slow,
         ),
     ],
 )
-def test_settings_of_cases_state_the_display_that_was_chosen(table: str, highest: float | None, desk: Path, tmp_path: Path) -> None:
-    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist frequency if all have it."""
+def test_settings_of_cases_state_the_display_that_was_chosen(
+    table: str, highest: float | None, desk: Path, tmp_path: Path
+) -> None:
+    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist
+    frequency if all have it.
+    """
     table = f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{table}"
     result = study_of(desk, table, config="sheet.toml", window_mm=0.9, resolution=COARSE)
     settings = tomllib.loads(result.settings_toml)
-    found = settings["display"]["dots"], settings["scene"].get("parameters", {}).get("max_lp_per_mm")
+    found = (
+        settings["display"]["dots"],
+        settings["scene"].get("parameters", {}).get("max_lp_per_mm"),
+    )
     assert found == (75, highest if highest is None else pytest.approx(highest, rel=1e-12))
     words = study_view_words(result)
     assert bool(words) == ("display.dots" not in table), "of one display for all cases"
-    assert all(line.startswith("shown on 75 dots (from the sensor's pixels), 1 pixels per dot") for line in words[:1])
+    assert all(
+        line.startswith("shown on 75 dots (from the sensor's pixels), 1 pixels per dot")
+        for line in words[:1]
+    )
     assert_repeats(result, tmp_path / "again")
 
 
 @pytest.mark.slow
 def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: Path) -> None:
-    """Options replace values of the sheets, and settings.toml has them; the sheets are not read again."""
-    (desk / "part.toml").write_text("[pixel]\ntechnology = 'mine.toml'\npitch_um = 9.0\nread_noise_e = 4.0\n", encoding="utf-8")
+    """Options replace values of the sheets, and settings.toml has them; the sheets are not read
+    again.
+    """
+    (desk / "part.toml").write_text(
+        "[pixel]\ntechnology = 'mine.toml'\npitch_um = 9.0\nread_noise_e = 4.0\n", encoding="utf-8"
+    )
     table = 'technologies = ["sheet.toml", "part.toml"]\n[pitch]\nvalues_um = [8, 10, 14, 20, 28]\n'
-    result = study_of(desk, table, scene="flat", pixel={"bits": 6}, camera={"die_mm": 1}, resolution=COARSE)
+    result = study_of(
+        desk, table, scene="flat", pixel={"bits": 6}, camera={"die_mm": 1}, resolution=COARSE
+    )
     kept = tomllib.loads(result.settings_toml)
-    assert list(kept["sensors"]) == kept["technologies"] == [str(desk / "sheet.toml"), str(desk / "part.toml")]
+    assert (
+        list(kept["sensors"])
+        == kept["technologies"]
+        == [str(desk / "sheet.toml"), str(desk / "part.toml")]
+    )
     (desk / "sheet.toml").write_text(SHEET.replace("12000", "50000"), encoding="utf-8")
     (desk / "part.toml").unlink()
     assert_repeats(result, tmp_path / "again")
-    assert {sensor.bits for sensor in load_study(tmp_path / "again/settings.toml").sensors.values()} == {6}
+    assert {
+        sensor.bits for sensor in load_study(tmp_path / "again/settings.toml").sensors.values()
+    } == {6}
     other = load_study(tmp_path / "again/settings.toml", pixel={"bits": 8})
-    assert {(sensor.bits, sensor.full_well_e) for sensor in other.sensors.values()} == {(8, 12000), (8, None)}, "an option wins"
+    assert {(sensor.bits, sensor.full_well_e) for sensor in other.sensors.values()} == {
+        (8, 12000),
+        (8, None),
+    }, "an option wins"
 
 
 @pytest.mark.slow
@@ -261,14 +378,18 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
         done(f"study own.toml --config sheet.toml {option} --resolution 48 --jobs 1 --out out")
         keys.append({row["key"] for row in rows(desk / "out")})
-    assert len(set.union(*keys)) == 4 * 3 * 10, "five sizes, two repeats and three displays, four times anew"
+    assert len(set.union(*keys)) == 4 * 3 * 10, (
+        "five sizes, two repeats and three displays, four times anew"
+    )
 
 
 def test_texture_file_without_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A cache that cannot be written does not stop a run that needs a chart of its own."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "file"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # the chart stays there until this process ends
+    monkeypatch.setattr(
+        tempfile, "tempdir", str(tmp_path)
+    )  # the chart stays there until this process ends
     scene = pixsim.load_scene("csf", resolution=32, max_lp_per_mm=20)
     image = pixsim.render(scene, pixsim.Camera())
     assert "chart" not in image.header["parameters"]

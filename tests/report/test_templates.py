@@ -36,15 +36,21 @@ def uncommented(text: str) -> dict[str, Any]:
 
 
 def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
-    """A table whose [pixel] has either other words, the first of those for a quantity, or the fields that they stand for.
+    """A table whose [pixel] has either other words, the first of those for a quantity, or the
+    fields that they stand for.
 
-    Of the fields of [develop], [motion] and [display] that exclude each other it has the first or the last.
+    Of the fields of [develop], [motion] and [display] that exclude each other it has the first or
+    the last.
     """
     motion = {name: value for name, value in table["motion"].items() if name not in VELOCITIES}
     velocity = VELOCITIES[-1 if words else 0]
     motion[velocity] = table["motion"][velocity]
     white = "white_cd_per_m2" if words else "white"
-    display = {name: value for name, value in table["display"].items() if name not in restated_by(Display, [white])}
+    display = {
+        name: value
+        for name, value in table["display"].items()
+        if name not in restated_by(Display, [white])
+    }
     develop: dict[str, Any] = {}
     for name in sorted(table["develop"], reverse=words):
         if not restated_by(Develop, [name]) & develop.keys():
@@ -57,12 +63,18 @@ def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
-    """Dotted names of the fields of a table; all fields of an inner record if the table does not list them."""
+    """Dotted names of the fields of a table; all fields of an inner record if the table does not
+    list them.
+    """
     names = set()
     for name, value in table.items():
         kind = record.model_fields[name].annotation
         inner = isinstance(kind, type) and issubclass(kind, BaseModel)
-        names |= dotted(value if isinstance(value, dict) else kind.model_fields, kind, f"{path}{name}.") if inner else {path + name}
+        names |= (
+            dotted(value if isinstance(value, dict) else kind.model_fields, kind, f"{path}{name}.")
+            if inner
+            else {path + name}
+        )
     return names
 
 
@@ -75,7 +87,9 @@ def test_template_has_every_field_and_is_valid(kind: str) -> None:
     everything = uncommented(text)
     for words in (False, True):
         record.model_validate(stated_once(everything, words))
-    with pytest.raises(ValueError, match=r"saturation_capacity_e and full_well_e state the same quantity"):
+    with pytest.raises(
+        ValueError, match=r"saturation_capacity_e and full_well_e state the same quantity"
+    ):
         record.model_validate(everything)
 
 
@@ -88,7 +102,10 @@ def test_template_describes_every_field(kind: str) -> None:
     text = template(kind).replace("\n##   ", " ")  # comments of several lines as one
     assert "## standard deviation of the gain over its mean (PRNU); 0 to 0.3; optional\n" in text
     assert "## dark current of one pixel; in electrons per second; 0 to 1e+18; optional\n" in text
-    assert 'a voltage swing of 1 V; "mosis", "paper"; default "mosis"\n# capacitance = "mosis"\n' in text
+    assert (
+        'a voltage swing of 1 V; "mosis", "paper"; default "mosis"\n# capacitance = "mosis"\n'
+        in text
+    )
 
 
 def test_template_shows_defaults_of_record() -> None:
@@ -100,7 +117,15 @@ def test_template_shows_defaults_of_record() -> None:
         assert line not in text, "commented out"
     table = uncommented(text)
     defaults = Study(name="x").model_dump(mode="json")
-    for path in ("seed", "max_repeats", "iso_delta_e", "paper", "display.gamma", "display.dots", "exposure.well_target"):
+    for path in (
+        "seed",
+        "max_repeats",
+        "iso_delta_e",
+        "paper",
+        "display.gamma",
+        "display.dots",
+        "exposure.well_target",
+    ):
         value, default = table, defaults
         for part in path.split("."):
             value, default = value[part], default[part]
@@ -124,10 +149,16 @@ def test_json_schema_agrees_with_record(kind: str) -> None:
     check = jsonschema.Draft202012Validator(schema)
     everything = uncommented(template(kind))
     assert not list(check.iter_errors(everything))
-    wrong: dict[str, Any] = {"pixel": {"bits": 99}, "display": {"gama": 2.2}, "camera": {"f_number": -1.0}}
+    wrong: dict[str, Any] = {
+        "pixel": {"bits": 99},
+        "display": {"gama": 2.2},
+        "camera": {"f_number": -1.0},
+    }
     for table, values in wrong.items():
         assert list(check.iter_errors(everything | {table: everything[table] | values})), table
-    assert set(schema["properties"]) - {"base"} == set(RECORDS[kind].model_fields)  # a base is read with the file
+    assert set(schema["properties"]) - {"base"} == set(
+        RECORDS[kind].model_fields
+    )  # a base is read with the file
 
 
 def test_uncertainty_of_sensor_is_a_table_of_the_file(tmp_path: Path) -> None:
@@ -139,14 +170,22 @@ def test_uncertainty_of_sensor_is_a_table_of_the_file(tmp_path: Path) -> None:
         .replace("\n##   full", "\nfull")
     )
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    assert {name: spread.kind for name, spread in sheet_uncertainty(tmp_path / "mine.toml").items()} == dict.fromkeys(
-        ("read_noise_e", "full_well_e"), "normal"
-    )
+    assert {
+        name: spread.kind for name, spread in sheet_uncertainty(tmp_path / "mine.toml").items()
+    } == dict.fromkeys(("read_noise_e", "full_well_e"), "normal")
     check = jsonschema.Draft202012Validator(json_schema("sensor"))
     table = tomllib.loads(text)
     assert not list(check.iter_errors(table))
-    for wrong in ({"bits": {"sd": 1}}, {"prnu": {"sdd": 1}}, {"prnu": {"sd": -1}}, {"prnu": 0.1}, {"prnu": {"range": [1]}}):
-        assert list(check.iter_errors(table | {"pixel": table["pixel"] | {"uncertainty": wrong}})), wrong
+    for wrong in (
+        {"bits": {"sd": 1}},
+        {"prnu": {"sdd": 1}},
+        {"prnu": {"sd": -1}},
+        {"prnu": 0.1},
+        {"prnu": {"range": [1]}},
+    ):
+        assert list(
+            check.iter_errors(table | {"pixel": table["pixel"] | {"uncertainty": wrong}})
+        ), wrong
 
 
 def test_json_schema_accepts_packaged_studies() -> None:
@@ -161,8 +200,16 @@ def test_unit_of_follows_name() -> None:
     assert unit_of("white_cd_per_m2") == "cd/m²"
     assert unit_of("max_seconds") == "s"
     assert unit_of("tolerance_e") == unit_of("delta_e") == unit_of("bits") == ""
-    names = {path.rpartition(".")[2] for record in RECORDS.values() for path in dotted(record.model_fields, record)}
-    with_unit = {name for name in names if re.search(r"_(um|mm|nm|m|s|e|k|dn|cd_per_m2|e_per_s|per_deg|seconds)$", name)}
+    names = {
+        path.rpartition(".")[2]
+        for record in RECORDS.values()
+        for path in dotted(record.model_fields, record)
+    }
+    with_unit = {
+        name
+        for name in names
+        if re.search(r"_(um|mm|nm|m|s|e|k|dn|cd_per_m2|e_per_s|per_deg|seconds)$", name)
+    }
     assert {name for name in with_unit if not unit_of(name)} == {"tolerance_e", "delta_e"}
     assert UNITS["_e"] == "electrons"
 

@@ -21,7 +21,16 @@ from pixsim.base.records import checked
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, rank, study_views
 from pixsim.show import pictures
-from pixsim.show.pictures import DETAIL_DOTS, Picture, Window, delta_e_colours, display_codes, window_at, windows, worst_window
+from pixsim.show.pictures import (
+    DETAIL_DOTS,
+    Picture,
+    Window,
+    delta_e_colours,
+    display_codes,
+    window_at,
+    windows,
+    worst_window,
+)
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.merging import merge
 
@@ -33,7 +42,8 @@ def decoded(png: bytes) -> np.ndarray:
     return np.asarray(picture.convert("RGB") if picture.mode == "P" else picture)
 
 
-# --- windows ----------------------------------------------------------------------------------------------------------
+# --- windows
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("shape", [(512, 512), (300, 200), (112, 500), (40, 64), (1, 9)])
@@ -50,7 +60,12 @@ def test_windows_are_square_and_cover(shape: tuple[int, int]) -> None:
 
 def test_window_at_position() -> None:
     y, x = np.indices((512, 300))
-    for centre, corner in {(0.0, 0.0): (0, 0), (1.0, 1.0): (400, 188), (0.5, 0.5): (200, 94), (1.0, 0.0): (0, 188)}.items():
+    for centre, corner in {
+        (0.0, 0.0): (0, 0),
+        (1.0, 1.0): (400, 188),
+        (0.5, 0.5): (200, 94),
+        (1.0, 0.0): (0, 188),
+    }.items():
         window = window_at(centre, (512, 300))
         assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
         assert window.of(y).shape == (112, 112)
@@ -65,10 +80,15 @@ def test_window_of_scales_with_dots(dots: int) -> None:
 
 @pytest.mark.parametrize("coarse", [(1, 1), (2, 2), (5, 3)])
 def test_window_of_coarse_picture_is_not_empty(coarse: tuple[int, int]) -> None:
-    """With a dot for each pixel, the largest pixels' picture can be smaller than a detail's share of the finest."""
+    """With a dot for each pixel, the largest pixels' picture can be smaller than a detail's share
+    of the finest.
+    """
     seen: set[int] = set()
     picture = np.arange(coarse[0] * coarse[1]).reshape(coarse)
-    for window in [*windows((512, 300)), *(window_at(at, (512, 512)) for at in ((0.0, 1.0), (1.0, 1.0), (0.5, 0.99)))]:
+    for window in [
+        *windows((512, 300)),
+        *(window_at(at, (512, 512)) for at in ((0.0, 1.0), (1.0, 1.0), (0.5, 0.99))),
+    ]:
         part = window.of(picture)
         assert part.size > 0
         seen |= set(part.ravel().tolist())
@@ -87,14 +107,17 @@ def test_worst_window_is_bad_in_all_maps() -> None:
     assert worst_window([noise, blur[::2, ::2]]).centre == (across, down)
 
 
-# --- pictures ---------------------------------------------------------------------------------------------------------
+# --- pictures
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("cached", ["kept", "not kept", "of another shape"])
 def test_shown_pictures_equal_scored_ones(
     tiny_result: StudyResult, cached: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To the last bit; where the cache has a frame, the light on its pixels is not computed. It has none of a further sensor."""
+    """To the last bit; where the cache has a frame, the light on its pixels is not computed. It has
+    none of a further sensor.
+    """
     curve = tiny_result.curves[0]
     place = curve.technology, float(curve.pitch_um[1])
     count = tiny_result.sensors_at(*place)
@@ -107,7 +130,11 @@ def test_shown_pictures_equal_scored_ones(
         (path,) = (tmp_path / "frames").glob("*.npz")
         frames = cache.arrays("frames", path.stem)
         assert frames
-        cache.store_arrays("frames", path.stem, {name: np.zeros((3, 3), array.dtype) for name, array in frames.items()})
+        cache.store_arrays(
+            "frames",
+            path.stem,
+            {name: np.zeros((3, 3), array.dtype) for name, array in frames.items()},
+        )
     shown = tiny_result.shown_scores(*place, count)
     assert [score.frame.mean_e.mean() == 0 for score in shown] == [cached == "kept"] * count
     np.testing.assert_array_equal(tiny_result.shown_part(*place, WHOLE.of), expected[0].image)
@@ -115,8 +142,16 @@ def test_shown_pictures_equal_scored_ones(
         for one, other in zip(found, expected, strict=False):
             np.testing.assert_array_equal(one.delta_e, other.delta_e)
             np.testing.assert_array_equal(one.frame.dn, other.frame.dn)
-            kept = ("saturated_fraction", "integration_s", "fill_factor", "full_well_e", "max_delta_e")
-            assert [one.statistics()[name] for name in kept] == [other.statistics()[name] for name in kept]
+            kept = (
+                "saturated_fraction",
+                "integration_s",
+                "fill_factor",
+                "full_well_e",
+                "max_delta_e",
+            )
+            assert [one.statistics()[name] for name in kept] == [
+                other.statistics()[name] for name in kept
+            ]
 
 
 def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
@@ -130,26 +165,50 @@ def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
 
 
 def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult) -> None:
-    """Each dot is ten by ten here, of which the means of two by two are five by five: whole pictures have at most 1024 dots."""
+    """Each dot is ten by ten here, of which the means of two by two are five by five: whole
+    pictures have at most 1024 dots.
+    """
     curve = tiny_result.curves[0]
     (score,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     ideal, image = (np.kron(picture, np.ones((10, 10))) for picture in (score.ideal, score.image))
-    large: Any = SimpleNamespace(ideal=ideal, image=image, delta_e=score.delta_e, physics=score.physics)
-    of_result = {"study": tiny_result.study, "curves": tiny_result.curves, "shown_scores": lambda *_: [large]}
-    result: Any = SimpleNamespace(**of_result, shown_part=lambda technology, pitch_um, part: part(image))
+    large: Any = SimpleNamespace(
+        ideal=ideal, image=image, delta_e=score.delta_e, physics=score.physics
+    )
+    of_result = {
+        "study": tiny_result.study,
+        "curves": tiny_result.curves,
+        "shown_scores": lambda *_: [large],
+    }
+    result: Any = SimpleNamespace(
+        **of_result, shown_part=lambda technology, pitch_um, part: part(image)
+    )
     views = study_views(result, curve)
     assert views.factor == 2
-    for shown, whole in zip((views.ideal, *views.outputs), (score.ideal, *[score.image] * len(views.outputs)), strict=True):
-        np.testing.assert_array_equal(decoded(shown.png), display_codes(np.kron(whole, np.ones((5, 5)))))
-    assert {(item.width, item.height) for item in views.tiles} == {(1120, 1120)}, "details stay as they are"
+    for shown, whole in zip(
+        (views.ideal, *views.outputs),
+        (score.ideal, *[score.image] * len(views.outputs)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(
+            decoded(shown.png), display_codes(np.kron(whole, np.ones((5, 5))))
+        )
+    assert {(item.width, item.height) for item in views.tiles} == {(1120, 1120)}, (
+        "details stay as they are"
+    )
 
 
-@pytest.mark.parametrize("raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)]
+)
 def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
-    result = pixsim.study(tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9]), tmp_path, jobs=1)
+    result = pixsim.study(
+        tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9]), tmp_path, jobs=1
+    )
     curve = result.curves[0]
     at = best_place(curve)
-    scores = [result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()]
+    scores = [
+        result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()
+    ]
     views = study_views(result, curve)
     finest = max((score.ideal for score in scores), key=lambda item: item.size)
     window = window_at((0.9, 0.9), finest.shape)
@@ -160,7 +219,9 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
         assert tile.name == pixel_size(pitch_um)
         assert tile.note == f"mean ΔE {estimate(delta_e.mean())}"
     means = curve.delta_e.mean(axis=1)
-    assert means[at] == means.min(), "no other size that was tried is better than the one that is called so"
+    assert means[at] == means.min(), (
+        "no other size that was tried is better than the one that is called so"
+    )
     assert [tile.best for tile in views.tiles] == [index == at + 1 for index in range(7)]
     np.testing.assert_array_equal(decoded(views.ideal.png), display_codes(finest))
     for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
@@ -175,12 +236,20 @@ def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
     delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
     optimum = replace(tiny_result.curves[0].optimum, inside=True, pitch_um=8.4)
     curve = replace(
-        tiny_result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(tiny_result.curves[0].fit, optimum=optimum)
+        tiny_result.curves[0],
+        statistics={"mean_delta_e": delta_e},
+        fit=replace(tiny_result.curves[0].fit, optimum=optimum),
     )
     assert best_place(curve) == 1
-    assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "least error tried", "largest"]
+    assert [rank(curve, place) for place in (0, 1, 5)] == [
+        "smallest",
+        "least error tried",
+        "largest",
+    ]
     rising = replace(
-        curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, fit=replace(curve.fit, optimum=replace(optimum, inside=False))
+        curve,
+        statistics={"mean_delta_e": np.sort(delta_e, axis=0)},
+        fit=replace(curve.fit, optimum=replace(optimum, inside=False)),
     )
     assert [rank(rising, place) for place in (0, 5)] == ["smallest, least error tried", "largest"]
 
@@ -202,7 +271,8 @@ def test_scale_matches_map_colours(end: float) -> None:
     np.testing.assert_array_equal(bar[0], expected)
 
 
-# --- the sheet as a file ----------------------------------------------------------------------------------------------
+# --- the sheet as a file
+# ----------------------------------------------------------------------------------------------
 
 
 def test_contact_sheet_png_holds_tiles() -> None:
@@ -214,11 +284,17 @@ def test_contact_sheet_png_holds_tiles() -> None:
     sheet = decoded(pictures.contact_sheet_png("a title", tiles))
     for number, tile in enumerate(tiles):
         x = pictures.SHEET_MARGIN + number % pictures.COLUMNS * (112 + pictures.SHEET_GAP)
-        y = pictures.SHEET_MARGIN + pictures.TITLE + number // pictures.COLUMNS * (112 + 2 * 19 + pictures.SHEET_GAP)
+        y = (
+            pictures.SHEET_MARGIN
+            + pictures.TITLE
+            + number // pictures.COLUMNS * (112 + 2 * 19 + pictures.SHEET_GAP)
+        )
         np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], tile.codes)
         framed = (sheet[y : y + 112, x - 2] == 0).all()
         assert framed == tile.best
-    assert pictures.contact_sheet_png("a title", tiles) == pictures.contact_sheet_png("a title", tiles)
+    assert pictures.contact_sheet_png("a title", tiles) == pictures.contact_sheet_png(
+        "a title", tiles
+    )
 
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
@@ -229,11 +305,15 @@ def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
     assert sheet.shape[1] < 2500
 
 
-# --- the detail of the study --------------------------------------------------------------------------------------------
+# --- the detail of the study
+# --------------------------------------------------------------------------------------------
 
 
 def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
-    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True, "detail": [0.1, 0.2]})
+    own = merge(
+        WHOLE_CHART,
+        {"display": {"dots": 120}, "resolution": 512, "paper": True, "detail": [0.1, 0.2]},
+    )
     again = pixsim.study(tiny(**own), tmp_path, jobs=1)
     np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
     assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
@@ -243,7 +323,9 @@ def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: P
     assert (tmp_path / "results.csv").read_text(encoding="utf-8") == text
 
 
-@pytest.mark.parametrize("detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]])
+@pytest.mark.parametrize(
+    "detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]]
+)
 def test_study_detail_outside_picture_raises(detail: object) -> None:
     from pixsim.base.layers import Layer
 

@@ -1,4 +1,6 @@
-"""Cached renders: results are the same bytes with and without the cache, and only equal light shares an entry."""
+"""Cached renders: results are the same bytes with and without the cache, and only equal light
+shares an entry.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,17 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
 # Two renders are enough.
-TABLES = {"render_noise": 100.0, "resolution": 32, "pixel": {"pitch_um": 84.8}, "display": {"dots": 32}, "scene": {"spp": 4}}
-RUN = f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100 --pixel.pitch-um 84.8 --out"
+TABLES = {
+    "render_noise": 100.0,
+    "resolution": 32,
+    "pixel": {"pitch_um": 84.8},
+    "display": {"dots": 32},
+    "scene": {"spp": 4},
+}
+RUN = (
+    f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
+    " --pixel.pitch-um 84.8 --out"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +77,9 @@ def run(out: Path) -> dict[str, bytes]:
 def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, monkeypatch):
     cold = run(tmp_path / "out")
     assert len(rendered) == len(cache.entries("render")) == 2
-    monkeypatch.setattr(Renderer, "tracer", property(lambda _: pytest.fail("a Mitsuba scene was built")))
+    monkeypatch.setattr(
+        Renderer, "tracer", property(lambda _: pytest.fail("a Mitsuba scene was built"))
+    )
     assert run(tmp_path / "out") == cold
     assert len(rendered) == 2
     monkeypatch.undo()
@@ -81,7 +94,9 @@ def lit(path: str | Path = "csf", full: bool = False, **more: Any) -> tuple[byte
     settings = Run.model_validate(merge(TABLES, more))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        light = light_run(prepare(str(path), settings, full=full, variant=VARIANT), no_stage).irradiance
+        light = light_run(
+            prepare(str(path), settings, full=full, variant=VARIANT), no_stage
+        ).irradiance
     return light.planes.tobytes(), repr(light.header)
 
 
@@ -105,7 +120,10 @@ def test_cached_renders_several_lights_are_restored(rendered):
 
 AGAIN: list[dict[str, Any]] = [{"seed": 1}, {"camera": {"f_number": 8}}]
 AGAIN += [{"scene": {"spp": 64}}, {"scene": {"emitter_scale": 0.02}}, {"full": True}]
-UNRELATED = [{"pixel": {"pitch_um": 60}}, {"pixel": {"well_limit": "swing"}, "exposure": {"integration_s": 0.01}}]
+UNRELATED = [
+    {"pixel": {"pitch_um": 60}},
+    {"pixel": {"well_limit": "swing"}, "exposure": {"integration_s": 0.01}},
+]
 UNRELATED += [{"display": {"gamma": 1.8, "white_cd_per_m2": 800}}]
 
 
@@ -120,7 +138,13 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "option", [*AGAIN[:2], *(pytest.param(option, marks=pytest.mark.slow) for option in AGAIN[2:]), *UNRELATED], ids=str
+    "option",
+    [
+        *AGAIN[:2],
+        *(pytest.param(option, marks=pytest.mark.slow) for option in AGAIN[2:]),
+        *UNRELATED,
+    ],
+    ids=str,
 )
 def test_render_cache_ignores_unrelated_settings(option, folder, kept, rendered):
     shutil.copytree(kept, folder)
@@ -139,7 +163,9 @@ def test_render_cache_edited_texture_renders_again(tmp_path, rendered):
     pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
     path, chart = edited(tmp_path, "flat"), {"chart": str(tmp_path / "mine.exr")}
     first = lit(path, scene=chart)
-    pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), np.nextafter(np.float32(0.5), 1), np.float32))
+    pixsim.write_chart(
+        tmp_path / "mine.exr", np.full((4, 4), np.nextafter(np.float32(0.5), 1), np.float32)
+    )
     count = len(rendered)
     assert lit(path, scene=chart) != first
     assert len(rendered) == 2 * count
@@ -153,7 +179,10 @@ def test_render_cache_edited_scene_renders_again(tmp_path, rendered):
     lit(path)
     count = len(rendered)
     text = path.read_text(encoding="utf-8")
-    path.write_text(re.sub('<rotate y="1" angle="180"/>', '<rotate y="1" angle="180.0001"/>', text), encoding="utf-8")
+    path.write_text(
+        re.sub('<rotate y="1" angle="180"/>', '<rotate y="1" angle="180.0001"/>', text),
+        encoding="utf-8",
+    )
     lit(path)
     assert len(rendered) == 2 * count
 
@@ -162,7 +191,11 @@ def test_render_cache_edited_scene_renders_again(tmp_path, rendered):
 def test_render_cache_other_version_renders_again(package, folder, kept, rendered, monkeypatch):
     shutil.copytree(kept, folder)
     real = cache.version_fingerprint
-    monkeypatch.setattr(cache, "version_fingerprint", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
+    monkeypatch.setattr(
+        cache,
+        "version_fingerprint",
+        lambda *names: real(*names).replace(f"{package} ", f"{package} 99."),
+    )
     lit()
     assert rendered == [0, 1]
 
@@ -174,7 +207,9 @@ def test_render_cache_is_shared_by_studies(rendered):
     small = plan.model_copy(update={"render_noise": 10.0, "resolution": 32, "scene": scene})
     first = render_for(preparation.prepare(small, VARIANT).cases[0]).image
     count = len(rendered)
-    again = render_for(preparation.prepare(small.model_copy(update={"repeats": 3}), VARIANT).cases[0]).image
+    again = render_for(
+        preparation.prepare(small.model_copy(update={"repeats": 3}), VARIANT).cases[0]
+    ).image
     assert len(rendered) == count > 0
     assert np.array_equal(first.factors[1], again.factors[1])
     assert first.header == again.header
@@ -201,7 +236,9 @@ def test_cached_renders_size_is_limited(monkeypatch):
 
 
 def test_render_cache_time_limit_is_reproduced(rendered, monkeypatch):
-    """Cached renders take no time, so a clock would let each repetition render more. A new render takes a second here."""
+    """Cached renders take no time, so a clock would let each repetition render more. A new render
+    takes a second here.
+    """
     monkeypatch.setattr(convergence.time, "monotonic", lambda: float(len(rendered)))
     scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=32)
     pixel = pixsim.Pixel(pitch_um=84.8)

@@ -1,6 +1,7 @@
 """Contents of scenes: shapes in front of the lens, and spectra of surfaces.
 
-Compared with thin-lens optics, brute-force rays, Mitsuba's shapes, the numbers in the XML, and Fresnel's formula.
+Compared with thin-lens optics, brute-force rays, Mitsuba's shapes, the numbers in the XML, and
+Fresnel's formula.
 """
 
 from __future__ import annotations
@@ -13,7 +14,15 @@ import pytest
 from helpers.edits import END, NEEDS_LLVM, VARIANT, VARIANTS, edited, load
 
 import pixsim
-from pixsim.scene.contents import Body, Surfaces, blur_um, face_one_way, find_bodies, find_surfaces, greatest_blur_um
+from pixsim.scene.contents import (
+    Body,
+    Surfaces,
+    blur_um,
+    face_one_way,
+    find_bodies,
+    find_surfaces,
+    greatest_blur_um,
+)
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.scene import sensor_node
 
@@ -40,7 +49,9 @@ def test_blur_um_at_lens_is_infinite():
 def test_greatest_blur_is_at_an_end_of_the_body():
     camera = pixsim.Camera()
     deep = box(0, 0, 1.0, (0, 0, 0.4))
-    assert greatest_blur_um(camera, deep) == pytest.approx(max(blur_um(camera, 0.6), blur_um(camera, 1.4)), rel=1e-12)
+    assert greatest_blur_um(camera, deep) == pytest.approx(
+        max(blur_um(camera, 0.6), blur_um(camera, 1.4)), rel=1e-12
+    )
     assert blur_um(camera, 0.6) > blur_um(camera, 1.4) > 0
 
 
@@ -49,7 +60,11 @@ def test_blur_um_matches_mitsuba(tmp_path):
     radius_m, depth_m = 6e-5, 0.07
     small = ('x="$chart_half_width" y="$chart_half_height"', f'x="{radius_m}" y="{radius_m}"')
     away = ('<translate z="$focus_distance"/>', f'<translate z="{depth_m}"/>')
-    scene = load(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"'), small, away), resolution=48, spp=400)
+    scene = load(
+        edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"'), small, away),
+        resolution=48,
+        spp=400,
+    )
     camera = pixsim.Camera(f_number=1.0, object_distance_m=0.1, die_mm=0.16)
     image = pixsim.render(scene, camera)
     light = image.illuminance_lx()
@@ -71,7 +86,9 @@ def box(x: float, y: float, z: float, half: tuple[float, float, float] = (0, 0, 
 
 
 def widest(camera: pixsim.Camera, half_m: float, z: float) -> float:
-    """Return the largest distance from the axis, at a depth, of any ray between the lens and the plane in focus."""
+    """Return the largest distance from the axis, at a depth, of any ray between the lens and the
+    plane in focus.
+    """
     a, u = camera.aperture_radius_m, camera.object_distance_m
     start, end = np.meshgrid(np.linspace(-a, a, 201), np.linspace(-half_m, half_m, 201))
     return float(np.abs(start + (end - start) * z / u).max())
@@ -114,21 +131,35 @@ def bodies_of(path, **parameters) -> list[Body]:
     return find_bodies(state, sensor_node(state, None)[1])
 
 
-TURN = '<scale x="0.2" y="0.3" z="0.5"/><rotate x="1" y="2" z="0.5" angle="35"/><translate x="0.1" y="-0.2" z="0.7"/>'
-SHAPES = dict.fromkeys(("rectangle", "cube", "disk"), f'<transform name="to_world">{TURN}</transform>') | {
-    "sphere": '<point name="center" x="0.1" y="0.2" z="0.3"/><float name="radius" value="0.25"/>'
-    '<transform name="to_world"><scale value="0.5"/><translate z="0.7"/></transform>',
-    "cylinder": '<point name="p0" x="0.1" y="0" z="0.2"/><point name="p1" x="0.3" y="0.4" z="0.5"/>'
-    '<float name="radius" value="0.15"/><transform name="to_world"><rotate y="1" angle="40"/><translate z="0.7"/></transform>',
+TURN = (
+    '<scale x="0.2" y="0.3" z="0.5"/><rotate x="1" y="2" z="0.5" angle="35"/><translate x="0.1"'
+    ' y="-0.2" z="0.7"/>'
+)
+SHAPES = dict.fromkeys(
+    ("rectangle", "cube", "disk"), f'<transform name="to_world">{TURN}</transform>'
+) | {
+    "sphere": (
+        '<point name="center" x="0.1" y="0.2" z="0.3"/><float name="radius" value="0.25"/>'
+        '<transform name="to_world"><scale value="0.5"/><translate z="0.7"/></transform>'
+    ),
+    "cylinder": (
+        '<point name="p0" x="0.1" y="0" z="0.2"/><point name="p1" x="0.3" y="0.4" z="0.5"/><float'
+        ' name="radius" value="0.15"/><transform name="to_world"><rotate y="1"'
+        ' angle="40"/><translate z="0.7"/></transform>'
+    ),
 }
 
 
 @pytest.mark.parametrize("plugin", SHAPES)
 def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
-    path = edited(tmp_path, "flat", (END, f'<shape type="{plugin}" id="thing">{SHAPES[plugin]}</shape>'))
+    path = edited(
+        tmp_path, "flat", (END, f'<shape type="{plugin}" id="thing">{SHAPES[plugin]}</shape>')
+    )
     body = bodies_of(path)[1]
     with speaking_mitsuba(VARIANT) as mi:
-        bounds = next(item for item in mi.load_file(str(path)).shapes() if item.id() == "thing").bbox()
+        bounds = next(
+            item for item in mi.load_file(str(path)).shapes() if item.id() == "thing"
+        ).bbox()
         low, high = np.array(bounds.min), np.array(bounds.max)
     mine = body.corners.min(axis=0), body.corners.max(axis=0)
     assert np.all(mine[0] <= low + 1e-6)
@@ -142,7 +173,9 @@ def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
 def test_find_bodies_are_in_camera_frame(tmp_path):
     """The glass ball of the still life, seen by a camera that looks down, 10 cm along its axis."""
     state = load("still_life").parse()
-    bodies = {state.nodes[body.node].id: body for body in find_bodies(state, sensor_node(state, None)[1])}
+    bodies = {
+        state.nodes[body.node].id: body for body in find_bodies(state, sensor_node(state, None)[1])
+    }
     eye, target = np.array([0, 0.036, -0.094]), np.array([0, 0.0105, 0])
     forward = (target - eye) / np.linalg.norm(target - eye)
     across = np.array([1.0, 0, 0])  # up × forward
@@ -158,7 +191,10 @@ INSTANCE = """<shape type="shapegroup" id="group">{inside}</shape>
 <shape type="instance"><ref id="group"/><transform name="to_world"><scale value="2"/><translate x="0.1" z="3"/></transform></shape>
 <shape type="instance"><ref id="group"/><transform name="to_world"><translate z="5"/></transform></shape>"""
 BALL = '<shape type="sphere"><float name="radius" value="0.1"/></shape>'
-CUBE = '<shape type="cube"><transform name="to_world"><scale value="0.1"/><translate y="0.4"/></transform></shape>'
+CUBE = (
+    '<shape type="cube"><transform name="to_world"><scale value="0.1"/><translate'
+    ' y="0.4"/></transform></shape>'
+)
 
 
 def test_find_bodies_group_members_are_at_instances(tmp_path):
@@ -189,8 +225,16 @@ def test_find_bodies_unknown_member_has_no_corners(tmp_path):
 def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
     sizes = " ".join(f'{name}="{value}"' for name, value in zip("xyz", scale, strict=True))
     turn = f'<scale {sizes}/><rotate x="1" y="0.3" angle="25"/><translate z="0.7"/>'
-    inside = f'<boolean name="flip_normals" value="{flip}"/><transform name="to_world">{turn}</transform>'
-    path = edited(tmp_path, "flat", (END, f'<shape type="{plugin}">{inside}</shape>'), ('x="$chart_half_width"', 'x="0.0001"'))
+    inside = (
+        f'<boolean name="flip_normals" value="{flip}"/><transform'
+        f' name="to_world">{turn}</transform>'
+    )
+    path = edited(
+        tmp_path,
+        "flat",
+        (END, f'<shape type="{plugin}">{inside}</shape>'),
+        ('x="$chart_half_width"', 'x="0.0001"'),
+    )
     normal = bodies_of(path)[1].normal
     with speaking_mitsuba(VARIANT) as mi:
         hit = mi.load_file(str(path)).ray_intersect(mi.Ray3f([0.05, 0.03, 0], [0, 0, 1]))
@@ -199,7 +243,12 @@ def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
 
 
 def facing(*normals: tuple[float, float, float] | None) -> bool:
-    return face_one_way([Body(0, None, None if n is None else np.array(n, float) / np.linalg.norm(n)) for n in normals])
+    return face_one_way(
+        [
+            Body(0, None, None if n is None else np.array(n, float) / np.linalg.norm(n))
+            for n in normals
+        ]
+    )
 
 
 def test_face_one_way_parallel_boards():
@@ -258,7 +307,9 @@ def spectra(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> np.n
 
 
 def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
-    """Return the reflectance of a metal for unpolarised light, from complex amplitudes (Born & Wolf, 14.2)."""
+    """Return the reflectance of a metal for unpolarised light, from complex amplitudes (Born &
+    Wolf, 14.2).
+    """
     index = eta + 1j * k
     inside = np.sqrt(1 - (1 - cosine**2) / index**2)
     s = (cosine - index * inside) / (cosine + index * inside)
@@ -267,7 +318,9 @@ def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
 
 
 def coated(reflectance: np.ndarray) -> np.ndarray:
-    """Return the reflectance under a coat that reflects 60 % internally: ρ(1 + 0.6 ρ + 0.36 ρ² + …)."""
+    """Return the reflectance under a coat that reflects 60 % internally: ρ(1 + 0.6 ρ + 0.36 ρ² +
+    …).
+    """
     return np.sum([reflectance * (0.6 * reflectance) ** bounce for bounce in range(60)], axis=0)
 
 
@@ -284,7 +337,9 @@ NEUTRAL = {
     "glass": (bsdf("dielectric"), bsdf("roughdielectric"), bsdf("thindielectric")),
     "default plastic": (bsdf("plastic"), bsdf("roughplastic")),
     "a mirror": (bsdf("conductor"), bsdf("conductor", '<string name="material" value="none"/>')),
-    "a metal of one index": (bsdf("conductor", '<spectrum name="eta" value="0.2"/><spectrum name="k" value="3"/>'),),
+    "a metal of one index": (
+        bsdf("conductor", '<spectrum name="eta" value="0.2"/><spectrum name="k" value="3"/>'),
+    ),
     "twosided": (bsdf("twosided", bsdf("diffuse")),),
     "null": (bsdf("null"),),
 }
@@ -302,10 +357,20 @@ STRAIGHT = {
     "diffuse": bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9)),
     "irregular": bsdf("diffuse", table("reflectance", "360, 830", "0.1, 0.9")),
     "twosided": bsdf("twosided", bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9))),
-    "mask": bsdf("mask", '<float name="opacity" value="0.5"/>' + bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9))),
-    "checkerboard": bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{RAMP.format("color1", 0.1, 0.9)}</texture>'),
+    "mask": bsdf(
+        "mask",
+        '<float name="opacity" value="0.5"/>'
+        + bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9)),
+    ),
+    "checkerboard": bsdf(
+        "diffuse",
+        '<texture type="checkerboard"'
+        f' name="reflectance">{RAMP.format("color1", 0.1, 0.9)}</texture>',
+    ),
     "coloured glass": bsdf("dielectric", RAMP.format("specular_transmittance", 0.1, 0.9)),
-    "a plastic's gloss": bsdf("mask", bsdf("thindielectric", RAMP.format("specular_reflectance", 0.1, 0.9))),
+    "a plastic's gloss": bsdf(
+        "mask", bsdf("thindielectric", RAMP.format("specular_reflectance", 0.1, 0.9))
+    ),
 }
 
 
@@ -324,25 +389,35 @@ def test_find_surfaces_plastic_has_internal_reflection(plugin, tmp_path):
 @VARIANTS
 def test_find_surfaces_rgb_matches_mitsuba(variant, tmp_path):
     (seen,) = spectra(tmp_path, bsdf("diffuse", RGB), variant=variant)
-    # The published model (Jakob & Hanika 2019): a sigmoid of a parabola in λ, ½ + x/(2√(1+x²)), x = c0 λ² + c1 λ + c2. Its
-    # inverse is a parabola, whose third differences vanish; float32 of x: 1e-5 of its range.
+    # The published model (Jakob & Hanika 2019): a sigmoid of a parabola in λ, ½ + x/(2√(1+x²)), x =
+    # c0 λ² + c1 λ + c2. Its inverse is a parabola, whose third differences vanish; float32 of x:
+    # 1e-5 of its range.
     x = (2 * seen - 1) / (2 * np.sqrt(seen * (1 - seen)))
     parabola = np.polynomial.Polynomial.fit(NM, x, 2)
     assert np.abs(parabola(NM) - x).max() < 1e-4 * np.ptp(x)
-    # And it has the colour: under D65 its sRGB is what was asked, to the 2 % that the model's table reaches.
+    # And it has the colour: under D65 its sRGB is what was asked, to the 2 % that the model's table
+    # reaches.
     import colour
 
     shape = colour.SpectralShape(360, 780, 1)
     cmfs = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
     d65 = colour.SDS_ILLUMINANTS["D65"].copy().align(shape)
-    xyz = colour.sd_to_XYZ(colour.SpectralDistribution(seen[:421], NM[:421]), cmfs, d65, method="Integration") / 100
+    xyz = (
+        colour.sd_to_XYZ(
+            colour.SpectralDistribution(seen[:421], NM[:421]), cmfs, d65, method="Integration"
+        )
+        / 100
+    )
     rgb = colour.XYZ_to_RGB(xyz, "sRGB")
     np.testing.assert_allclose(rgb, [0.2, 0.5, 0.1], atol=0.01)
 
 
 def test_find_surfaces_checkerboard_has_both_colours(tmp_path):
     inside = RAMP.format("color0", 0.9, 0.2) + RAMP.format("color1", 0.1, 0.9)
-    result = spectra(tmp_path, bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>'))
+    result = spectra(
+        tmp_path,
+        bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>'),
+    )
     np.testing.assert_allclose(result, [ramp(0.9, 0.2), ramp(0.1, 0.9)], rtol=1e-6)
 
 
@@ -367,51 +442,78 @@ def test_find_surfaces_metal_index_obeys_fresnel(given, plugin, variant, tmp_pat
     result = spectra(tmp_path, bsdf(plugin, INDEX[given]), variant=variant)
     eta, k = ramp(0.2, 1.2), ramp(3, 2)
     # float32; 0.01 in eta would be 1e-3.
-    np.testing.assert_allclose(result, [fresnel(eta, k, cosine) for cosine in (1.0, 0.7, 0.3)], rtol=1e-5)
-    np.testing.assert_allclose(result[0], ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2), rtol=1e-5)
+    np.testing.assert_allclose(
+        result, [fresnel(eta, k, cosine) for cosine in (1.0, 0.7, 0.3)], rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        result[0], ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2), rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(
-    ("material", "at_450", "at_650"), [("Au", 0.39, 0.965), ("Cu", 0.55, 0.95), ("Ag", 0.97, 0.985), ("Al", 0.918, 0.905)]
+    ("material", "at_450", "at_650"),
+    [("Au", 0.39, 0.965), ("Cu", 0.55, 0.95), ("Ag", 0.97, 0.985), ("Al", 0.918, 0.905)],
 )
 def test_find_surfaces_metal_by_name(material, at_450, at_650, tmp_path):
-    normal = spectra(tmp_path, bsdf("conductor", f'<string name="material" value="{material}"/>'))[0]
-    # Handbook reflectances (CRC, optical properties of metals), which differ by 2 to 5 % between samples.
+    normal = spectra(tmp_path, bsdf("conductor", f'<string name="material" value="{material}"/>'))[
+        0
+    ]
+    # Handbook reflectances (CRC, optical properties of metals), which differ by 2 to 5 % between
+    # samples.
     assert normal[NM == 450] == pytest.approx(at_450, rel=0.06)
     assert normal[NM == 650] == pytest.approx(at_650, rel=0.03)
 
 
 def test_find_surfaces_tinted_metal_is_product(tmp_path):
     plain = spectra(tmp_path, bsdf("conductor", GOLD))
-    tinted = spectra(tmp_path, bsdf("conductor", GOLD + RAMP.format("specular_reflectance", 0.1, 0.9)))
+    tinted = spectra(
+        tmp_path, bsdf("conductor", GOLD + RAMP.format("specular_reflectance", 0.1, 0.9))
+    )
     for item in plain:
         # What light meets in one reflection.
         assert np.abs(tinted - item * ramp(0.1, 0.9)).max(axis=1).min() < 1e-6
 
 
 def test_find_surfaces_nested_bsdfs_are_included(tmp_path):
-    inner = bsdf("twosided", bsdf("roughconductor", GOLD)) + bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9))
+    inner = bsdf("twosided", bsdf("roughconductor", GOLD)) + bsdf(
+        "diffuse", RAMP.format("reflectance", 0.1, 0.9)
+    )
     blend = bsdf("blendbsdf", '<float name="weight" value="0.3"/>' + inner)
-    result = spectra(tmp_path, bsdf("blendbsdf", '<float name="weight" value="0.5"/>' + blend + bsdf("diffuse", RGB)))
+    result = spectra(
+        tmp_path,
+        bsdf("blendbsdf", '<float name="weight" value="0.5"/>' + blend + bsdf("diffuse", RGB)),
+    )
     assert len(result) == 3 + 1 + 1
-    gold, colour = spectra(tmp_path, bsdf("conductor", GOLD)), spectra(tmp_path, bsdf("diffuse", RGB))
+    gold, colour = (
+        spectra(tmp_path, bsdf("conductor", GOLD)),
+        spectra(tmp_path, bsdf("diffuse", RGB)),
+    )
     for item in (*gold, *colour, ramp(0.1, 0.9)):
         assert np.abs(result - item).max(axis=1).min() < 1e-6
 
 
 # --- Unknown spectra and short tables ---
 
-VERTEX_COLOURS = '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'
+VERTEX_COLOURS = (
+    '<texture type="mesh_attribute" name="reflectance"><string name="name"'
+    ' value="vertex_c"/></texture>'
+)
 INDEX_PICTURE = bitmap("true").replace('name="reflectance"', 'name="eta"')
 UNKNOWN = {
     "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
-    "a mesh's colours": (bsdf("diffuse", VERTEX_COLOURS), "an unknown texture in reflectance of a diffuse"),
+    "a mesh's colours": (
+        bsdf("diffuse", VERTEX_COLOURS),
+        "an unknown texture in reflectance of a diffuse",
+    ),
     "a table out of order": (
         bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")),
         "an unknown texture in reflectance",
     ),
-    "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "an unknown texture in reflectance of a diffuse"),
+    "one node": (
+        bsdf("diffuse", table("reflectance", "500", "1")),
+        "an unknown texture in reflectance of a diffuse",
+    ),
     "a picture of indices": (
         bsdf("conductor", INDEX_PICTURE + RAMP.format("k", 3, 2)),
         "an unknown refractive index of a conductor",
@@ -428,8 +530,15 @@ def test_find_surfaces_unknown_spectra_state_reason(name, tmp_path):
     assert result.products(-1).shape == (0, 471)
 
 
-SHORT = [(ends, "0.5, 0.7", (f"{ends.replace(', ', '-')} nm",)) for ends in ("400, 600", "300, 829", "361, 1000", "300, 320")]
-LONG = [("400, 500, 600", "0, 0.7, 0", ()), ("360, 830", "0.5, 0.7", ()), ("300, 1000", "0.5, 0.7", ())]  # or 0 at the ends
+SHORT = [
+    (ends, "0.5, 0.7", (f"{ends.replace(', ', '-')} nm",))
+    for ends in ("400, 600", "300, 829", "361, 1000", "300, 320")
+]
+LONG = [
+    ("400, 500, 600", "0, 0.7, 0", ()),
+    ("360, 830", "0.5, 0.7", ()),
+    ("300, 1000", "0.5, 0.7", ()),
+]  # or 0 at the ends
 
 
 @pytest.mark.parametrize(("nodes", "values", "short"), [*SHORT, *LONG])
@@ -456,7 +565,9 @@ def holds(rows: np.ndarray, wanted: np.ndarray) -> bool:
     return bool(np.abs(rows - wanted).max(axis=1).min() < 1e-12)
 
 
-@pytest.mark.parametrize(("bounces", "powers", "series"), [(2, 2, 0), (3, 3, 0), (8, 3, 0), (-1, 3, 3)])
+@pytest.mark.parametrize(
+    ("bounces", "powers", "series"), [(2, 2, 0), (3, 3, 0), (8, 3, 0), (-1, 3, 3)]
+)
 def test_products_of_few_surfaces(bounces, powers, series):
     three, (one,) = surfaces(3), surfaces(1).spectra
     np.testing.assert_array_equal(three.products(1), three.spectra)
@@ -484,10 +595,19 @@ def test_products_of_many_surfaces_are_sampled():
 @NEEDS_LLVM
 def test_find_surfaces_variants_agree(tmp_path):
     inside = RAMP.format("color0", 0.9, 0.2) + '<rgb name="color1" value="0.6, 0.1, 0.3"/>'
-    bodies = [bsdf("diffuse", RGB), bsdf("roughconductor", GOLD), bsdf("conductor", INDEX["in the file"])]
+    bodies = [
+        bsdf("diffuse", RGB),
+        bsdf("roughconductor", GOLD),
+        bsdf("conductor", INDEX["in the file"]),
+    ]
     bodies += [bsdf("plastic", RAMP.format("diffuse_reflectance", 0.1, 0.9))]
-    bodies += [bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>')]
-    one, other = (spectra(tmp_path, *bodies, variant=variant) for variant in ("scalar_spectral", "llvm_ad_spectral"))
+    bodies += [
+        bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>')
+    ]
+    one, other = (
+        spectra(tmp_path, *bodies, variant=variant)
+        for variant in ("scalar_spectral", "llvm_ad_spectral")
+    )
     assert one.shape == other.shape
     # float32, through other instructions.
     assert np.abs(one - other).max() < 1e-5

@@ -49,14 +49,33 @@ def prepared(name: str = "csf", **parameters):
     return scene, camera, make_plan(scene, camera, PIXEL)
 
 
-NOISE_FIELDS = {"fraction", "relative", "target", "runs", "ended_by", "delta_e", "tolerance_delta_e"}
+NOISE_FIELDS = {
+    "fraction",
+    "relative",
+    "target",
+    "runs",
+    "ended_by",
+    "delta_e",
+    "tolerance_delta_e",
+}
 
 
-def until(target: float, seed: int = 0, name: str = "csf", exposure=None, **options) -> tuple[pixsim.SpectralImage, RenderNoise]:
+def until(
+    target: float, seed: int = 0, name: str = "csf", exposure=None, **options
+) -> tuple[pixsim.SpectralImage, RenderNoise]:
     scene, camera, plan = prepared(name)
     pixels = options.pop("pixels", [PIXEL])
     options = {"max_seconds": None} | options
-    return render_until(scene, camera, plan, pixels, exposure or pixsim.Exposure(), seed, render_noise=target, **options)
+    return render_until(
+        scene,
+        camera,
+        plan,
+        pixels,
+        exposure or pixsim.Exposure(),
+        seed,
+        render_noise=target,
+        **options,
+    )
 
 
 def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) -> np.ndarray:
@@ -64,13 +83,21 @@ def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) ->
     return integrate_pixels(ideal_rate(image, p), image.pitch_um, p.pitch_um, p.photodiode_side_um)
 
 
-def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL) -> float:
-    """Return the RMS over pixels of the standard deviation of pictures over the temporal noise of the sensor."""
+def true_noise(
+    images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL
+) -> float:
+    """Return the RMS over pixels of the standard deviation of pictures over the temporal noise of
+    the sensor.
+    """
     p = Readout.of(derive(pixel))
-    signal_e = np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
+    signal_e = (
+        np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
+    )
     dark_e = p.dark_current_e_per_s * exposure.integration_s
     mean_e = signal_e.mean(axis=0)
-    variance_e2 = mean_e + dark_e + p.physics.reset_noise_e**2 + p.read_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+    variance_e2 = (
+        mean_e + dark_e + p.physics.reset_noise_e**2 + p.read_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+    )
     return float(np.sqrt((signal_e.var(axis=0, ddof=1) / variance_e2).mean()))
 
 
@@ -79,7 +106,13 @@ def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pi
 
 @pytest.mark.parametrize(
     ("name", "integration_s"),
-    [("csf", 2e-3), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("csf", 2e-5), ("macbeth", 2e-3)))],
+    [
+        ("csf", 2e-3),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("csf", 2e-5), ("macbeth", 2e-3))
+        ),
+    ],
 )
 def test_render_until_noise_matches_independent_renders(name, integration_s):
     exposure = pixsim.Exposure(integration_s=integration_s)
@@ -118,7 +151,8 @@ def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPat
 
 
 class Noisy:
-    """Replacement for renders: a grey picture with noise whose variance is proportional to 1/samples.
+    """Replacement for renders: a grey picture with noise whose variance is proportional to
+    1/samples.
 
     stuck : run that the time limit finds unfinished
     """
@@ -148,7 +182,12 @@ def test_noise_of_known_noise_is_unbiased(monkeypatch):
         image, noise = until(target, pixels=[pixel], exposure=exposure)
         p = Readout.of(derive(pixel))
         mean_e = electrons_per_s(image, pixel) * 1e-4
-        variance_e2 = mean_e + p.dark_current_e_per_s * 1e-4 + p.physics.reset_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+        variance_e2 = (
+            mean_e
+            + p.dark_current_e_per_s * 1e-4
+            + p.physics.reset_noise_e**2
+            + 1 / (12 * p.dn_per_e**2)
+        )
         samples = image.header["spp"]
         expected = 0.1 / math.sqrt(samples) * math.sqrt((mean_e**2 / variance_e2).mean())
         # 1024 cells: 2.2 % of noise, 5σ.
@@ -172,7 +211,8 @@ def test_render_until_lower_target_renders_more(monkeypatch):
         assert noise.runs == len(renders.levels)
         assert image.header["spp"] == sum(4 * LEVEL_FACTOR**level for level in renders.levels)
         spent.append(image.header["spp"])
-        # Not much more than needed: noise² goes with 1/samples, and the last pair is at most four times those before.
+        # Not much more than needed: noise² goes with 1/samples, and the last pair is at most four
+        # times those before.
         assert image.header["spp"] < 8 * max(4, 2 * LEVEL_FACTOR) * (first / target) ** 2
     assert spent == sorted(set(spent))
 
@@ -213,7 +253,9 @@ def test_render_until_memory_is_constant(monkeypatch):
 def test_render_until_worst_pixel_counts():
     exposure = pixsim.Exposure(integration_s=2e-3)
     small, large = pixsim.Pixel(pitch_um=10.6), PIXEL
-    single = [until(LOOSE, pixels=[pixel], exposure=exposure)[1].fraction for pixel in (small, large)]
+    single = [
+        until(LOOSE, pixels=[pixel], exposure=exposure)[1].fraction for pixel in (small, large)
+    ]
     both = until(LOOSE, pixels=[small, large], exposure=exposure)[1].fraction
     assert both == max(single)
     assert max(single) > 1.05 * min(single)
@@ -223,7 +265,9 @@ def test_render_until_worst_pixel_counts():
 def test_render_until_black_scene_raises(monkeypatch, wrong):
     import mitsuba
 
-    monkeypatch.setattr(mitsuba, "render", lambda *_, sensor, **__: np.full((*sensor.film().crop_size(), 1), wrong))
+    monkeypatch.setattr(
+        mitsuba, "render", lambda *_, sensor, **__: np.full((*sensor.film().crop_size(), 1), wrong)
+    )
     with pytest.raises(pixsim.PixsimError, match="rendered picture: got NaN, infinite or negative"):
         until(0.2)
 
@@ -239,7 +283,9 @@ def test_render_until_max_runs_ends(monkeypatch):
 def test_render_until_time_limit_warns(monkeypatch):
     Noisy(monkeypatch, 0.1)
     now = iter(range(10**6))
-    monkeypatch.setattr(convergence.time, "monotonic", lambda: float(next(now)))  # a second from each look to the next
+    monkeypatch.setattr(
+        convergence.time, "monotonic", lambda: float(next(now))
+    )  # a second from each look to the next
     with pytest.warns(UserWarning, match="ended at its time limit of 20 s") as caught:
         image, noise = until(1e-6, max_seconds=20)
     assert noise.ended_by == "max_seconds"
@@ -253,7 +299,9 @@ def test_render_until_time_limit_warns(monkeypatch):
 
 @pytest.mark.parametrize("stuck", [2, 3])
 def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
-    """What the time limit finds unfinished leaves the picture of the pairs before it, also where half of a pair is done."""
+    """What the time limit finds unfinished leaves the picture of the pairs before it, also where
+    half of a pair is done.
+    """
     renders = Noisy(monkeypatch, 0.1)
     expected, of_pair = until(LOOSE, max_seconds=9)
     renders.stuck = stuck
@@ -264,14 +312,22 @@ def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
 
 
 def test_render_until_time_for_no_picture_raises():
-    """A packaged scene ends with its time, too; without a picture that is an error. Its child does not answer here."""
+    """A packaged scene ends with its time, too; without a picture that is an error. Its child does
+    not answer here.
+    """
     scene, camera, plan = prepared()
-    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(plan.samples.sampler, plan.samples.spp)
+    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(
+        plan.samples.sampler, plan.samples.spp
+    )
     os.kill(child._child.process.pid, signal.SIGSTOP)
     start = time.monotonic()
-    with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"):
+    with pytest.raises(
+        OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"
+    ):
         render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
-    assert time.monotonic() - start < 10  # the limit, 1.5 s for the first pair, and the end of the process
+    assert (
+        time.monotonic() - start < 10
+    )  # the limit, 1.5 s for the first pair, and the end of the process
 
 
 # --- Header and score ---
@@ -295,7 +351,9 @@ def test_render_until_picture_is_mean_of_renders():
 
 @pytest.mark.parametrize("full", [False, True])
 def test_rate_of_pulses_equals_ideal_rate(full):
-    """The rate from pulses equals that from the image, with factors or with all bands of macbeth."""
+    """The rate from pulses equals that from the image, with factors or with all bands of
+    macbeth.
+    """
     scene, camera, _ = prepared("macbeth")
     job = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
     pictures, spp = job.run(0)
@@ -318,7 +376,9 @@ def test_render_until_noiseless_scene():
 
 
 def test_render_until_progress_goes_on_to_the_end():
-    """The share that is done never goes back, over pairs and levels, and the note has the noise so far."""
+    """The share that is done never goes back, over pairs and levels, and the note has the noise so
+    far.
+    """
     target = until(LOOSE)[1].fraction / 6
     message: list[tuple[float, str]] = []
     noise = until(target, progress=lambda done, note: message.append((done, note)))[1]
@@ -329,32 +389,49 @@ def test_render_until_progress_goes_on_to_the_end():
     notes = list(dict.fromkeys(note for _, note in message))
     assert len(notes) == noise.runs // 2 > 1
     assert notes[0] == ""  # nothing is known yet
-    errors = [float(note.removeprefix(", render noise ").removesuffix(" of sensor noise")) for note in notes[1:]]
+    errors = [
+        float(note.removeprefix(", render noise ").removesuffix(" of sensor noise"))
+        for note in notes[1:]
+    ]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] > target
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
     small = (
-        "--variant scalar_spectral --resolution 32 -D spp=64 --display.dots 32 --pixel.pitch-um 42.4 --exposure.integration-s 1e-3"
+        "--variant scalar_spectral --resolution 32 -D spp=64 --display.dots 32 --pixel.pitch-um"
+        " 42.4 --exposure.integration-s 1e-3"
     )
     run = f"run csf {small} --json --out {tmp_path}"
     code, out, err = command(run)
     assert (code, err) == (0, "")
     message = json.loads(out)
-    assert 0 < message["render_noise"]["fraction"] <= RENDER_NOISE == message["render_noise"]["target"] == 0.2
+    assert (
+        0
+        < message["render_noise"]["fraction"]
+        <= RENDER_NOISE
+        == message["render_noise"]["target"]
+        == 0.2
+    )
     assert message["render_noise"]["ended_by"] == "target"
     assert message["plan"]["decisions"][0]["subject"] == "wavelength bands"
     header = pixsim.read_exr(tmp_path / "irradiance.exr").header
     assert header["render_noise"].keys() == message["render_noise"].keys() == NOISE_FIELDS
     for name, value in message["render_noise"].items():
-        assert header["render_noise"][name] == (pytest.approx(value, rel=1e-5) if isinstance(value, float) else value)
+        assert header["render_noise"][name] == (
+            pytest.approx(value, rel=1e-5) if isinstance(value, float) else value
+        )
     assert len(header["plan"]) == len(message["plan"]["decisions"])
     target = 20 * message["render_noise"]["fraction"]  # not a lower one, which takes longer
     code, out, _ = command(f"{run} --render-noise {target} -D spp=4")
     looser = json.loads(out)
     assert code == 0
-    assert message["render_noise"]["fraction"] < looser["render_noise"]["fraction"] <= target == looser["render_noise"]["target"]
+    assert (
+        message["render_noise"]["fraction"]
+        < looser["render_noise"]["fraction"]
+        <= target
+        == looser["render_noise"]["target"]
+    )
     assert looser["irradiance"]["spp"] < message["irradiance"]["spp"]
 
 
@@ -375,7 +452,9 @@ def test_render_until_sample_limit_ends(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     monkeypatch.setattr(film, "CHART_SAMPLES", 100 * 32 * 32)
     monkeypatch.setattr(convergence.time, "monotonic", lambda: 1e9 * len(renders.levels))
-    with pytest.warns(UserWarning, match=r"limit of 100000 samples.*times as many samples.*--max-seconds"):
+    with pytest.warns(
+        UserWarning, match=r"limit of 100000 samples.*times as many samples.*--max-seconds"
+    ):
         image, noise = until(1e-6, max_seconds=None)
     # In one half 4 + 4 + 16 + 16 samples a cell; a third pair of 16 would exceed 50.
     assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1]
@@ -396,7 +475,10 @@ def test_measured_parts_cover_sample_of_pixels(shape):
     assert measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
     parts = measured_parts(shape, 20.0)
     assert len(parts) == 16
-    pixels = sum((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in parts) * 20**2
+    pixels = (
+        sum((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in parts)
+        * 20**2
+    )
     assert 0.8 * convergence.MEASURED < pixels < 1.2 * convergence.MEASURED
     for axis, count in enumerate(shape):
         assert min(part[axis].start for part in parts) >= 0
@@ -404,7 +486,9 @@ def test_measured_parts_cover_sample_of_pixels(shape):
 
 
 def test_noise_of_parts_equals_that_of_whole(monkeypatch):
-    """Noise that is alike all over the picture is the same on a quarter of it, within the scatter of a few hundred pixels."""
+    """Noise that is alike all over the picture is the same on a quarter of it, within the scatter
+    of a few hundred pixels.
+    """
     whole = until(LOOSE)[1]
     monkeypatch.setattr(convergence, "MEASURED", 64 * 64 // 4)
     parts = until(LOOSE)[1]
@@ -416,17 +500,23 @@ def test_noise_of_parts_equals_that_of_whole(monkeypatch):
 def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated(
     tolerance_delta_e: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """White noise of σ in each of N samples makes σ √(2/πN) of mean |difference|, and halves differ by twice that."""
+    """White noise of σ in each of N samples makes σ √(2/πN) of mean |difference|, and halves differ
+    by twice that.
+    """
     Noisy(monkeypatch, 0.1)
 
     def delta_e_between(image: pixsim.SpectralImage, other: pixsim.SpectralImage) -> float:
         return 100 * float(np.abs(image.planes - other.planes).mean() / image.planes.mean())
 
-    image, noise = until(LOOSE, tolerance_delta_e=tolerance_delta_e, delta_e_between=delta_e_between)
+    image, noise = until(
+        LOOSE, tolerance_delta_e=tolerance_delta_e, delta_e_between=delta_e_between
+    )
     assert noise.ended_by == "target"
     assert noise.delta_e is not None
     assert noise.delta_e <= (tolerance_delta_e or math.inf)
-    assert noise.delta_e == pytest.approx(10 * math.sqrt(2 / math.pi / image.header["spp"]), rel=0.11)  # 1024 cells, 5σ
+    assert noise.delta_e == pytest.approx(
+        10 * math.sqrt(2 / math.pi / image.header["spp"]), rel=0.11
+    )  # 1024 cells, 5σ
     assert image.header["render_noise"]["delta_e"] == pytest.approx(noise.delta_e, rel=1e-5)
 
 

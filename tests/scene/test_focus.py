@@ -1,4 +1,6 @@
-"""A scene of which nothing is in focus: the depths that a camera sees, in closed form, and what is said of them."""
+"""A scene of which nothing is in focus: the depths that a camera sees, in closed form, and what is
+said of them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,13 @@ from helpers.edits import VARIANT
 from pixsim import evaluate, load_scene, render
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.lens_defocus import DEPTHS, depth_of_disc_m, depth_of_field_m, finite_or_none, signed_disc_um
+from pixsim.optics.lens_defocus import (
+    DEPTHS,
+    depth_of_disc_m,
+    depth_of_field_m,
+    finite_or_none,
+    signed_disc_um,
+)
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
@@ -67,7 +75,9 @@ def renderer_of(path: Path, variant: str | None = VARIANT, **parameters: float) 
 
 
 def test_depths_of_a_tilted_plane_are_those_of_its_equation(tmp_path: Path) -> None:
-    """A ray of slope t along x meets a plane that is turned by θ about the vertical at 0.3 m / (1 ± t tan θ)."""
+    """A ray of slope t along x meets a plane that is turned by θ about the vertical at 0.3 m / (1 ±
+    t tan θ).
+    """
     depths_m = OwnTracer(renderer_of(scene_file(tmp_path), degrees=30.0).job).depths(8)[:, :, 0]
     slopes = math.tan(math.radians(10.0)) * (2 * (np.arange(8) + 0.5) / 8 - 1)
     expected_m = 0.3 / (1 + slopes * math.tan(math.radians(30.0)))
@@ -76,10 +86,16 @@ def test_depths_of_a_tilted_plane_are_those_of_its_equation(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("variant", [VARIANT, None])
-def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(variant: str | None, tmp_path: Path) -> None:
-    """The plane fills the middle half of the picture, 2 · 0.3 m · tan 10° wide, and glass its middle."""
+def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(
+    variant: str | None, tmp_path: Path
+) -> None:
+    """The plane fills the middle half of the picture, 2 · 0.3 m · tan 10° wide, and glass its
+    middle.
+    """
     half_m = 0.3 * math.tan(math.radians(10.0)) / 2
-    renderer = renderer_of(scene_file(tmp_path, GLASS.replace("0.02", str(half_m / 3))), variant, half_width=half_m)
+    renderer = renderer_of(
+        scene_file(tmp_path, GLASS.replace("0.02", str(half_m / 3))), variant, half_width=half_m
+    )
     for tracer in (OwnTracer(renderer.job), ChildTracer(renderer.job)):
         row = tracer.depths(8)[4, :, 0]
         assert np.isinf(row[[0, 1, 6, 7]]).all()
@@ -90,8 +106,12 @@ def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(variant: str
 
 def test_a_picture_at_infinity_is_seen_beyond_all_shapes(tmp_path: Path) -> None:
     sky = '<emitter type="sunsky"/>'
-    assert renderer_of(scene_file(tmp_path), half_width=0.01).depths_m == pytest.approx([0.3] * 3, rel=1e-6)
-    assert renderer_of(scene_file(tmp_path, sky), half_width=0.01).depths_m == pytest.approx([0.3, 0.3, math.inf], rel=1e-6)
+    assert renderer_of(scene_file(tmp_path), half_width=0.01).depths_m == pytest.approx(
+        [0.3] * 3, rel=1e-6
+    )
+    assert renderer_of(scene_file(tmp_path, sky), half_width=0.01).depths_m == pytest.approx(
+        [0.3, 0.3, math.inf], rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(("pixel_um", "far"), [(5.0, True), (80.0, False)])
@@ -101,28 +121,44 @@ def test_depth_of_field_closed_form(pixel_um: float, far: bool) -> None:
     f2_mm2, spread_mm2 = 16.0**2, 4.0 * 1e-3 * pixel_um * (1000.0 - 16.0)
     near_m, far_m = depth_of_field_m(camera, pixel_um)
     assert near_m == pytest.approx(f2_mm2 / (f2_mm2 + spread_mm2), rel=1e-12)
-    assert (far_m == pytest.approx(f2_mm2 / (f2_mm2 - spread_mm2), rel=1e-12)) if far else math.isinf(far_m)
+    assert (
+        (far_m == pytest.approx(f2_mm2 / (f2_mm2 - spread_mm2), rel=1e-12))
+        if far
+        else math.isinf(far_m)
+    )
 
 
 def light_of(depths_m: list[float]) -> SpectralImage:
-    return SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)), header={DEPTHS: finite_or_none(depths_m)})
+    return SpectralImage(
+        [550.0], 10.0, 5.0, data=np.ones((4, 4, 1)), header={DEPTHS: finite_or_none(depths_m)}
+    )
 
 
 LENSES = [{}, {"lens": LensOptions(file="singlet", focal_length_mm=16.0)}]
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=["thin", "real"])
-def test_note_begins_where_the_least_disc_is_two_pixels(lens: dict[str, Any], tmp_path: Path) -> None:
-    """Of a thin lens and of a real one, whose focus is its camera's, with foreground and background further off."""
-    camera = load_scene(str(scene_file(tmp_path)), variant=VARIANT).camera(CameraOptions(die_mm=2.0, f_number=8.0), **lens)
+def test_note_begins_where_the_least_disc_is_two_pixels(
+    lens: dict[str, Any], tmp_path: Path
+) -> None:
+    """Of a thin lens and of a real one, whose focus is its camera's, with foreground and background
+    further off.
+    """
+    camera = load_scene(str(scene_file(tmp_path)), variant=VARIANT).camera(
+        CameraOptions(die_mm=2.0, f_number=8.0), **lens
+    )
     for side in (-1, 1):
         for pixels, said in ((1.99, False), (2.01, True)):
             sharpest_m = depth_of_disc_m(camera, side * pixels * 3.0)
             assert abs(signed_disc_um(camera, sharpest_m)) == pytest.approx(pixels * 3.0, rel=1e-9)
             notes = focus_notes(3.0, camera, light_of([0.2, sharpest_m, math.inf]))
             assert len(notes) == said
-            assert all("focuses at 0.3 m, and the scene is at 0.2 m to infinity" in note for note in notes)
-    assert not focus_notes(3.0, camera, SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)))), "depths are not known"
+            assert all(
+                "focuses at 0.3 m, and the scene is at 0.2 m to infinity" in note for note in notes
+            )
+    assert not focus_notes(
+        3.0, camera, SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)))
+    ), "depths are not known"
 
 
 @pytest.mark.parametrize(
@@ -134,22 +170,31 @@ def test_note_begins_where_the_least_disc_is_two_pixels(lens: dict[str, Any], tm
     ],
     ids=["in focus", "option", "XML in mm"],
 )
-def test_scene_out_of_focus_is_told_by_calls_and_commands(focus: float, distance: float | None, words: str, tmp_path: Path) -> None:
+def test_scene_out_of_focus_is_told_by_calls_and_commands(
+    focus: float, distance: float | None, words: str, tmp_path: Path
+) -> None:
     path = scene_file(tmp_path)
     scene = load_scene(str(path), variant=VARIANT, focus=focus)
     light = render(scene, scene.camera(CameraOptions(object_distance_m=distance)))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        evaluate(light, scene.camera(CameraOptions(object_distance_m=distance)), Pixel(pitch_um=8.0))
+        evaluate(
+            light, scene.camera(CameraOptions(object_distance_m=distance)), Pixel(pitch_um=8.0)
+        )
     notes = [str(warning.message) for warning in caught if "in focus" in str(warning.message)]
     assert len(notes) == bool(words)
     assert all(words in note for note in notes)
 
     option = f"--camera.object-distance-m {distance}" if distance else ""
-    line = f"run {path} -D focus={focus} --variant {VARIANT} --resolution 32 --pixel.pitch-um 8 --display.dots 32 --render-noise 1"
+    line = (
+        f"run {path} -D focus={focus} --variant {VARIANT} --resolution 32 --pixel.pitch-um 8"
+        " --display.dots 32 --render-noise 1"
+    )
     code, out, err = command(f"{line} {option} --json --out {tmp_path / 'out'}")
     assert code == 0, err
-    assert (f"nothing in view is in focus: the camera {words}" in " ".join(err.split())) == bool(words)
+    assert (f"nothing in view is in focus: the camera {words}" in " ".join(err.split())) == bool(
+        words
+    )
     result = json.loads(out)
     limits = finite_or_none(depth_of_field_m(Camera.model_validate(result["camera"]), 8.0))
     assert result["in_focus_m"] == result["plan"]["in_focus_m"] == limits

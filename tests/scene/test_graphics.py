@@ -1,4 +1,5 @@
-"""The graphics card: what is looked for, what a trial finds, and what becomes of it, with a driver of the tests.
+"""The graphics card: what is looked for, what a trial finds, and what becomes of it, with a driver
+of the tests.
 
 No card is needed here. `tests/judges/test_monte_carlo_judge.py` compares pictures of a real one.
 """
@@ -68,11 +69,23 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> str:
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
     path = tmp_path_factory.mktemp("driver") / "libcuda.so.1"
-    (drjit,) = (str(file.locate()) for file in importlib.metadata.files("drjit") or () if file.name == "libdrjit-core.so")
-    names = {name.decode() for name in re.findall(rb"\0(cu[A-Z]\w+)(?=\0)", Path(drjit).read_bytes())}
-    others = (f"int {name}(void) {{ return 999; }}" for name in sorted(names) if f"int {name}(" not in FAKE_DRIVER)
+    (drjit,) = (
+        str(file.locate())
+        for file in importlib.metadata.files("drjit") or ()
+        if file.name == "libdrjit-core.so"
+    )
+    names = {
+        name.decode() for name in re.findall(rb"\0(cu[A-Z]\w+)(?=\0)", Path(drjit).read_bytes())
+    }
+    others = (
+        f"int {name}(void) {{ return 999; }}"
+        for name in sorted(names)
+        if f"int {name}(" not in FAKE_DRIVER
+    )
     source = "\n".join([FAKE_DRIVER, *others])  # or Dr.Jit would not start it
-    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", path], input=source, text=True, check=True)
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", path], input=source, text=True, check=True
+    )
     return str(path)
 
 
@@ -132,17 +145,24 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
     assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
-    assert variant.choose() == replace(PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}")
+    assert variant.choose() == replace(
+        PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
+    )
 
 
 def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
-    """A device of a driver whose library is not there, as in containers that get the devices alone."""
+    """A device of a driver whose library is not there, as in containers that get the devices
+    alone.
+    """
     (tmp_path / "nvidiactl").touch()
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
     for path in (str(tmp_path / "nowhere.so"), "libcuda_of_no_machine.so.1"):
         fresh.setenv(graphics.DRIVER_VARIABLE, path)
-        assert graphics.verdict().fault == f"the library of the NVIDIA driver cannot be loaded ({path})"
+        assert (
+            graphics.verdict().fault
+            == f"the library of the NVIDIA driver cannot be loaded ({path})"
+        )
 
 
 # --- The process that starts the driver ---
@@ -150,25 +170,37 @@ def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_pa
 
 START = {
     "drjit": "import drjit",
-    "pixsim": "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.variants import graphics as g; "
-    "before = os.environ[g.DRIVER_VARIABLE]; mitsuba.import_mitsuba('scalar_spectral'); "
-    "assert os.environ[g.DRIVER_VARIABLE] == before",
+    "pixsim": (
+        "import os, pixsim; from pixsim.scene import mitsuba; from pixsim.scene.variants import"
+        " graphics as g; before = os.environ[g.DRIVER_VARIABLE];"
+        " mitsuba.import_mitsuba('scalar_spectral'); assert os.environ[g.DRIVER_VARIABLE] == before"
+    ),
 }
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the driver of the tests is for Linux")
 @pytest.mark.parametrize(("which", "code"), [("drjit", -11), ("pixsim", 0)])
-def test_processes_that_render_without_card_do_not_start_driver(which: str, code: int, driver: pytest.MonkeyPatch):
-    """Dr.Jit starts it when it is imported, in each process, and a driver that fails then ends the process."""
+def test_processes_that_render_without_card_do_not_start_driver(
+    which: str, code: int, driver: pytest.MonkeyPatch
+):
+    """Dr.Jit starts it when it is imported, in each process, and a driver that fails then ends the
+    process.
+    """
     driver.setenv("FAKE_DIES", "1")
-    done = subprocess.run([sys.executable, "-c", START[which]], capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", START[which]], capture_output=True, text=True, timeout=HANG_S
+    )
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
 
 
 def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tmp_path: Path):
-    """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
+    """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace
+    dies, and no other.
+    """
     job = TraceJob("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
-    with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
+    with pytest.raises(
+        PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"
+    ):
         ChildTracer(job, lambda: time.monotonic() + HANG_S).sample_count("independent", 4)
 
 
@@ -205,7 +237,9 @@ def test_other_driver_or_visible_cards_are_tried(machine: Machine):
     assert machine.tries == len(graphics.DRIVER_SETTINGS)
 
 
-@pytest.mark.parametrize(("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")]
+)
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
@@ -231,7 +265,9 @@ def test_doctor_tries_again(machine: Machine):
 def test_choose_prefers_card_and_reads_on_processors():
     with pytest.warns(UserWarning, match="passed"):
         chosen = variant.choose()
-    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", "the graphics card passed its trial", PROCESSORS)
+    assert chosen == variant.ChosenVariant(
+        "cuda_ad_spectral", "lib", "the graphics card passed its trial", PROCESSORS
+    )
     assert chosen.reading == "llvm_ad_spectral"
     assert variant.choose("llvm_ad_spectral") == PROCESSORS
     assert variant.choose("scalar_spectral").variant == "scalar_spectral"
@@ -244,11 +280,16 @@ def test_choose_without_working_card_says_why(machine: Machine):
     machine.picture = DIES
     with pytest.warns(UserWarning, match="is not used"):
         chosen = variant.choose()
-    reason = f"{PROCESSORS.reason}; no graphics card: its trial render fails: dies of signal 6 (SIGABRT) ({graphics.NEEDS})"
+    reason = (
+        f"{PROCESSORS.reason}; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
+        f" ({graphics.NEEDS})"
+    )
     assert chosen == replace(PROCESSORS, reason=reason)
 
 
-def test_choose_without_llvm_takes_card_without_warning(machine: Machine, fresh: pytest.MonkeyPatch):
+def test_choose_without_llvm_takes_card_without_warning(
+    machine: Machine, fresh: pytest.MonkeyPatch
+):
     fresh.setenv(variant.LLVM_VARIABLE, "of a test")
     fresh.setattr(variant, "find_llvm", lambda: (None, "no LLVM 17 or newer was found"))
     with pytest.warns(UserWarning, match="passed its trial") as noted:
@@ -261,16 +302,23 @@ def test_choose_without_llvm_takes_card_without_warning(machine: Machine, fresh:
 
 
 def test_trees_are_equal_for_all_variants():
-    """The processors read a scene, and the card's process reads it again: its nodes must have the same numbers."""
+    """The processors read a scene, and the card's process reads it again: its nodes must have the
+    same numbers.
+    """
     for name in ("csf", "macbeth", "still_life"):
         text = pixsim.load_scene(name, variant=VARIANT).text().text
         with speaking_mitsuba(VARIANT) as mi:
-            states = [mi.parser.parse_string(mi.parser.ParserConfig(each), text) for each in variant.VARIANTS]
+            states = [
+                mi.parser.parse_string(mi.parser.ParserConfig(each), text)
+                for each in variant.VARIANTS
+            ]
         trees = {json.dumps(_to_json(tree_of(state))) for state in states}
         assert len(trees) == 1
 
 
-CHOSEN = variant.ChosenVariant("cuda_ad_spectral", None, "of a test", variant.ChosenVariant(VARIANT, None, "of a test"))
+CHOSEN = variant.ChosenVariant(
+    "cuda_ad_spectral", None, "of a test", variant.ChosenVariant(VARIANT, None, "of a test")
+)
 
 
 class Card:
@@ -293,7 +341,9 @@ class Card:
 @pytest.fixture
 def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Give children a card that works for so many traces."""
-    return lambda works: monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
+    return lambda works: monkeypatch.setattr(
+        tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works)
+    )
 
 
 def small() -> pixsim.Scene:
@@ -312,7 +362,9 @@ def test_packaged_scene_is_traced_in_child(card: Callable[[int], None]):
 
 
 def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]):
-    """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
+    """A study that goes on where another variant traces evaluates anew, though the pictures are
+    equal here.
+    """
     card(99)
 
     def keys(choice: variant.ChosenVariant) -> set[str]:
@@ -326,11 +378,15 @@ def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]):
 
 def test_failing_card_ends_the_render(card: Callable[[int], None]):
     card(0)
-    with pytest.raises(PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"):
+    with pytest.raises(
+        PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"
+    ):
         light(CHOSEN)
 
 
-def test_cached_renders_are_of_one_variant(card: Callable[[int], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_cached_renders_are_of_one_variant(
+    card: Callable[[int], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
     """Renders of a card and of the processors have entries of their own."""
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
     arguments = [pixsim.Pixel(pitch_um=100.0)], pixsim.Exposure()
@@ -340,7 +396,9 @@ def test_cached_renders_are_of_one_variant(card: Callable[[int], None], monkeypa
         card(works)
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
-        image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)
+        image, _ = render_until(
+            scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True
+        )
         return image.header["variant"], set((tmp_path / "render").glob("*")) - before
 
     of_card, of_processors = cached(99, CHOSEN), cached(0, variant.choose(VARIANT))
@@ -353,18 +411,25 @@ def test_cached_renders_are_of_one_variant(card: Callable[[int], None], monkeypa
 @NEEDS_NO_CARD
 def test_variant_without_driver_leaves_in_a_real_child():
     """Mitsuba's own error in the process that would trace on the card."""
-    with pytest.raises(PixsimError, match=r"variant: got 'cuda_ad_spectral' \(.*--variant scalar_spectral"):
+    with pytest.raises(
+        PixsimError, match=r"variant: got 'cuda_ad_spectral' \(.*--variant scalar_spectral"
+    ):
         light(CHOSEN)
 
 
 @NEEDS_NO_CARD
 def test_variant_asked_for_without_card_is_refused():
-    with pytest.raises(PixsimError, match=r"variant: got 'cuda_ad_spectral', but .*Leave out --variant; `pixsim doctor`"):
+    with pytest.raises(
+        PixsimError,
+        match=r"variant: got 'cuda_ad_spectral', but .*Leave out --variant; `pixsim doctor`",
+    ):
         pixsim.load_scene("flat", variant="cuda_ad_spectral", resolution=8)
 
 
 def test_computed_chart_states_what_read_it():
-    """A chart whose cells are computed takes no rays, so that the card has no part in its light, and no study begins anew."""
+    """A chart whose cells are computed takes no rays, so that the card has no part in its light,
+    and no study begins anew.
+    """
     scene = replace(pixsim.load_scene("csf", variant=VARIANT).with_resolution(256), choice=CHOSEN)
     plan = make_render_plan(scene, scene.camera(), pixsim.Pixel(pitch_um=20.0), exact=True)
     assert plan.samples.exact

@@ -1,4 +1,6 @@
-"""Light from beyond the picture, which a real lens's blur brings into it: against a larger picture of the same scene."""
+"""Light from beyond the picture, which a real lens's blur brings into it: against a larger picture
+of the same scene.
+"""
 
 import json
 import pickle
@@ -64,15 +66,21 @@ def scene_beyond(folder: Path, half_m: float, more: str = "", **parameters: obje
     """A chart of random squares, much larger than the picture."""
     squares = np.kron(np.random.default_rng(2).uniform(0.1, 1.0, (40, 40)), np.ones((8, 8)))
     write_channels(folder / "chart.exr", {"Y": squares}, {})
-    (folder / "scene.xml").write_text(CHART.replace("HALF", f"{half_m}").replace("MORE", more), encoding="utf-8")
+    (folder / "scene.xml").write_text(
+        CHART.replace("HALF", f"{half_m}").replace("MORE", more), encoding="utf-8"
+    )
     return load_scene(folder / "scene.xml", **parameters)
 
 
-def seen(scene: Scene, cells: int, lens: str = "singlet", **options: object) -> tuple[SpectralImage, Camera, Plan]:
+def seen(
+    scene: Scene, cells: int, lens: str = "singlet", **options: object
+) -> tuple[SpectralImage, Camera, Plan]:
     """The light of a die of so many cells of 10 µm behind a lens of 12 mm."""
     scene = scene.with_resolution(cells)
     given = LensOptions(file=lens, focal_length_mm=12.0)
-    camera = scene.camera(CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0), given)
+    camera = scene.camera(
+        CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0), given
+    )
     plan = make_render_plan(scene, camera, PIXEL, **options)
     plan = replace(plan, film=replace(plan.film, tiling=TILING))
     return render(scene, camera, plan=plan), camera, plan
@@ -92,7 +100,9 @@ BALL = """
 @pytest.mark.usefixtures("some_tiles")
 @pytest.mark.parametrize("more", ["", BALL], ids=["exact cells of a chart", "samples"])
 def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
-    """Blurred with all that lies beyond it, the larger picture is brute force for the smaller one, up to its border."""
+    """Blurred with all that lies beyond it, the larger picture is brute force for the smaller one,
+    up to its border.
+    """
     scene, physics = scene_beyond(tmp_path, 0.1, more, spp=64), derive(PIXEL)
     image, camera, plan = seen(scene, CELLS, exact=not more)
     assert (plan.film.chart is None) == bool(more)
@@ -105,10 +115,14 @@ def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     reflected = diffracted_rate(image.with_planes(np.array(image.planes)), camera, physics)
     border = np.ones(right.shape, bool)
     border[6:-6, 6:-6] = False
-    error, without = (np.sqrt(np.mean((rate - right)[border] ** 2)) / right.std() for rate in (found, reflected))
+    error, without = (
+        np.sqrt(np.mean((rate - right)[border] ** 2)) / right.std() for rate in (found, reflected)
+    )
     assert error < 0.02  # each film has its own widening
     assert without > 5 * error
-    np.testing.assert_allclose(image.planes, larger.planes[:, middle, middle], atol=0.25 * float(image.planes.max()))
+    np.testing.assert_allclose(
+        image.planes, larger.planes[:, middle, middle], atol=0.25 * float(image.planes.max())
+    )
 
 
 def ring(rate: Array, cells: int = 6) -> Array:
@@ -118,14 +132,19 @@ def ring(rate: Array, cells: int = 6) -> Array:
 
 
 def border_rates(scene: Scene) -> tuple[Array, float, float]:
-    """Rates near the border from texels, and rms noise and rms error of those of sampled pictures, over the contrast."""
+    """Rates near the border from texels, and rms noise and rms error of those of sampled pictures,
+    over the contrast.
+    """
     image, camera, plan = seen(scene, CELLS, exact=True)
     assert plan.samples.exact
     assert image.margin == 12  # the reach of 21 cells, in blocks of 4
     exact, physics = diffracted_rate(image, camera, derive(PIXEL)), derive(PIXEL)
     plan = replace(plan, samples=replace(plan.samples, exact=False, spp=256))
     one, other = (
-        diffracted_rate(render(scene.with_resolution(CELLS), camera, seed, plan=plan), camera, physics) for seed in (0, 1)
+        diffracted_rate(
+            render(scene.with_resolution(CELLS), camera, seed, plan=plan), camera, physics
+        )
+        for seed in (0, 1)
     )
     noise = np.sqrt(np.mean(ring(one - other) ** 2) / 2)
     error = np.sqrt(np.mean([ring(rate - exact) ** 2 for rate in (one, other)]))
@@ -134,7 +153,9 @@ def border_rates(scene: Scene) -> tuple[Array, float, float]:
 
 @pytest.mark.usefixtures("some_tiles")
 def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
-    """By texels as by samples. A chart is the picture: its end is no edge of the scene, and does not darken the border."""
+    """By texels as by samples. A chart is the picture: its end is no edge of the scene, and does
+    not darken the border.
+    """
     scene = load_scene("csf")
     _, noise, error = border_rates(scene)
     assert noise < 2e-3
@@ -144,7 +165,9 @@ def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
         assert make_render_plan(scene, camera, PIXEL, **options).film.ends == (True, True)
     image, camera, _ = seen(load_scene("flat"), CELLS, exact=True)
     even = diffracted_rate(image, camera, derive(PIXEL))[CELLS // 2]
-    assert even[:3].mean() / even[8:11].mean() == pytest.approx(1, abs=0.02)  # the fall-off of the lens
+    assert even[:3].mean() / even[8:11].mean() == pytest.approx(
+        1, abs=0.02
+    )  # the fall-off of the lens
 
 
 @pytest.mark.usefixtures("some_tiles")
@@ -167,7 +190,10 @@ def test_cells_beyond_a_chart_have_the_share_of_its_light(larger: float) -> None
     shape = round(12 * larger), round(16 * larger)
     picture = replace(chart, shape=shape).picture()
     assert picture.sum() == pytest.approx(12 * 16, rel=1e-12)
-    inside = picture[(shape[0] - 12) // 2 + 1 : (shape[0] + 12) // 2 - 1, (shape[1] - 16) // 2 + 1 : (shape[1] + 16) // 2 - 1]
+    inside = picture[
+        (shape[0] - 12) // 2 + 1 : (shape[0] + 12) // 2 - 1,
+        (shape[1] - 16) // 2 + 1 : (shape[1] + 16) // 2 - 1,
+    ]
     np.testing.assert_allclose(inside, 1, rtol=1e-12)
     assert (picture[0, 0] == 0) == (larger > 1.1)
 
@@ -177,14 +203,18 @@ def test_sides_at_which_a_scene_ends_are_found_one_by_one(tmp_path: Path) -> Non
     scene = load_scene("slanted_edge", resolution=CELLS)  # its chart is a square
     lens = LensOptions(file="singlet", focal_length_mm=12.0)
     ends = [
-        make_render_plan(scene, scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height), lens), PIXEL).film.ends
+        make_render_plan(
+            scene, scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height), lens), PIXEL
+        ).film.ends
         for height in (None, 0.32)
     ]
     assert ends == [(True, True), (False, True)]
     camera = scene.camera(CameraOptions(die_mm=DIE_MM), lens)
     thin = make_render_plan(scene, scene.camera(), PIXEL)
     assert thin.film.margin((CELLS, CELLS), 10.0) == 0
-    beyond = make_render_plan(scene_beyond(tmp_path, 0.1, BALL).with_resolution(CELLS), camera, PIXEL)
+    beyond = make_render_plan(
+        scene_beyond(tmp_path, 0.1, BALL).with_resolution(CELLS), camera, PIXEL
+    )
     assert beyond.film.ends == (False, False)
     assert beyond.film.margin((16, 16), 10.0) == 8  # no more than half of the picture
     assert traced_lens(camera.lens, 1.0).prescription.name  # type: ignore[arg-type]
@@ -204,12 +234,20 @@ def test_margins_are_mirrored_where_a_scene_ends() -> None:
 def light(margin: int, factored: bool) -> SpectralImage:
     pictures = np.random.default_rng(4).random((2, 24, 32)).astype(np.float32)
     spectra = np.array([[1.0, 2.0, 0.5], [0.2, 0.1, 0.3]])
-    content = {"factors": (spectra, pictures)} if factored else {"data": np.moveaxis(pictures, 0, 2) @ spectra}
-    return SpectralImage([450.0, 550.0, 650.0], 100.0, 5.0, margin=margin, header={"scene": "x"}, **content)
+    content = (
+        {"factors": (spectra, pictures)}
+        if factored
+        else {"data": np.moveaxis(pictures, 0, 2) @ spectra}
+    )
+    return SpectralImage(
+        [450.0, 550.0, 650.0], 100.0, 5.0, margin=margin, header={"scene": "x"}, **content
+    )
 
 
 @pytest.mark.parametrize("factored", [True, False])
-def test_margins_are_beside_the_picture_and_survive_files_and_copies(factored: bool, tmp_path: Path) -> None:
+def test_margins_are_beside_the_picture_and_survive_files_and_copies(
+    factored: bool, tmp_path: Path
+) -> None:
     image, whole = light(4, factored), light(0, factored)
     assert image.shape == (16, 24)
     assert image.whole.shape == whole.shape == (24, 32)
@@ -224,10 +262,21 @@ def test_margins_are_beside_the_picture_and_survive_files_and_copies(factored: b
         np.testing.assert_array_equal(copy.data, image.data)
         np.testing.assert_array_equal(copy.whole.data, whole.data)
     channels, header = read_channels(tmp_path / "light.exr")
-    assert [tuple(int(n) for n in corner) for corner in header["displayWindow"]] == [(0, 0), (23, 15)]
-    assert [tuple(int(n) for n in corner) for corner in header["dataWindow"]] == [(-4, -4), (27, 19)]
+    assert [tuple(int(n) for n in corner) for corner in header["displayWindow"]] == [
+        (0, 0),
+        (23, 15),
+    ]
+    assert [tuple(int(n) for n in corner) for corner in header["dataWindow"]] == [
+        (-4, -4),
+        (27, 19),
+    ]
     assert {plane.shape for plane in channels.values()} == {(24, 32)}
-    coarse = coarser(SpectralImage([550.0], 10.0, 5.0, data=np.random.default_rng(1).random((40, 40, 1)), margin=4), 2)
+    coarse = coarser(
+        SpectralImage(
+            [550.0], 10.0, 5.0, data=np.random.default_rng(1).random((40, 40, 1)), margin=4
+        ),
+        2,
+    )
     assert (coarse.margin, coarse.shape) == (2, (16, 16))
     np.testing.assert_allclose(coarse.whole.data.mean(), coarse.whole.data.astype(float).mean())
 
@@ -241,5 +290,7 @@ def test_a_picture_without_a_margin_is_written_as_before(tmp_path: Path) -> None
 
 def test_a_margin_that_leaves_no_picture_is_refused() -> None:
     for margin in (12, -1):
-        with pytest.raises(PixsimError, match=r"margin: got -?\d+; allowed: 0 or more, and less than half"):
+        with pytest.raises(
+            PixsimError, match=r"margin: got -?\d+; allowed: 0 or more, and less than half"
+        ):
             light(margin, True)

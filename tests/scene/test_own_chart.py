@@ -1,4 +1,6 @@
-"""A user's picture as a chart: luminance from every format, its border, and the scene that shows it."""
+"""A user's picture as a chart: luminance from every format, its border, and the scene that shows
+it.
+"""
 
 from __future__ import annotations
 
@@ -61,13 +63,27 @@ def written(kind: str, folder: Path) -> tuple[Path, np.ndarray, np.ndarray, floa
             write_channels(path, {name: light[:, :, index] for index, name in enumerate("RGB")}, {})
             return path, light @ WEIGHTS, light @ WEIGHTS, 0
         by_mitsuba(path, light)
-        return path, light @ WEIGHTS, light @ WEIGHTS, float(light.max()) / 128  # RGBE: 8 bits of the largest
+        return (
+            path,
+            light @ WEIGHTS,
+            light @ WEIGHTS,
+            float(light.max()) / 128,
+        )  # RGBE: 8 bits of the largest
     else:
         Image.fromarray(eight).save(path)
     return path, decoded(eight, 255) @ WEIGHTS, eight / 255 @ WEIGHTS, 0
 
 
-KINDS = ["grey8-a.png", "grey16-a.png", "rgb8-a.png", "rgb16-a.png", "rgba-a.png", "palette-a.png", "grey8-a.tiff", "grey16-a.tif"]
+KINDS = [
+    "grey8-a.png",
+    "grey16-a.png",
+    "rgb8-a.png",
+    "rgb16-a.png",
+    "rgba-a.png",
+    "palette-a.png",
+    "grey8-a.tiff",
+    "grey16-a.tif",
+]
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "rgb8-a.tiff", "light-a.exr", "light-a.hdr"])
@@ -85,7 +101,9 @@ def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
 
 
 def test_read_luminance_jpeg_even_grey_and_turned(tmp_path: Path) -> None:
-    """JPEG keeps even areas; a camera held upright writes the turn into its metadata (EXIF 6: turn right)."""
+    """JPEG keeps even areas; a camera held upright writes the turn into its metadata (EXIF 6: turn
+    right).
+    """
     codes = np.full((16, 32), 40, np.uint8)
     codes[:, 16:] = 200
     metadata = Image.Exif()
@@ -102,7 +120,9 @@ def test_srgb_decoded_is_continuous_at_its_joint() -> None:
     assert below == pytest.approx(above, rel=1e-5)  # the standard's constants are rounded
 
 
-@pytest.mark.parametrize(("aspect", "shape"), [(1.0, (30, 30)), (1.5, (20, 30)), (3.0, (20, 60)), (0.5, (60, 30))])
+@pytest.mark.parametrize(
+    ("aspect", "shape"), [(1.0, (30, 30)), (1.5, (20, 30)), (3.0, (20, 60)), (0.5, (60, 30))]
+)
 def test_with_border_keeps_aspect_and_states_share(aspect: float, shape: tuple[int, int]) -> None:
     picture = np.ones((20, 30), np.float32)
     texels, share = with_border(picture, aspect)
@@ -128,14 +148,20 @@ def test_with_border_keeps_aspect_and_states_share(aspect: float, shape: tuple[i
         ("a.hdr", b"no picture", "Radiance header"),
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16000 +X 16000\n", "times its size"),
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999 +X 99999\n", "samples"),
-        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 16\n\x02\x02", "Mitsuba cannot|values"),
+        (
+            "a.hdr",
+            b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16 +X 16\n\x02\x02",
+            "Mitsuba cannot|values",
+        ),
         ("a.gif", b"GIF89a", "PNG, JPEG, TIFF"),
         ("a.png", "folder", "a folder"),
         ("a.png", "pipe", "a named pipe"),
         ("a.png", None, "does not exist"),
     ],
 )
-def test_read_luminance_hostile_file_raises(name: str, content: bytes | str | None, wanted: str, tmp_path: Path) -> None:
+def test_read_luminance_hostile_file_raises(
+    name: str, content: bytes | str | None, wanted: str, tmp_path: Path
+) -> None:
     path = tmp_path / name
     if isinstance(content, bytes):
         path.write_bytes(content)
@@ -143,7 +169,9 @@ def test_read_luminance_hostile_file_raises(name: str, content: bytes | str | No
         Image.fromarray(RGB.astype(np.uint8)).save(path)
         path.write_bytes(path.read_bytes()[:-900])
     elif content == "bomb":
-        size = struct.pack(">4sIIBBBBB", b"IHDR", 30000, 30000, 1, 0, 0, 0, 0)  # the head is enough: nothing is decompressed
+        size = struct.pack(
+            ">4sIIBBBBB", b"IHDR", 30000, 30000, 1, 0, 0, 0, 0
+        )  # the head is enough: nothing is decompressed
         chunks = (
             struct.pack(">I", 13)
             + size
@@ -168,7 +196,10 @@ def test_read_luminance_hostile_file_raises(name: str, content: bytes | str | No
 
 # --- In a scene ---
 
-SMALL = "--variant scalar_spectral --resolution 32 -D spp=4 --render-noise 1 --display.dots 64 --pixel.pitch-um 60"
+SMALL = (
+    "--variant scalar_spectral --resolution 32 -D spp=4 --render-noise 1 --display.dots 64"
+    " --pixel.pitch-um 60"
+)
 LINE = f"run csf {SMALL} --irradiance full"
 
 
@@ -180,8 +211,12 @@ def white_left(path: Path) -> Path:
     return path
 
 
-def test_run_chart_picture_is_seen_with_its_border(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """White, dark and the grey border in proportion; the picture stands upright in the middle of the die."""
+def test_run_chart_picture_is_seen_with_its_border(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """White, dark and the grey border in proportion; the picture stands upright in the middle of
+    the die.
+    """
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -198,7 +233,9 @@ def test_run_chart_picture_is_seen_with_its_border(tmp_path: Path, monkeypatch: 
     fall_off = pixsim.optics.field_factor(light.shape, light.pitch_um, *_lens(pixsim.Camera()))
     lx = light.illuminance_lx() / fall_off
     white, dark, grey = lx[10:22, 4:12].mean(), lx[10:22, 20:28].mean(), lx[:6].mean()
-    assert dark / white == pytest.approx(float(decoded(np.array(60), 255)), rel=5e-3)  # multijitter at 4 samples: 0.3 %
+    assert dark / white == pytest.approx(
+        float(decoded(np.array(60), 255)), rel=5e-3
+    )  # multijitter at 4 samples: 0.3 %
     assert grey / white == pytest.approx(GREY, rel=5e-3)
     assert lx[26:].mean() == pytest.approx(grey, rel=5e-3)
 
@@ -215,8 +252,15 @@ def test_chart_command_texture_gives_the_same_light(tmp_path: Path) -> None:
     assert code == 0, err
     assert {**json.loads(out), "border": 0.5, "kind": "mine.png"} == json.loads(out)
     assert read_channels(texture)[0]["Y"][20, 30] == np.float32(60 / 255)
-    (tmp_path / "chart.toml").write_text('[scene]\nchart = "mine.png"\nchart_linear = true\n', encoding="utf-8")
-    ways = f"-D chart={texture}", f"-D chart={picture} --linear", f"--config {tmp_path / 'chart.toml'}", f"-D chart={picture}"
+    (tmp_path / "chart.toml").write_text(
+        '[scene]\nchart = "mine.png"\nchart_linear = true\n', encoding="utf-8"
+    )
+    ways = (
+        f"-D chart={texture}",
+        f"-D chart={picture} --linear",
+        f"--config {tmp_path / 'chart.toml'}",
+        f"-D chart={picture}",
+    )
     electrons = []
     for way in ways:
         code, out, err = command(f"{LINE} {way} --json --out {tmp_path / 'out'}")
@@ -254,7 +298,9 @@ def test_scene_hash_of_picture_depends_on_content_only(tmp_path: Path) -> None:
         ("chart gone.png -o out.exr", ["gone.png", "does not exist"]),
     ],
 )
-def test_own_chart_wrong_options_raise(line: str, wanted: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_own_chart_wrong_options_raise(
+    line: str, wanted: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     white_left(tmp_path / "mine.png")
     (tmp_path / "bad.png").write_bytes(b"no picture")

@@ -1,4 +1,6 @@
-"""Scenes through real lenses: what the plan leaves out, the light and the blur of the picture, and what a user is told."""
+"""Scenes through real lenses: what the plan leaves out, the light and the blur of the picture, and
+what a user is told.
+"""
 
 import math
 from dataclasses import replace
@@ -69,9 +71,18 @@ clips = false
 """
 
 
-def through(lens: str, die_mm: float, resolution: int = 96, scene: str = "csf", distance_m: float = 0.0, **options: object):
+def through(
+    lens: str,
+    die_mm: float,
+    resolution: int = 96,
+    scene: str = "csf",
+    distance_m: float = 0.0,
+    **options: object,
+):
     loaded = load_scene(scene, resolution=resolution, variant=VARIANT)
-    given = CameraOptions(die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {}))
+    given = CameraOptions(
+        die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {})
+    )
     camera = loaded.camera(given, LensOptions(file=lens, **options))
     return loaded, camera
 
@@ -93,18 +104,24 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert "tiles across with PSFs of" in decision.reason
     assert 0 < plan.film.tiling.cut_error <= plan.film.tiling.error < 1
     assert 0 <= plan.film.tiling.lacking < 0.1
-    assert f"which lack up to {percent(plan.film.tiling.lacking, 1)} of the light" in decision.reason
+    assert (
+        f"which lack up to {percent(plan.film.tiling.lacking, 1)} of the light" in decision.reason
+    )
     assert image.header[LENS_HEADER]["error"] == plan.film.tiling.error
     assert image.header[RINGS]  # so that what the distortion's spline rings below zero is no error
     assert Camera(**image.header["camera"]) == camera
 
 
 def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
-    """Photodiodes average what finer films add: what one of these would choose itself is no larger."""
+    """Photodiodes average what finer films add: what one of these would choose itself is no
+    larger.
+    """
     scene, camera = through("cooke_triplet", 0.5, 64)
     camera = camera.model_copy(update={"die_mm": 0.1, "die_height_mm": 0.1})
     films = [scene.with_resolution(across) for across in (64, 128, 256)]
-    first, finer, finest = (make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).film.tiling for film in films)
+    first, finer, finest = (
+        make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).film.tiling for film in films
+    )
     aperture_um = derive(PIXEL).aperture_side_um
     assert aperture_um / 2 >= 100 / 64
     assert first == finer == finest
@@ -115,7 +132,9 @@ def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
 
 
 def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
-    """Rays of a singlet at f/5 and 96 mm miss by half a millimetre: more than cells of 250 µm, on which no waves are followed."""
+    """Rays of a singlet at f/5 and 96 mm miss by half a millimetre: more than cells of 250 µm, on
+    which no waves are followed.
+    """
     scene, camera = through("singlet", 24.0, 96, "flat", refocus="paraxial")
     plan = make_render_plan(scene, camera, PIXEL)
     assert plan.film.tiling.psf_um == 0
@@ -134,8 +153,15 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     assert "Take a finer film" in told
     cut = replace(plan.film.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
     (told,) = [note for note in real_lens_warnings(camera, cut, 1e-3) if "blur" in note]
-    assert "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light" in told
-    assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), 1e-3) if "blur" in note]
+    assert (
+        "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 %"
+        " of the light" in told
+    )
+    assert not [
+        note
+        for note in real_lens_warnings(camera, replace(cut, error=0.01), 1e-3)
+        if "blur" in note
+    ]
 
 
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
@@ -145,10 +171,14 @@ def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() ->
     picture = image.factors[1][0]
     corner_mm = math.hypot(16, 16) * 24.0 / 33
     field = lens.field_of_height(corner_mm, lens.primary_nm)
-    assert picture[0, 0] / picture[16, 16] == pytest.approx(float(lens.relative_illumination(field)), rel=1e-3)
+    assert picture[0, 0] / picture[16, 16] == pytest.approx(
+        float(lens.relative_illumination(field)), rel=1e-3
+    )
     rate = diffracted_rate(image, camera, derive(PIXEL))
     sharp = ideal_rate(image, derive(PIXEL))
-    np.testing.assert_allclose(rate, sharp, rtol=0.02)  # an even scene has nothing to blur but its fall-off
+    np.testing.assert_allclose(
+        rate, sharp, rtol=0.02
+    )  # an even scene has nothing to blur but its fall-off
 
 
 def test_blur_lowers_contrast_most_in_the_corners(singlet) -> None:
@@ -178,14 +208,18 @@ def test_ideal_image_has_the_distortion_unless_asked_otherwise() -> None:
     scene, camera = through("phone", 4.8, 96)
     image = render(scene, camera, plan=make_render_plan(scene, camera, PIXEL))
     assert ideal_light(image, camera) is image
-    straight = camera.model_copy(update={"lens": camera.lens.model_copy(update={"ideal": "undistorted"})})
+    straight = camera.model_copy(
+        update={"lens": camera.lens.model_copy(update={"ideal": "undistorted"})}
+    )
     moved = ideal_light(image, straight)
     shift = distortion_of(camera).largest_mm * 1e3 / image.pitch_um
     assert shift > 1
     assert np.abs(moved.factors[1] - image.factors[1]).max() > 0.05
 
 
-def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_for_bit(tmp_path: Path) -> None:
+def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_for_bit(
+    tmp_path: Path,
+) -> None:
     file = tmp_path / "thin.toml"
     file.write_text(THIN, encoding="utf-8")
     scene, camera = through(str(file), 0.1, 32, focal_length_mm=10.0)
@@ -195,20 +229,32 @@ def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_f
     assert 0 < decision.bound_e < 5e-4
     thin = without_lens(camera)
     assert (thin.focal_length_mm, thin.f_number) == (camera.focal_length_mm, camera.f_number)
-    image, other = render(scene, camera, plan=plan), render(scene, thin, plan=make_render_plan(scene, thin, PIXEL))
+    image, other = (
+        render(scene, camera, plan=plan),
+        render(scene, thin, plan=make_render_plan(scene, thin, PIXEL)),
+    )
     assert np.array_equal(image.factors[1], other.factors[1])
     assert LENS_HEADER not in image.header
     assert RINGS not in image.header
     physics = derive(PIXEL)
-    assert np.array_equal(diffracted_rate(image, camera, physics), diffracted_rate(other, thin, physics))
+    assert np.array_equal(
+        diffracted_rate(image, camera, physics), diffracted_rate(other, thin, physics)
+    )
 
 
-def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmittance(tmp_path: Path) -> None:
-    """From the axis to 20 degrees, of a luminance that is known: traced, rendered and weighted as any real lens."""
+def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmittance(
+    tmp_path: Path,
+) -> None:
+    """From the axis to 20 degrees, of a luminance that is known: traced, rendered and weighted as
+    any real lens.
+    """
     file = tmp_path / "thin.toml"
     file.write_text(THIN, encoding="utf-8")
     scene = load_scene("flat", resolution=33, luminance_cd_per_m2=1000)
-    camera = scene.camera(CameraOptions(die_mm=5.2, transmittance=0.8), LensOptions(file=str(file), focal_length_mm=10.0))
+    camera = scene.camera(
+        CameraOptions(die_mm=5.2, transmittance=0.8),
+        LensOptions(file=str(file), focal_length_mm=10.0),
+    )
     plan = make_render_plan(scene, camera, PIXEL, exact=True)
     plan = replace(plan, film=replace(plan.film, tiling=Tiling(2000.0, 0.0, 0.0)))
     image = render(scene, camera, plan=plan)
@@ -216,39 +262,59 @@ def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmitt
     tangent = np.hypot(x, y) / camera.image_distance_mm
     assert tangent.max() == pytest.approx(math.tan(math.radians(20)), rel=0.05)
     wanted = 0.8 * 1000 * irradiance_factor(camera.f_number, tangent, camera.magnification)
-    np.testing.assert_allclose(image.illuminance_lx() / wanted, image.illuminance_lx()[16, 16] / wanted[16, 16], rtol=1e-4)
-    assert image.illuminance_lx()[16, 16] == pytest.approx(wanted[16, 16], rel=2e-3)  # the bands of D65 in luminance
+    np.testing.assert_allclose(
+        image.illuminance_lx() / wanted, image.illuminance_lx()[16, 16] / wanted[16, 16], rtol=1e-4
+    )
+    assert image.illuminance_lx()[16, 16] == pytest.approx(
+        wanted[16, 16], rel=2e-3
+    )  # the bands of D65 in luminance
 
 
 @pytest.mark.slow
-def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_is_dark(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(6000.0, 750.0, 0.005))
+def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_is_dark(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(6000.0, 750.0, 0.005)
+    )
     scene, camera = through("phone", 12.0, 32, "flat", focal_length_mm=5.2, distance_m=1.0)
     plan = make_render_plan(scene, camera, PIXEL)
     share = dark_share(camera)
-    assert any(f"{percent(share, 1)} of the die lies beyond the image circle of 'phone'" in note for note in plan.warnings)
+    assert any(
+        f"{percent(share, 1)} of the die lies beyond the image circle of 'phone'" in note
+        for note in plan.warnings
+    )
     image = render(scene, camera, plan=plan)
     assert float((image.factors[1][0] == 0).mean()) == pytest.approx(share, abs=0.03)
     pixel = Pixel(pitch_um=100.0, infrared_cut_nm=720.0)
     thin = without_lens(camera)
     readout, times = Readout.of(derive(pixel)), []
-    for light, seen in ((image, camera), (render(scene, thin, plan=make_render_plan(scene, thin, pixel)), thin)):
+    for light, seen in (
+        (image, camera),
+        (render(scene, thin, plan=make_render_plan(scene, thin, pixel)), thin),
+    ):
         chain = imaging_chain(light, seen, pixel, Exposure(), Display(dots=48))
         times.append(integration_time_s(Exposure(), readout, float(chain.signal_e_per_s.max())))
         assert chain.capture("x").integration_s == pytest.approx(times[-1], rel=1e-6)
-    assert times[0] == pytest.approx(times[1], rel=0.02)  # as much light on the axis, in spite of the dark corners
+    assert times[0] == pytest.approx(
+        times[1], rel=0.02
+    )  # as much light on the axis, in spite of the dark corners
     assert image.illuminance_lx().mean() < 0.6 * image.illuminance_lx().max()
 
 
 def test_camera_stands_in_the_entrance_pupil() -> None:
-    """Points on a line through its middle are one point of the picture at any distance, but for 5 % by its aberrations."""
+    """Points on a line through its middle are one point of the picture at any distance, but for 5 %
+    by its aberrations.
+    """
     camera = through("cooke_triplet", 20.0, distance_m=0.5)[1]
     lens = traced_lens(camera.lens, camera.object_distance_m)
     seen = replace(lens, object_distance_mm=2 * lens.object_distance_mm)
     field = 10.0
     near, far = (float(one.chief_ray(field, one.primary_nm).height_mm) for one in (lens, seen))
     vertex_mm = lens.first_order(lens.primary_nm).entrance_pupil_from_first_vertex_mm
-    moved = math.degrees(math.atan(math.tan(math.radians(field)) * (1 + vertex_mm / seen.object_distance_mm / 2)))
+    moved = math.degrees(
+        math.atan(math.tan(math.radians(field)) * (1 + vertex_mm / seen.object_distance_mm / 2))
+    )
     other = float(seen.chief_ray(moved, seen.primary_nm).height_mm)
     assert abs(near - far) < 0.05 * abs(near - other)  # on a line through the first vertex
 
@@ -289,14 +355,18 @@ DEPTHS = """
 
 def scene_of_depths(tmp_path: Path, near_m: float, far_m: float) -> Scene:
     file = tmp_path / "depths.xml"
-    file.write_text(DEPTHS.replace("NEAR", f"{near_m}").replace("FAR", f"{far_m}"), encoding="utf-8")
+    file.write_text(
+        DEPTHS.replace("NEAR", f"{near_m}").replace("FAR", f"{far_m}"), encoding="utf-8"
+    )
     return load_scene(file)
 
 
 @pytest.fixture
 def some_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plans take a moment where their tiles do not matter."""
-    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(500.0, 20.0, 0.005))
+    monkeypatch.setattr(
+        "pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(500.0, 20.0, 0.005)
+    )
 
 
 @pytest.mark.usefixtures("some_tiles")
@@ -307,18 +377,27 @@ def test_plan_says_that_the_error_out_of_focus_is_not_known(full: bool, tmp_path
     for scene, is_deep in ((deep, True), (chart, False)):
         camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file="singlet"))
         plan = make_render_plan(scene, camera, PIXEL, full=full)
-        assert ("defocus of the lens" in [decision.subject for decision in plan.decisions]) == is_deep
+        assert (
+            "defocus of the lens" in [decision.subject for decision in plan.decisions]
+        ) == is_deep
         assert any("its error is not known" in note for note in plan.warnings) == is_deep
 
 
 @pytest.mark.slow  # test_integration has each colour by the PSF of its own light
 def test_bands_of_a_scene_with_several_spectra_are_blurred_in_groups(singlet) -> None:
-    """Light stored by bands is blurred group by group of bands, each at its mean wavelength: like that of one spectrum."""
+    """Light stored by bands is blurred group by group of bands, each at its mean wavelength: like
+    that of one spectrum.
+    """
     _, camera, _, image = singlet
     physics = derive(PIXEL)
     whole = diffracted_rate(image, camera, physics)
     by_bands = type(image)(
-        image.wavelength_nm, image.band_width_nm, image.pitch_um, data=image.data, within=image.within, header=image.header
+        image.wavelength_nm,
+        image.band_width_nm,
+        image.pitch_um,
+        data=image.data,
+        within=image.within,
+        header=image.header,
     )
     found = diffracted_rate(by_bands, camera, physics)
     assert np.sqrt(np.mean((found - whole) ** 2)) < 0.01 * whole.std()

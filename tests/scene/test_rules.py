@@ -28,7 +28,10 @@ SIDE = 'x="$chart_half_side" y="$chart_half_side"'  # of the slanted edge
 PATH = '<integrator type="path"/>'
 DEPTH = '<integer name="max_depth" value="2"/>'
 RAW = '<boolean name="raw" value="true"/>'
-BSDF = '<bsdf type="diffuse">\n            <spectrum name="reflectance" filename="spectra/macbeth/24_black_2.spd"/>'
+BSDF = (
+    '<bsdf type="diffuse">\n            <spectrum name="reflectance"'
+    ' filename="spectra/macbeth/24_black_2.spd"/>'
+)
 NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
 
 
@@ -38,7 +41,10 @@ def bigger(times: float, half: str = HALF) -> tuple[str, str]:
 
 
 def shape(kind: str, transform: str, inside: str = "") -> tuple[str, str]:
-    return END, f'<shape type="{kind}"><transform name="to_world">{transform}</transform>{inside}</shape>'
+    return (
+        END,
+        f'<shape type="{kind}"><transform name="to_world">{transform}</transform>{inside}</shape>',
+    )
 
 
 def moved_chart(transform: str) -> tuple[str, str]:
@@ -72,33 +78,65 @@ def test_decide_bounces_parallel_boards_need_one():
 
 def test_decide_bounces_disk_equals_rectangle(tmp_path):
     plan = render_plan(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"')))
-    assert left_out(plan) == {"spectral rank", "bounces", "lens samples"}  # but a disc does not fill the film
+    assert left_out(plan) == {
+        "spectral rank",
+        "bounces",
+        "lens samples",
+    }  # but a disc does not fill the film
     assert plan.film.chart is None
 
 
 def test_decide_bounces_depth_2_is_direct(tmp_path):
-    ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="roughconductor"/>')
+    ball = shape(
+        "sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="roughconductor"/>'
+    )
     for depth, integrator in ((DEPTH, {"type": "direct"}), (DEPTH.replace("2", "3"), None)):
-        plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="path">{depth}</integrator>'), ball))
+        plan = render_plan(
+            edited(
+                tmp_path, "macbeth", (PATH, f'<integrator type="path">{depth}</integrator>'), ball
+            )
+        )
         assert plan.samples.integrator == integrator
 
 
 def test_plan_equal_lamp_spectra_are_one_light(tmp_path):
-    second = '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity" filename="{}"/></emitter>'
+    second = (
+        '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity"'
+        ' filename="{}"/></emitter>'
+    )
     for lamp, lights in (("$lamp", 1), ("spectra/a.spd", 2)):
-        assert len(render_plan(edited(tmp_path, "macbeth", (END, second.format(lamp)))).light.lamps) == lights
+        assert (
+            len(render_plan(edited(tmp_path, "macbeth", (END, second.format(lamp)))).light.lamps)
+            == lights
+        )
 
 
 # --- Rules that do not apply ---
 
-ALONE, DETAIL, MATT = {"spectral rank", "bounces"}, {"texture samples", "diffraction"}, {"bounces", "lens samples"}
+ALONE, DETAIL, MATT = (
+    {"spectral rank", "bounces"},
+    {"texture samples", "diffraction"},
+    {"bounces", "lens samples"},
+)
 FILM = '<translate z="$focus_distance"/>'
-NEAR, FOG, BEHIND = '<scale value="0.05"/><translate z="0.8"/>', '<scale value="0.1"/><translate z="0.8"/>', '<translate z="-0.1"/>'
+NEAR, FOG, BEHIND = (
+    '<scale value="0.05"/><translate z="0.8"/>',
+    '<scale value="0.1"/><translate z="0.8"/>',
+    '<translate z="-0.1"/>',
+)
 TURNED = '<rotate y="1" angle="180"/><scale z="-1"/>'
 ENVIRONMENT = '<emitter type="envmap"><string name="filename" value="coloured.exr"/></emitter>'
-BOTH_SIDES = [(BSDF, f'<bsdf type="twosided">{BSDF}'), ("</bsdf>\n    </shape>\n</scene>", "</bsdf></bsdf></shape></scene>")]
-INSIDE = '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9, 0.2, 0.1"/></medium>'
-SLIDE = '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture>'
+BOTH_SIDES = [
+    (BSDF, f'<bsdf type="twosided">{BSDF}'),
+    ("</bsdf>\n    </shape>\n</scene>", "</bsdf></bsdf></shape></scene>"),
+]
+INSIDE = (
+    '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9,'
+    ' 0.2, 0.1"/></medium>'
+)
+SLIDE = (
+    '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture>'
+)
 
 
 def shining(plugin: str, name: str = "radiance", more: str = "") -> str:
@@ -107,30 +145,78 @@ def shining(plugin: str, name: str = "radiance", more: str = "") -> str:
 
 # name: (scene, edits, the rules that must not fire)
 KEPT = {
-    "chart out of focus": ("slanted_edge", [moved_chart('<translate z="1.3"/>'), bigger(1.5, SIDE)], RULES - ALONE),
+    "chart out of focus": (
+        "slanted_edge",
+        [moved_chart('<translate z="1.3"/>'), bigger(1.5, SIDE)],
+        RULES - ALONE,
+    ),
     "uniform chart out of focus": ("flat", [moved_chart('<translate z="0.9"/>')], RULES - ALONE),
-    "tilted chart": ("flat", [moved_chart(f'<rotate x="1" angle="20"/>{FILM}'), bigger(1.5)], RULES - ALONE),
+    "tilted chart": (
+        "flat",
+        [moved_chart(f'<rotate x="1" angle="20"/>{FILM}'), bigger(1.5)],
+        RULES - ALONE,
+    ),
     "chart smaller than the film": ("flat", [bigger(0.9)], DETAIL),
-    "chart beside the axis": ("slanted_edge", [bigger(2, SIDE), moved_chart(f'<translate x="0.3"/>{FILM}')], DETAIL),
-    "chart turned on its side": ("flat", [bigger(2), moved_chart(f'<rotate z="1" angle="30"/>{FILM}')], DETAIL),
+    "chart beside the axis": (
+        "slanted_edge",
+        [bigger(2, SIDE), moved_chart(f'<translate x="0.3"/>{FILM}')],
+        DETAIL,
+    ),
+    "chart turned on its side": (
+        "flat",
+        [bigger(2), moved_chart(f'<rotate z="1" angle="30"/>{FILM}')],
+        DETAIL,
+    ),
     "repeated picture": ("slanted_edge", [('<scale y="-1"/>', '<scale x="8" y="-1"/>')], DETAIL),
-    "shifted picture": ("slanted_edge", [('<translate y="1"/>', '<translate x="0.4" y="1"/>')], DETAIL),
+    "shifted picture": (
+        "slanted_edge",
+        [('<translate y="1"/>', '<translate x="0.4" y="1"/>')],
+        DETAIL,
+    ),
     "a sphere": ("macbeth", [shape("sphere", NEAR, '<bsdf type="diffuse"/>')], MATT),
     **{
         f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], MATT)
         for bsdf in ("conductor", "roughplastic", "dielectric")
     },
-    "a patch of principled": ("macbeth", [(BSDF, '<bsdf type="principled">')], MATT | {"spectral rank"}),
+    "a patch of principled": (
+        "macbeth",
+        [(BSDF, '<bsdf type="principled">')],
+        MATT | {"spectral rank"},
+    ),
     "an environment map": ("macbeth", [(END, ENVIRONMENT)], {"lens samples"}),
     "a sky": ("flat", [(END, '<emitter type="sunsky"/>')], DETAIL | {"lens samples"}),
-    "a directional area lamp": ("macbeth", [shape("rectangle", "", shining("directionalarea"))], MATT),
-    "an area lamp facing the board": ("macbeth", [shape("rectangle", BEHIND, shining("area"))], {"bounces"}),
+    "a directional area lamp": (
+        "macbeth",
+        [shape("rectangle", "", shining("directionalarea"))],
+        MATT,
+    ),
+    "an area lamp facing the board": (
+        "macbeth",
+        [shape("rectangle", BEHIND, shining("area"))],
+        {"bounces"},
+    ),
     "a board facing the board": ("macbeth", [shape("rectangle", BEHIND)], {"bounces"}),
-    "a mirrored board facing the board": ("macbeth", [shape("disk", f'<scale x="-1"/>{BEHIND}')], {"bounces"}),
-    "a board facing the board from the back of its matrix": ("macbeth", [shape("rectangle", TURNED + BEHIND)], {"bounces"}),
+    "a mirrored board facing the board": (
+        "macbeth",
+        [shape("disk", f'<scale x="-1"/>{BEHIND}')],
+        {"bounces"},
+    ),
+    "a board facing the board from the back of its matrix": (
+        "macbeth",
+        [shape("rectangle", TURNED + BEHIND)],
+        {"bounces"},
+    ),
     "a board that shows both sides": ("macbeth", BOTH_SIDES, {"bounces"}),
-    "fog": ("macbeth", [(PATH, '<integrator type="volpath"/>'), shape("cube", FOG, INSIDE)], MATT | {"spectral rank"}),
-    "a spot with a coloured slide": ("macbeth", [(END, shining("spot", "intensity", SLIDE))], set()),
+    "fog": (
+        "macbeth",
+        [(PATH, '<integrator type="volpath"/>'), shape("cube", FOG, INSIDE)],
+        MATT | {"spectral rank"},
+    ),
+    "a spot with a coloured slide": (
+        "macbeth",
+        [(END, shining("spot", "intensity", SLIDE))],
+        set(),
+    ),
 }
 
 
@@ -157,25 +243,41 @@ def test_plan_rules_do_not_apply(name, folder):
     scene, edits, stored = KEPT[name]
     before, plan = packaged_plan(scene), render_plan(edited(folder, scene, *edits))
     assert not left_out(plan) & stored
-    assert stored - {"texture samples"} <= left_out(before) | {"diffraction"}, "the edit makes no difference"
+    assert stored - {"texture samples"} <= left_out(before) | {"diffraction"}, (
+        "the edit makes no difference"
+    )
     light, samples = plan.light, plan.samples
-    done = {"lens samples": samples.lens == "thinlens", "bounces": samples.integrator is None, "diffraction": plan.film.diffraction}
-    done |= {"spectral rank": light.passes == light.full_passes, "texture samples": samples.spp * light.passes >= samples.full_spp}
+    done = {
+        "lens samples": samples.lens == "thinlens",
+        "bounces": samples.integrator is None,
+        "diffraction": plan.film.diffraction,
+    }
+    done |= {
+        "spectral rank": light.passes == light.full_passes,
+        "texture samples": samples.spp * light.passes >= samples.full_spp,
+    }
     assert [rule for rule in stored if not done[rule]] == []
     if scene == "flat" and "diffraction" in stored:
         assert make_plan(load(folder / "flat.xml")).film.resolution is None
 
 
 def test_plan_coloured_lamp_keeps_all_bands(folder):
-    scene = load(edited(folder, "csf", (RAW, ""), ('value="charts/csf.exr"', 'value="coloured.exr"')), resolution=16)
+    scene = load(
+        edited(folder, "csf", (RAW, ""), ('value="charts/csf.exr"', 'value="coloured.exr"')),
+        resolution=16,
+    )
     plan = make_render_plan(scene)
     assert "spectral rank" not in left_out(plan)
     assert plan.light.passes == plan.light.full_passes == 12
     assert plan.light.lamps[0].lamp.spectrum is None
     image = pixsim.render(scene)
-    left, right = (image.data[4:12, where].mean(axis=(0, 1), dtype=float) for where in (slice(1, 6), slice(10, 15)))
+    left, right = (
+        image.data[4:12, where].mean(axis=(0, 1), dtype=float)
+        for where in (slice(1, 6), slice(10, 15))
+    )
     nm = image.wavelength_nm
-    # sRGB's red over its blue, 1 to 0.05, is spread over wavelengths by Mitsuba: 8 and more at these.
+    # sRGB's red over its blue, 1 to 0.05, is spread over wavelengths by Mitsuba: 8 and more at
+    # these.
     assert (left / right)[(nm > 600) & (nm < 640)].min() > 5
     assert (right / left)[(nm > 420) & (nm < 470)].min() > 5
 
@@ -195,15 +297,26 @@ def test_decide_bounces_other_integrator_stays(plugin, tmp_path):
     assert f"'{plugin}'" in decision(plan, "bounces").reason
 
 
-@pytest.mark.parametrize(("depth", "integrator"), [(0, None), (1, None), (-1, {"type": "path", "max_depth": 1})])
+@pytest.mark.parametrize(
+    ("depth", "integrator"), [(0, None), (1, None), (-1, {"type": "path", "max_depth": 1})]
+)
 def test_decide_bounces_minimal_depth_stays(depth, integrator, tmp_path):
-    assert render_plan(edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))).samples.integrator == integrator
+    assert (
+        render_plan(
+            edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))
+        ).samples.integrator
+        == integrator
+    )
 
 
 def test_decide_bounces_hidden_emitters_stay_hidden(tmp_path):
     hidden = (DEPTH, f'{DEPTH}<boolean name="hide_emitters" value="true"/>')
     path = edited(tmp_path, "csf", hidden)
-    assert render_plan(path).samples.integrator == {"type": "path", "max_depth": 1, "hide_emitters": True}
+    assert render_plan(path).samples.integrator == {
+        "type": "path",
+        "max_depth": 1,
+        "hide_emitters": True,
+    }
     with pytest.raises(PixsimError, match="hide_emitters"):
         pixsim.render(load(path, resolution=8))
 
@@ -228,7 +341,9 @@ def test_plan_full_leaves_out_nothing(name):
 
 
 def test_decide_samples_passes_share_samples():
-    """With 4 samples multijitter correlates the dimensions of a path: the still life is 0.8 % too dark, 10 standard errors."""
+    """With 4 samples multijitter correlates the dimensions of a path: the still life is 0.8 % too
+    dark, 10 standard errors.
+    """
     plan = render_plan("still_life")
     assert plan.light.passes > 4
     assert (plan.samples.spp, plan.samples.full_spp) == (16, 64)
@@ -250,7 +365,9 @@ def test_decide_lens_blur_limit_scales_with_photodiode(tmp_path):
     for times, lens in ((0.95, "perspective"), (1.05, "thinlens")):
         depth_m = 1 / (1 - times * most_um / per_m)
         assert blur_um(camera, depth_m) == pytest.approx(times * most_um, rel=1e-9)
-        scene = load(edited(tmp_path, "csf", moved_chart(f'<translate z="{depth_m!r}"/>'), bigger(1.1)))
+        scene = load(
+            edited(tmp_path, "csf", moved_chart(f'<translate z="{depth_m!r}"/>'), bigger(1.1))
+        )
         plan = make_render_plan(scene, pixel=pixel)
         assert plan.samples.lens == lens
         bound = times * rules.BLUR_SHARE * rules.TOLERANCE_E if lens == "perspective" else 0.0
@@ -258,7 +375,8 @@ def test_decide_lens_blur_limit_scales_with_photodiode(tmp_path):
 
 
 def test_decide_lens_blurred_edge_matches_bound():
-    # Light beyond a straight edge across a disc of diameter 1: ∫ of the share of the disc beyond t, t from 0 to ½.
+    # Light beyond a straight edge across a disc of diameter 1: ∫ of the share of the disc beyond t,
+    # t from 0 to ½.
     t = (np.arange(100000) + 0.5) / 200000
     share = (np.arccos(2 * t) - 2 * t * np.sqrt(1 - 4 * t**2)) / np.pi
     # An edge loses it on one side and has it on the other.
@@ -283,7 +401,9 @@ def test_render_unfocused_chart_is_blurred_by_disc(tmp_path):
         row = (image.illuminance_lx() / lens_sr(image, camera)).mean(axis=0)[8:24]
         assert (make_render_plan(scene, camera).samples.lens == "thinlens") == (depth != 0.1)
         x = 2 * np.pi * cycles * (np.arange(8, 24) + 0.5) / 32
-        mean, sine, cosine = np.linalg.lstsq(np.stack([np.ones(16), np.sin(x), np.cos(x)], axis=1), row, rcond=None)[0]
+        mean, sine, cosine = np.linalg.lstsq(
+            np.stack([np.ones(16), np.sin(x), np.cos(x)], axis=1), row, rcond=None
+        )[0]
         result[depth] = np.hypot(sine, cosine) / mean
     c_mm = 1e-3 * blur_um(camera, 0.2)
     u = np.pi * cycles * c_mm  # cycles a mm, for the die is 1 mm wide at any depth
@@ -316,8 +436,8 @@ def test_lone_chart_coloured_picture_is_not_uniform(picture, tmp_path):
 
 def test_plan_dark_lamp_is_ignored(tmp_path):
     lamps = "".join(
-        f'<emitter type="point"><point name="position" x="{x}" y="0" z="0"/>'
-        f'<texture type="d65" name="intensity"><float name="scale" value="{scale}"/></texture></emitter>'
+        f'<emitter type="point"><point name="position" x="{x}" y="0" z="0"/><texture type="d65"'
+        f' name="intensity"><float name="scale" value="{scale}"/></texture></emitter>'
         for x, scale in ((0.2, 1e-9), (-0.2, 1.0))
     )
     image = pixsim.render(load(edited(tmp_path, "macbeth", (END, lamps)), resolution=8))
@@ -327,7 +447,9 @@ def test_plan_dark_lamp_is_ignored(tmp_path):
 
 def test_plan_scene_without_light_raises(tmp_path):
     text = (FOLDER / "macbeth.xml").read_text(encoding="utf-8")
-    lamp = text[text.index('<emitter type="directional"') : text.index("</emitter>") + len("</emitter>")]
+    lamp = text[
+        text.index('<emitter type="directional"') : text.index("</emitter>") + len("</emitter>")
+    ]
     scene = load(edited(tmp_path, "macbeth", (lamp, "")))
     with pytest.raises(PixsimError, match="no emitter with light"):
         make_plan(scene)
@@ -336,12 +458,38 @@ def test_plan_scene_without_light_raises(tmp_path):
 @pytest.mark.parametrize(
     ("name", "edit", "message"),
     [
-        ("macbeth", (PATH, '<integrator type="ptracer"/>'), "integrator: got 'ptracer' in line .*; allowed: path, "),
-        ("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'), "got 'aov'"),
+        (
+            "macbeth",
+            (PATH, '<integrator type="ptracer"/>'),
+            "integrator: got 'ptracer' in line .*; allowed: path, ",
+        ),
+        (
+            "macbeth",
+            (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'),
+            "got 'aov'",
+        ),
         ("macbeth", (END, '<medium type="homogeneous" id="fog"/>'), "volpath"),
-        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "an uncropped film"),
-        ("csf", ('<film type="hdrfilm">', '<medium type="homogeneous"/><film type="hdrfilm">'), "volpath|camera in a medium"),
-        ("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>'), "dispersive"),
+        (
+            "csf",
+            (
+                '<film type="hdrfilm">',
+                '<film type="hdrfilm"><integer name="crop_width" value="8"/>',
+            ),
+            "an uncropped film",
+        ),
+        (
+            "csf",
+            ('<film type="hdrfilm">', '<medium type="homogeneous"/><film type="hdrfilm">'),
+            "volpath|camera in a medium",
+        ),
+        (
+            "still_life",
+            (
+                '<float name="int_ior" value="1.5"/>',
+                '<spectrum name="int_ior" value="400:1.6,700:1.5"/>',
+            ),
+            "dispersive",
+        ),
     ],
 )
 def test_check_supported_unsupported_features_raise(name, edit, message, tmp_path):
@@ -355,8 +503,9 @@ def test_check_textures_maps_may_be_raw(tmp_path):
 
     matplotlib.image.imsave(tmp_path / "normals.png", np.full((4, 4, 3), (0.5, 0.5, 1.0)))
     bump = (
-        '<bsdf type="normalmap"><texture type="bitmap" name="normalmap"><boolean name="raw" value="true"/>'
-        '<string name="filename" value="normals.png"/></texture><bsdf type="diffuse"/></bsdf>'
+        '<bsdf type="normalmap"><texture type="bitmap" name="normalmap"><boolean name="raw"'
+        ' value="true"/><string name="filename" value="normals.png"/></texture><bsdf'
+        ' type="diffuse"/></bsdf>'
     )
     ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', bump)
     scene = load(edited(tmp_path, "macbeth", ball), resolution=8)
@@ -384,7 +533,11 @@ def test_plan_unknown_contents_state_reason(tmp_path):
 
 def test_decide_samples_paths_have_minimum(tmp_path):
     """With 4 samples, Mitsuba's default, multijitter makes paths up to 1 % too dark."""
-    few = edited(tmp_path, "still_life", ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'))
+    few = edited(
+        tmp_path,
+        "still_life",
+        ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'),
+    )
     assert render_plan(few).samples.spp == 16
     assert render_plan(few, spp=4).samples.spp == 4  # asked for
 
@@ -400,27 +553,50 @@ def chart_of(texels: np.ndarray, film: int) -> rules.Chart:
 
 
 def test_chart_picture_is_cell_means():
-    """Means of the interpolation, linear (1) or of nearest texels (0), by the midpoint rule; the chart covers 12 of 24 rows."""
+    """Means of the interpolation, linear (1) or of nearest texels (0), by the midpoint rule; the
+    chart covers 12 of 24 rows.
+    """
     texels, points = np.random.default_rng(0).uniform(0, 1, (24, 36)), 4096
-    modes = (("edge", "nearest", 1), ("wrap", "grid-wrap", 1), ("symmetric", "reflect", 1), ("edge", "nearest", 0))
+    modes = (
+        ("edge", "nearest", 1),
+        ("wrap", "grid-wrap", 1),
+        ("symmetric", "reflect", 1),
+        ("edge", "nearest", 0),
+    )
     for beyond, mode, order in modes:
-        for covered, shape in (((24, 36), (6, 9)), ((24, 36), (5, 7)), ((12, 18), (6, 9)), ((24, 36), (40, 50))):
+        for covered, shape in (
+            ((24, 36), (6, 9)),
+            ((24, 36), (5, 7)),
+            ((12, 18), (6, 9)),
+            ((24, 36), (40, 50)),
+        ):
             per_sample = covered[0] / shape[0], covered[1] / shape[1]
             picture = rules.Chart(texels, per_sample, shape, beyond, nearest=order == 0).picture()
             for row, column in ((0, 0), (shape[0] - 1, shape[1] - 1), (2, 3)):
                 at = []
-                for place, n, cover, size in zip((row, column), texels.shape, covered, per_sample, strict=True):
-                    at.append((n - cover) / 2 + size * (place + (np.arange(points) + 0.5) / points) - 0.5)
+                for place, n, cover, size in zip(
+                    (row, column), texels.shape, covered, per_sample, strict=True
+                ):
+                    at.append(
+                        (n - cover) / 2 + size * (place + (np.arange(points) + 0.5) / points) - 0.5
+                    )
                 # Along one axis at a time: interpolation and mean separate.
                 places = np.meshgrid(at[0], np.arange(36), indexing="ij")
                 rows = map_coordinates(texels, places, order=order, mode=mode).mean(axis=0)
                 truth = map_coordinates(rows, [at[1]], order=order, mode=mode).mean()
                 error = 1e-6 if order else 2e-3  # of a step between two of 4096 points
-                assert picture[row, column] == pytest.approx(truth, rel=error), (beyond, covered, shape, row, column)
+                assert picture[row, column] == pytest.approx(truth, rel=error), (
+                    beyond,
+                    covered,
+                    shape,
+                    row,
+                    column,
+                )
 
 
-# 1024 stratified samples leave a noise of 1e-4, and three times as much in the worst of 1160 cells; of steps of 0.9 next to 0.1,
-# one side of which a cell's samples take for the other by 1024^-¾, 5e-3.
+# 1024 stratified samples leave a noise of 1e-4, and three times as much in the worst of 1160 cells;
+# of steps of 0.9 next to 0.1, one side of which a cell's samples take for the other by 1024^-¾,
+# 5e-3.
 NOISE = {"bilinear": 1e-3, "nearest": 1e-2}
 
 
@@ -433,37 +609,63 @@ NOISE = {"bilinear": 1e-3, "nearest": 1e-2}
     ],
 )  # fmt: skip
 def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, tmp_path):
-    """An asymmetric chart, wider than the film, however its texels run: Mitsuba's render approaches the exact cells."""
+    """An asymmetric chart, wider than the film, however its texels run: Mitsuba's render approaches
+    the exact cells.
+    """
     rng = np.random.default_rng(5)
-    write_channels(tmp_path / "chart.exr", {"Y": rng.uniform(0.1, 1, (12, 10)).astype(np.float32)}, {})
-    text = packaged_scenes()["csf"].read_text().replace('<scale y="-1"/>', f'<scale x="{flip[0]}" y="{-flip[1]}"/>')
-    text = text.replace('<translate y="1"/>', f'<translate x="{(1 - flip[0]) / 2}" y="{(1 + flip[1]) / 2}"/>')
-    text = text.replace('"clamp"/>', f'"{wrap_mode}"/><string name="filter_type" value="{filter_type}"/>')
+    write_channels(
+        tmp_path / "chart.exr", {"Y": rng.uniform(0.1, 1, (12, 10)).astype(np.float32)}, {}
+    )
+    text = (
+        packaged_scenes()["csf"]
+        .read_text()
+        .replace('<scale y="-1"/>', f'<scale x="{flip[0]}" y="{-flip[1]}"/>')
+    )
+    text = text.replace(
+        '<translate y="1"/>', f'<translate x="{(1 - flip[0]) / 2}" y="{(1 + flip[1]) / 2}"/>'
+    )
+    text = text.replace(
+        '"clamp"/>', f'"{wrap_mode}"/><string name="filter_type" value="{filter_type}"/>'
+    )
     text = text.replace('<scale x="$chart', f'<scale x="{mirrored}"/><scale x="$chart')
     (tmp_path / "scene.xml").write_text(text)
-    scene = pixsim.load_scene(tmp_path / "scene.xml", chart=str(tmp_path / "chart.exr"), chart_half_width=0.5).with_resolution(40)
+    scene = pixsim.load_scene(
+        tmp_path / "scene.xml", chart=str(tmp_path / "chart.exr"), chart_half_width=0.5
+    ).with_resolution(40)
     camera = pixsim.Camera(die_mm=2.7136, die_height_mm=1.9)
     exact = make_plan(scene, camera, display=pixsim.Display())
     sampled = make_plan(scene.with_parameters(spp=1024), camera)
     assert (exact.samples.exact, sampled.samples.exact) == (True, False)
-    one, other = (pixsim.render(scene, camera, plan=plan).illuminance_lx() for plan in (exact, sampled))
+    one, other = (
+        pixsim.render(scene, camera, plan=plan).illuminance_lx() for plan in (exact, sampled)
+    )
     assert one.shape == other.shape == (29, 40)
     np.testing.assert_allclose(one, other, rtol=NOISE[filter_type])
 
 
 def test_exact_cells_only_where_they_are_exact(tmp_path):
-    """Samples that the user asks for, --full, and a chart that is out of focus or not seen are sampled."""
+    """Samples that the user asks for, --full, and a chart that is out of focus or not seen are
+    sampled.
+    """
     display, camera = pixsim.Display(), pixsim.Camera()
     scene = load("csf").with_resolution(64)
     plan = make_plan(scene, camera, display=display)
     assert plan.samples.exact
     assert any("exact mean" in decision.reason for decision in plan.decisions)
-    assert not make_plan(load("csf", spp=4).with_resolution(64), camera, display=display).samples.exact
+    assert not make_plan(
+        load("csf", spp=4).with_resolution(64), camera, display=display
+    ).samples.exact
     assert not make_plan(scene, camera, display=display, full=True).samples.exact
-    assert not make_plan(load("still_life").with_resolution(64), camera, display=display).samples.exact
-    assert not make_plan(load("csf", focus_distance=2).with_resolution(64), camera, display=display).samples.exact
+    assert not make_plan(
+        load("still_life").with_resolution(64), camera, display=display
+    ).samples.exact
+    assert not make_plan(
+        load("csf", focus_distance=2).with_resolution(64), camera, display=display
+    ).samples.exact
     path = edited(tmp_path, "csf", ('name="max_depth" value="2"', 'name="max_depth" value="0"'))
-    assert not make_plan(pixsim.load_scene(path).with_resolution(64), camera, display=display).samples.exact
+    assert not make_plan(
+        pixsim.load_scene(path).with_resolution(64), camera, display=display
+    ).samples.exact
 
 
 # --- Diffraction ---
@@ -476,14 +678,17 @@ NM = 550.0
 def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
     """1 + c cos changes by c (1 - OTF) cos, relatively most where the sinusoid is darkest.
 
-    With a texel for each sample, linear interpolation gives a cell's mean weights of 1/8, 6/8 and 1/8.
+    With a texel for each sample, linear interpolation gives a cell's mean weights of 1/8, 6/8 and
+    1/8.
     """
     n, pitch_um, f_number = 128, 2.0, 4.0
     wave = contrast * np.cos(np.pi * half_periods * (np.arange(n) + 0.5) / n)
     frequency = half_periods / (2 * n * pitch_um * 1e-3)
     x = np.arccos(frequency * 550e-6 * f_number)
     otf = (2 * x - np.sin(2 * x)) / np.pi
-    result = rules.diffraction_effect(chart_of(np.tile(1 + wave, (n, 1)), n), pitch_um, NM, f_number)
+    result = rules.diffraction_effect(
+        chart_of(np.tile(1 + wave, (n, 1)), n), pitch_um, NM, f_number
+    )
     shown = wave * (3 + np.cos(np.pi * half_periods / n)) / 4
     assert result == pytest.approx((np.abs(shown) / (1 + shown)).max() * (1 - otf), rel=1e-5)
     if contrast == 0.01:
@@ -492,7 +697,9 @@ def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
 
 def test_diffraction_effect_flat_field_is_zero():
     for texels in (np.ones((64, 64)), np.ones((1, 1))):
-        assert rules.diffraction_effect(rules.Chart(texels, (1.0, 1.0), (64, 64)), 1.0, NM, 8.0) == 0.0
+        assert (
+            rules.diffraction_effect(rules.Chart(texels, (1.0, 1.0), (64, 64)), 1.0, NM, 8.0) == 0.0
+        )
 
 
 def test_diffraction_effect_large_film_keeps_detail():
@@ -500,20 +707,26 @@ def test_diffraction_effect_large_film_keeps_detail():
     stripes = np.tile(np.arange(1024) // 2 % 2 + 1.0, (4, 1))
     chart = rules.Chart(stripes, (4 / 1024, 1.0), (1024, 1024))
     wide = rules.diffraction_effect(chart, 2.65, NM, 4.0)
-    narrow = rules.diffraction_effect(rules.Chart(stripes[:, :256], (4 / 256, 1.0), (256, 256)), 2.65, NM, 4.0)
+    narrow = rules.diffraction_effect(
+        rules.Chart(stripes[:, :256], (4 / 256, 1.0), (256, 256)), 2.65, NM, 4.0
+    )
     assert wide > 0.05
     assert wide == pytest.approx(narrow, rel=1e-4)  # the OTF comes from a table
 
 
 def test_decide_diffraction_soft_chart_is_left_out(tmp_path: Path):
-    """The lens changes half a period over the die by less than a tenth of the tolerance, a hundred by more."""
+    """The lens changes half a period over the die by less than a tenth of the tolerance, a hundred
+    by more.
+    """
     for half_periods, stored in ((1, False), (100, True)):
         wave = 0.5 + 0.03 * np.cos(np.pi * half_periods * (np.arange(1024) + 0.5) / 1024)
         pixsim.write_chart(tmp_path / "soft.exr", np.tile(wave.astype(np.float32), (2, 1)))
         plan = render_plan("csf", chart=str(tmp_path / "soft.exr"), resolution=128)
         assert plan.film.diffraction == stored
     cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().effective_f_number)
-    assert 4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4  # by the OTF's slope at 0, 4/π over the cut-off
+    assert (
+        4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4
+    )  # by the OTF's slope at 0, 4/π over the cut-off
 
 
 def test_chart_picture_part_equals_whole():
@@ -523,7 +736,9 @@ def test_chart_picture_part_equals_whole():
 
 
 def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
-    """With detail in one corner, the tested part contains it and has nearly the effect of the whole film."""
+    """With detail in one corner, the tested part contains it and has nearly the effect of the whole
+    film.
+    """
     texels = np.full((64, 512), 0.5)
     texels[40:60, 448:496] += 0.2 * np.sin(np.arange(48) * 0.8)
     chart = rules.Chart(texels, (0.5, 0.5), (128, 1024))
@@ -531,12 +746,18 @@ def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
     whole = rules.diffraction_effect(chart, *lens)
     shapes = []
     real = rules.diffract
-    monkeypatch.setattr(rules, "diffract", lambda picture, *rest: shapes.append(picture.shape) or real(picture, *rest))
+    monkeypatch.setattr(
+        rules,
+        "diffract",
+        lambda picture, *rest: shapes.append(picture.shape) or real(picture, *rest),
+    )
     monkeypatch.setattr(rules, "TRIED_SIDE", 128)
     monkeypatch.setattr(rules, "BORDER", 8)
     assert rules.diffraction_effect(chart, *lens, whole / 2) == pytest.approx(whole, rel=0.02)
     assert shapes == [(128, 128)]
-    assert rules.diffraction_effect(chart, *lens, whole * 1.1) == whole, "what is left out is proved on the whole film"
+    assert rules.diffraction_effect(chart, *lens, whole * 1.1) == whole, (
+        "what is left out is proved on the whole film"
+    )
     assert shapes[1:] == [(128, 128), (128, 1024)]
 
 
@@ -544,43 +765,66 @@ def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
 
 
 def test_decide_samples_finer_film_shares_samples_of_chart():
-    """The samples on the die stay those of the scene, down to two for each cell, which stratify it."""
+    """The samples on the die stay those of the scene, down to two for each cell, which stratify
+    it.
+    """
     scene = load("csf")
     own = render_plan("csf")
     for width, spp in ((1024, own.samples.spp), (2048, 4), (8192, 2)):
         plan = make_render_plan(scene.with_resolution(width))
         assert (plan.samples.spp, plan.samples.sampler) == (spp, "multijitter"), width
-    assert make_render_plan(load("csf", spp=16).with_resolution(4096)).samples.spp == 16  # asked for
+    assert (
+        make_render_plan(load("csf", spp=16).with_resolution(4096)).samples.spp == 16
+    )  # asked for
     assert make_render_plan(scene.with_resolution(4096), full=True).samples.spp == 16
 
 
 def test_decide_samples_finer_film_of_paths_is_independent():
     """Below 16 samples, multijitter would make paths too dark."""
     scene = load("still_life")
-    for width, spp, sampler in ((512, 16, "multijitter"), (1024, 4, "independent"), (4096, 4, "independent")):
+    for width, spp, sampler in (
+        (512, 16, "multijitter"),
+        (1024, 4, "independent"),
+        (4096, 4, "independent"),
+    ):
         plan = make_render_plan(scene.with_resolution(width))
         assert (plan.samples.spp, plan.samples.sampler) == (spp, sampler), width
 
 
 def test_make_plan_film_of_paths_stays_within_samples():
-    """Two renders of the film that is chosen take at most the limit of samples, on any shape of die."""
+    """Two renders of the film that is chosen take at most the limit of samples, on any shape of
+    die.
+    """
     pixel, display = pixsim.Pixel(pitch_um=6.5), pixsim.Display(dots=2048)
     for height_mm in (5.0, 10.0):
         camera = pixsim.Camera(die_mm=10.0, die_height_mm=height_mm)
         plan = make_plan(load("still_life"), camera, pixel, display=display)
         assert plan.film.resolution is not None
-        samples = 2 * plan.film.resolution**2 * height_mm / 10 * plan.samples.spp * plan.light.passes
-        # A film may be narrower by an eighth to end where the die ends: (8/9)² = 0.79, and its width a multiple of four.
+        samples = (
+            2 * plan.film.resolution**2 * height_mm / 10 * plan.samples.spp * plan.light.passes
+        )
+        # A film may be narrower by an eighth to end where the die ends: (8/9)² = 0.79, and its
+        # width a multiple of four.
         assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES
 
 
 @pytest.mark.slow
 def test_render_independent_few_samples_are_unbiased():
-    """Four independent samples have the mean of 25 stratified ones; multijitter with four is 0.8 % darker, 8 standard errors."""
+    """Four independent samples have the mean of 25 stratified ones; multijitter with four is 0.8 %
+    darker, 8 standard errors.
+    """
     scene = load("still_life", resolution=96)
     finer = scene.with_resolution(192)
     plan, strata = make_render_plan(finer), make_render_plan(scene)
-    assert (plan.samples.spp, plan.samples.sampler, strata.samples.sampler) == (4, "independent", "multijitter")
+    assert (plan.samples.spp, plan.samples.sampler, strata.samples.sampler) == (
+        4,
+        "independent",
+        "multijitter",
+    )
     few = pixsim.render(finer, plan=plan).illuminance_lx().mean()
-    many = pixsim.render(scene, plan=replace(strata, samples=replace(strata.samples, spp=25)), seed=1).illuminance_lx().mean()
+    many = (
+        pixsim.render(scene, plan=replace(strata, samples=replace(strata.samples, spp=25)), seed=1)
+        .illuminance_lx()
+        .mean()
+    )
     assert few == pytest.approx(many, rel=4e-3)

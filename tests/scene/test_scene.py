@@ -30,7 +30,13 @@ FOV = '<float name="fov" value="40"/>'
 RAW = '<boolean name="raw" value="true"/>'
 
 
-def sensor_xml(inside: str = FOV + LENS, plugin: str = "thinlens", name: str = "eye", width: int = 64, height: int = 64) -> str:
+def sensor_xml(
+    inside: str = FOV + LENS,
+    plugin: str = "thinlens",
+    name: str = "eye",
+    width: int = 64,
+    height: int = 64,
+) -> str:
     return f"""<sensor type="{plugin}" id="{name}">{inside}
         <film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>
     </sensor>"""
@@ -58,15 +64,22 @@ def test_packaged_charts_differ_in_chart_and_its_shape_only():
     chart = [index for index, line in enumerate(lines["csf"]) if '<default name="chart"' in line]
     assert len(chart) == 1
     for name in CHARTS:
-        assert lines[name].pop(chart[0]).strip() == f'<default name="chart" value="charts/{name}.exr"/>'
-        # The star stays round and the edge keeps its angle: they place a square texture, the others fill the die.
+        assert (
+            lines[name].pop(chart[0]).strip()
+            == f'<default name="chart" value="charts/{name}.exr"/>'
+        )
+        # The star stays round and the edge keeps its angle: they place a square texture, the others
+        # fill the die.
         placed = ("chart_half", "chart_ratio", "<translate", "<scale", "the die")
         same = [line for line in lines[name] if not any(word in line for word in placed)]
         assert same == [line for line in lines["csf"] if not any(word in line for word in placed)]
 
 
 def test_load_scene_parameters_reach_nodes(tmp_path):
-    body = '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
+    body = (
+        '<default name="r" value="0.5"/><shape type="sphere"><float name="radius"'
+        ' value="$r"/></shape>'
+    )
     path = write_scene(tmp_path, sensor_xml(), body)
 
     def radius(**parameters: object) -> float:
@@ -78,10 +91,14 @@ def test_load_scene_parameters_reach_nodes(tmp_path):
     assert radius(r="2e-3") == 0.002
 
 
-@pytest.mark.parametrize(("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width")])
+@pytest.mark.parametrize(
+    ("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width")]
+)
 def test_load_scene_unknown_parameter_suggests_name(asked, near):
     hint = rf"Did you mean '{near}'\?"
-    with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp.*{hint}"):
+    with pytest.raises(
+        PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp.*{hint}"
+    ):
         load("csf", **{asked: 1})
 
 
@@ -89,12 +106,16 @@ def test_lux_is_the_light_in_which_a_white_diffuser_has_the_charts_luminance() -
     """Lambert: E = π L."""
     lit, shining = load("csf", lux=500), load("csf", luminance_cd_per_m2=500 / math.pi)
     assert lit.parameters == shining.parameters
-    with pytest.raises(PixsimError, match=r"lux: got '500' beside luminance_cd_per_m2; allowed: one of them\."):
+    with pytest.raises(
+        PixsimError, match=r"lux: got '500' beside luminance_cd_per_m2; allowed: one of them\."
+    ):
         load("csf", lux=500, luminance_cd_per_m2=10)
 
 
 def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
-    """Each lamp by the same factor, whatever its kind of spectrum; the balance is that of the file."""
+    """Each lamp by the same factor, whatever its kind of spectrum; the balance is that of the
+    file.
+    """
     body = """<default name="lux" value="200"/><default name="white_cd_per_m2" value="60"/>
         <default name="near" value="2"/><default name="far" value="3"/>
         <emitter type="point" id="number"><float name="intensity" value="$near"/></emitter>
@@ -119,17 +140,23 @@ def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
     np.testing.assert_allclose(luminances(lux=50), luminances() / 4, rtol=1e-6)
     assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
     assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
-    with pytest.raises(PixsimError, match=r"lux: got '50' beside far, with another balance of the lamps"):
+    with pytest.raises(
+        PixsimError, match=r"lux: got '50' beside far, with another balance of the lamps"
+    ):
         load(path, lux=50, far=1)
 
 
 def test_lux_of_one_lamp_holds_with_another_spectrum(tmp_path: Path) -> None:
-    """A lamp of the user's has any unit: the illuminance is that of the file's own lamp, in the ratio of their light."""
+    """A lamp of the user's has any unit: the illuminance is that of the file's own lamp, in the
+    ratio of their light.
+    """
     (tmp_path / "flat.spd").write_text("360 7\n830 7\n")
     lamp = str(tmp_path / "flat.spd")
     scene = load("macbeth", lux=500, lamp=lamp)
     (found,) = find_lamps(scene.parse(), scene.choice.reading)
-    assert found.luminance_cd_per_m2 == pytest.approx(500 * math.sqrt(2), rel=1e-5)  # across the light, which comes at 45 degrees
+    assert found.luminance_cd_per_m2 == pytest.approx(
+        500 * math.sqrt(2), rel=1e-5
+    )  # across the light, which comes at 45 degrees
     assert scene.white_cd_per_m2 == pytest.approx(500 / math.pi, rel=1e-8)
 
 
@@ -146,22 +173,37 @@ def test_lux_of_a_scene_that_states_none_is_refused(tmp_path: Path) -> None:
         load(path, lux=500)
     write_channels(tmp_path / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
     path = write_scene(tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), lamp)
-    with pytest.raises(PixsimError, match="lux: got '500', but the light of the emitters is unknown"):
+    with pytest.raises(
+        PixsimError, match="lux: got '500', but the light of the emitters is unknown"
+    ):
         load(path, lux=500)
-    lamp = '<emitter type="point"><spectrum type="blackbody" name="intensity"><float name="temperature" value="3000"/></spectrum>'
-    path = write_scene(tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), f"{lamp}</emitter>")
-    with pytest.raises(PixsimError, match=r"lux: got an emitter 'point' in line 3 of 'scene\.xml' whose light is no number"):
+    lamp = (
+        '<emitter type="point"><spectrum type="blackbody" name="intensity"><float'
+        ' name="temperature" value="3000"/></spectrum>'
+    )
+    path = write_scene(
+        tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), f"{lamp}</emitter>"
+    )
+    with pytest.raises(
+        PixsimError,
+        match=r"lux: got an emitter 'point' in line 3 of 'scene\.xml' whose light is no number",
+    ):
         load(path, lux=500)
 
 
 def test_lux_of_a_scene_with_a_parameter_of_this_name_is_its_own(tmp_path):
-    body = '<default name="lux" value="0.5"/><shape type="sphere"><float name="radius" value="$lux"/></shape>'
+    body = (
+        '<default name="lux" value="0.5"/><shape type="sphere"><float name="radius"'
+        ' value="$lux"/></shape>'
+    )
     nodes = load(write_scene(tmp_path, sensor_xml(), body), lux=0.25).parse().nodes
     assert next(node["radius"] for node in nodes if "radius" in node) == 0.25
 
 
 def test_a_picture_in_place_of_a_scene_says_how_it_is_used() -> None:
-    with pytest.raises(PixsimError, match=r"A picture is the chart of a scene: csf with chart='star\.png'\.$"):
+    with pytest.raises(
+        PixsimError, match=r"A picture is the chart of a scene: csf with chart='star\.png'\.$"
+    ):
         load("star.png", resolution=64)
 
 
@@ -178,11 +220,15 @@ def test_load_scene_parameter_without_default_is_required(tmp_path):
     assert load(path, fov=30).camera().fov_deg == pytest.approx(30, rel=1e-5)
 
 
-@pytest.mark.parametrize("content", [b"<scene version='3.0.0'><sensor>", b"", b"<scene version='3.0.0'>\xff\xfe</scene>"])
+@pytest.mark.parametrize(
+    "content", [b"<scene version='3.0.0'><sensor>", b"", b"<scene version='3.0.0'>\xff\xfe</scene>"]
+)
 def test_load_scene_broken_file_raises(tmp_path, content):
     (tmp_path / "broken.xml").write_bytes(content)
     encoding = " in UTF-8" if b"\xff" in content else ""
-    with pytest.raises(PixsimError, match=rf"scene: got .*broken\.xml. .*allowed: a readable XML file{encoding}") as error:
+    with pytest.raises(
+        PixsimError, match=rf"scene: got .*broken\.xml. .*allowed: a readable XML file{encoding}"
+    ) as error:
         load(tmp_path / "broken.xml")
     assert "\n" not in str(error.value)
 
@@ -198,7 +244,11 @@ def test_load_scene_broken_file_raises(tmp_path, content):
 )
 def test_load_scene_missing_file_lists_scenes(missing, folder):
     with pytest.raises(
-        PixsimError, match=rf"scene: got '{missing}'{folder}; allowed: an XML file, or one of {', '.join(SHIPPED)}\."
+        PixsimError,
+        match=(
+            rf"scene: got '{missing}'{folder}; allowed: an XML file, or one of"
+            rf" {', '.join(SHIPPED)}\."
+        ),
     ):
         load(missing)
 
@@ -211,8 +261,13 @@ def test_packaged_scenes_have_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 
 
-FIELDS = {"default": FOV} | {length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")}
-FIELDS |= {axis: f'{FOV}<string name="fov_axis" value="{axis}"/>' for axis in ("y", "diagonal", "smaller", "larger")}
+FIELDS = {"default": FOV} | {
+    length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")
+}
+FIELDS |= {
+    axis: f'{FOV}<string name="fov_axis" value="{axis}"/>'
+    for axis in ("y", "diagonal", "smaller", "larger")
+}
 
 
 @pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50)])
@@ -238,7 +293,10 @@ def test_read_camera_lens_of_numbers(tmp_path):
 
 def test_an_option_or_a_lens_replaces_an_aperture_that_no_thin_lens_has(tmp_path):
     scene = load(write_scene(tmp_path, sensor_xml().replace('"0.0005"', '"0.2"')))
-    with pytest.raises(PixsimError, match=r"the scene's lens with a die of .* f_number = .* is too small for a thin lens"):
+    with pytest.raises(
+        PixsimError,
+        match=r"the scene's lens with a die of .* f_number = .* is too small for a thin lens",
+    ):
         scene.camera()
     assert scene.camera(CameraOptions(f_number=4.0)).f_number == 4.0
     assert scene.camera(lens=LensOptions(file="phone")) == load("csf").camera(
@@ -249,7 +307,8 @@ def test_an_option_or_a_lens_replaces_an_aperture_that_no_thin_lens_has(tmp_path
 def test_camera_die_option_scales_lens_of_numbers(tmp_path):
     scene = load(write_scene(tmp_path, sensor_xml()))
     camera = scene.camera(CameraOptions(die_mm=10))
-    # The same picture on a larger die: the field of view stays, v grows with the die, and f with v by the lens equation.
+    # The same picture on a larger die: the field of view stays, v grows with the die, and f with v
+    # by the lens equation.
     assert camera.die_mm == 10
     assert camera.fov_deg == pytest.approx(scene.camera().fov_deg, rel=1e-5)
     assert camera.aperture_radius_m == pytest.approx(0.0005, rel=1e-5)
@@ -260,11 +319,18 @@ def test_camera_die_option_widens_view_of_parameters():
     assert camera == pixsim.Camera(die_mm=5)
     assert camera.fov_deg > 60
     # A lens that the user has fixed is one of numbers.
-    assert load("csf", fov=30).camera(CameraOptions(die_mm=5)).fov_deg == pytest.approx(30, rel=1e-5)
+    assert load("csf", fov=30).camera(CameraOptions(die_mm=5)).fov_deg == pytest.approx(
+        30, rel=1e-5
+    )
 
 
 def test_camera_options_override_scene():
-    options = {"focal_length_mm": 6.0, "f_number": 2.8, "object_distance_m": 2.0, "transmittance": 0.9}
+    options = {
+        "focal_length_mm": 6.0,
+        "f_number": 2.8,
+        "object_distance_m": 2.0,
+        "transmittance": 0.9,
+    }
     for name, value in options.items():
         assert load("csf").camera(CameraOptions(**{name: value})) == pixsim.Camera(**{name: value})
     assert load("csf").camera(CameraOptions(**options)) == pixsim.Camera(**options)
@@ -289,13 +355,17 @@ def crossings_um(picture: np.ndarray, sample_um: float) -> np.ndarray:
     return (at + 0.5 + line[at] / (line[at] - line[at + 1])) * sample_um
 
 
-@pytest.mark.parametrize("lens", [pytest.param({}, marks=pytest.mark.slow), {"focal_length_mm": 6, "object_distance_m": 2.5}])
+@pytest.mark.parametrize(
+    "lens",
+    [pytest.param({}, marks=pytest.mark.slow), {"focal_length_mm": 6, "object_distance_m": 2.5}],
+)
 def test_chart_frequencies_hold_on_sensor(lens):
     camera = pixsim.Camera(**lens)
     image = pixsim.render(pixsim.load_scene("csf", resolution=512, spp=4), camera)
     fall_off = lens_sr(image, camera) / lens_sr(image, camera).max()
     found_um = crossings_um(image.factors[1][0] / fall_off, image.pitch_um)[:29]
-    # Half cycles of a frequency that rises from 1 to 33.3 lp/mm, up to 20 lp/mm; 512 samples are 5.3 µm each.
+    # Half cycles of a frequency that rises from 1 to 33.3 lp/mm, up to 20 lp/mm; 512 samples are
+    # 5.3 µm each.
     growth = np.log(1e3 / 30)
     half_cycles = np.arange(1, 30) / 2
     expected_um = 1e3 * charts.DIE_MM * np.log(1 + half_cycles * growth / charts.DIE_MM) / growth
@@ -310,13 +380,31 @@ def test_chart_frequencies_hold_on_sensor(lens):
     ("sensors", "message"),
     [
         ([], r"got no sensor; allowed: one thinlens sensor\."),
-        ([sensor_xml(name="left"), sensor_xml(name="right")], r"got sensors 'left', 'right'; .*thinlens sensor\. .*--sensor"),
-        ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*with fov.*--camera.f-number"),
-        ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
-        ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
+        (
+            [sensor_xml(name="left"), sensor_xml(name="right")],
+            r"got sensors 'left', 'right'; .*thinlens sensor\. .*--sensor",
+        ),
+        (
+            [sensor_xml(FOV, "perspective")],
+            r"got 'perspective'; allowed: thinlens.*with fov.*--camera.f-number",
+        ),
+        (
+            [sensor_xml(FOV + '<float name="focus_distance" value="1"/>')],
+            "a thinlens without aperture_radius",
+        ),
+        (
+            [sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')],
+            "a thinlens without focus_distance",
+        ),
         ([sensor_xml(LENS)], "a thinlens without fov"),
-        ([sensor_xml(FOV + LENS.replace("0.0005", "0"))], "aperture_radius: got 0.0; allowed: a positive number"),
-        ([sensor_xml(FOV + LENS.replace("0.8", "-1"))], "focus_distance: got -1.0; allowed: a positive number"),
+        (
+            [sensor_xml(FOV + LENS.replace("0.0005", "0"))],
+            "aperture_radius: got 0.0; allowed: a positive number",
+        ),
+        (
+            [sensor_xml(FOV + LENS.replace("0.8", "-1"))],
+            "focus_distance: got -1.0; allowed: a positive number",
+        ),
     ],
 )
 def test_sensor_node_unsupported_sensor_raises(tmp_path, sensors, message):
@@ -341,18 +429,26 @@ def area(radiance: str) -> str:
 
 
 def d65_xml(scale: float = 1.0, inside: str = "") -> str:
-    return f'<texture type="d65" name="radiance"><float name="scale" value="{scale}"/>{inside}</texture>'
+    return (
+        '<texture type="d65" name="radiance"><float name="scale"'
+        f' value="{scale}"/>{inside}</texture>'
+    )
 
 
 def bitmap(name: str, raw: str = RAW) -> str:
-    return f'<texture type="bitmap" name="{name}"><string name="filename" value="grey.exr"/>{raw}</texture>'
+    return (
+        f'<texture type="bitmap" name="{name}"><string name="filename"'
+        f' value="grey.exr"/>{raw}</texture>'
+    )
 
 
 def line(low: float, high: float) -> str:
     return f'<spectrum name="radiance" value="360:{low}, 830:{high}"/>'
 
 
-BLACKBODY = '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/></spectrum>'
+BLACKBODY = (
+    '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/></spectrum>'
+)
 REGULAR = """<spectrum type="regular" name="radiance">
     <float name="wavelength_min" value="360"/><float name="wavelength_max" value="830"/>
     <string name="values" value="0, 470"/>
@@ -385,19 +481,32 @@ def lamp_of(folder: Path, *emitters: str) -> Lamp | None:
         ([area(BLACKBODY)], lambda nm: planck(nm, 5000)),
         (['<emitter type="constant">' + line(0, 470) + "</emitter>"], lambda nm: nm - 360),
     ],
-    ids=["d65", "d65 × texture", "raw bitmap", "number", "regular", "irregular", "blackbody", "constant"],
+    ids=[
+        "d65",
+        "d65 × texture",
+        "raw bitmap",
+        "number",
+        "regular",
+        "irregular",
+        "blackbody",
+        "constant",
+    ],
 )
 def test_find_lamp_single_lamp(tmp_path, emitters, radiance):
     lamp = lamp_of(tmp_path, *emitters)
     assert lamp is not None
     # float32 spectra, and five digits of D65's scale.
-    np.testing.assert_allclose(lamp.spectrum.at(grid_nm()), radiance(grid_nm()), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        lamp.spectrum.at(grid_nm()), radiance(grid_nm()), rtol=1e-4, atol=1e-4
+    )
 
 
 def test_find_lamps_equal_spectra_are_grouped(tmp_path):
     lamp = lamp_of(tmp_path, area(d65_xml(0.5)), area(d65_xml(1.5)))
     assert lamp is not None
-    assert lamp.luminance_cd_per_m2 == pytest.approx(1.5 * D65_LUMINANCE, rel=1e-4)  # that of the brightest
+    assert lamp.luminance_cd_per_m2 == pytest.approx(
+        1.5 * D65_LUMINANCE, rel=1e-4
+    )  # that of the brightest
     assert [power for _, power in lamp.pictures.values()] == pytest.approx([1 / 3, 1])
 
 
@@ -413,7 +522,16 @@ def test_find_lamps_equal_spectra_are_grouped(tmp_path):
         [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2, bitmap("texture")))],
         ['<emitter type="envmap"><string name="filename" value="grey.exr"/></emitter>'],
     ],
-    ids=["none", "kinds", "lines", "coloured texture on d65", "coloured texture", "d65 and rgb", "scales", "environment"],
+    ids=[
+        "none",
+        "kinds",
+        "lines",
+        "coloured texture on d65",
+        "coloured texture",
+        "d65 and rgb",
+        "scales",
+        "environment",
+    ],
 )
 def test_find_lamp_other_lights_return_none(tmp_path, emitters):
     assert lamp_of(tmp_path, *emitters) is None
@@ -422,14 +540,22 @@ def test_find_lamp_other_lights_return_none(tmp_path, emitters):
 def test_find_lamps_textured_and_plain_share_spectrum(tmp_path):
     lamp = lamp_of(tmp_path, area(d65_xml(3)), area(d65_xml(0.5, bitmap("texture"))))
     assert lamp is not None
-    assert lamp.luminance_cd_per_m2 == pytest.approx(0.5 * D65_LUMINANCE, rel=1e-4)  # that of texel value 1
+    assert lamp.luminance_cd_per_m2 == pytest.approx(
+        0.5 * D65_LUMINANCE, rel=1e-4
+    )  # that of texel value 1
     powers = [value for _, value in lamp.pictures.values() if isinstance(value, float)]
     assert powers == pytest.approx([6])
 
 
 def test_find_lamps_are_grouped_by_spectrum(tmp_path):
     pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
-    emitters = [area(d65_xml(2)), area(REGULAR), area(RGB), area(d65_xml(1)), area(bitmap("radiance", ""))]
+    emitters = [
+        area(d65_xml(2)),
+        area(REGULAR),
+        area(RGB),
+        area(d65_xml(1)),
+        area(bitmap("radiance", "")),
+    ]
     scene = load(write_scene(tmp_path, sensor_xml(), *emitters))
     lamps = find_lamps(scene.parse(), scene.choice.variant)
     assert [len(lamp.pictures) for lamp in lamps] == [2, 1, 1, 1]
@@ -444,7 +570,9 @@ def light_of_white(folder: Path, names: str, *emitters: str) -> np.ndarray:
     default = f'<default name="white_lamps" value="{names}"/>'
     scene = load(write_scene(folder, default, sensor_xml(), *emitters))
     assert scene.white_lamps == tuple(names.replace(",", " ").split())
-    spectra = white_of(scene.parse(), find_lamps(scene.parse(), scene.choice.variant), scene.white_lamps)
+    spectra = white_of(
+        scene.parse(), find_lamps(scene.parse(), scene.choice.variant), scene.white_lamps
+    )
     return np.sum([spectrum.at(grid_nm()) for spectrum in spectra], axis=0)
 
 
@@ -463,9 +591,13 @@ def test_light_of_named_lamps_is_that_of_white(tmp_path: Path) -> None:
     ]
     rising = grid_nm() - 360
     assert light_of_white(tmp_path, "a", *lamps) == pytest.approx(rising, rel=1e-4, abs=1e-4)
-    assert light_of_white(tmp_path, "a, b c", *lamps) == pytest.approx(2.5 * rising, rel=1e-4, abs=1e-4)
+    assert light_of_white(tmp_path, "a, b c", *lamps) == pytest.approx(
+        2.5 * rising, rel=1e-4, abs=1e-4
+    )
     same = [named("a", area(d65_xml(3))), named("b", area(d65_xml(1)))]
-    assert light_of_white(tmp_path, "b", *same) == pytest.approx(d65_radiance(grid_nm(), D65_LUMINANCE), rel=1e-4, abs=1e-4)
+    assert light_of_white(tmp_path, "b", *same) == pytest.approx(
+        d65_radiance(grid_nm(), D65_LUMINANCE), rel=1e-4, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -480,9 +612,17 @@ def test_light_of_named_lamps_is_that_of_white(tmp_path: Path) -> None:
 def test_lamps_that_are_no_white_are_refused(tmp_path: Path, names: str, words: list[str]) -> None:
     pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
     spot = '<emitter type="spot"><spectrum name="intensity" value="2"/></emitter>'
-    emitters = {"lamp": area(line(0, 1)), "spot": spot, "dark": area(line(0, 0)), "coloured": area(bitmap("radiance", ""))}
+    emitters = {
+        "lamp": area(line(0, 1)),
+        "spot": spot,
+        "dark": area(line(0, 0)),
+        "coloured": area(bitmap("radiance", "")),
+    }
     path = write_scene(
-        tmp_path, '<default name="white_lamps" value=""/>', sensor_xml(), *(named(*each) for each in emitters.items())
+        tmp_path,
+        '<default name="white_lamps" value=""/>',
+        sensor_xml(),
+        *(named(*each) for each in emitters.items()),
     )
     with pytest.raises(PixsimError) as caught:
         load(path, white_lamps=names)
@@ -496,15 +636,23 @@ def test_white_lamps_need_their_default(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("luminance", [0.01, 100, 1e6])
 def test_load_scene_luminance_sets_emitter_scale(luminance):
-    assert find_lamp(load("csf").parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(1000, rel=1e-4)
+    assert find_lamp(load("csf").parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(
+        1000, rel=1e-4
+    )
     scene = load("flat", luminance_cd_per_m2=luminance)
-    assert float(scene.parameters["emitter_scale"]) == pytest.approx(luminance / D65_LUMINANCE, rel=1e-4)
-    assert find_lamp(scene.parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(luminance, rel=1e-6)
+    assert float(scene.parameters["emitter_scale"]) == pytest.approx(
+        luminance / D65_LUMINANCE, rel=1e-4
+    )
+    assert find_lamp(scene.parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(
+        luminance, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("value", [0, -5, "bright", float("nan"), float("inf")])
 def test_load_scene_luminance_not_positive_raises(value):
-    with pytest.raises(PixsimError, match=r"luminance_cd_per_m2: got .*; allowed: a positive number"):
+    with pytest.raises(
+        PixsimError, match=r"luminance_cd_per_m2: got .*; allowed: a positive number"
+    ):
         load("flat", luminance_cd_per_m2=value)
 
 
@@ -526,12 +674,17 @@ def test_check_textures_invalid_texels_raise_with_position(tmp_path, bad):
     words = rf"chart\.exr': got {bad} at row 2, column 5; allowed: finite texels"
     with pytest.raises(PixsimError, match=words):  # by the child
         pixsim.render(scene)
-    with pytest.raises(PixsimError, match=words):  # by this process, which reads a chart in focus itself
+    with pytest.raises(
+        PixsimError, match=words
+    ):  # by this process, which reads a chart in focus itself
         make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
 
 
 def test_check_textures_maps_may_be_negative(tmp_path):
-    bump = '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename" value="bump.exr"/></texture>'
+    bump = (
+        '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename"'
+        ' value="bump.exr"/></texture>'
+    )
     ball = f'<shape type="sphere"><bsdf type="bumpmap">{bump}<bsdf type="diffuse"/></bsdf></shape>'
     write_channels(tmp_path / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
     files = asset_files(load(edited(tmp_path, "macbeth", (END, ball))).parse())
@@ -540,12 +693,18 @@ def test_check_textures_maps_may_be_negative(tmp_path):
 
 def test_load_scene_damaged_texture_raises(tmp_path):
     with pytest.raises(
-        PixsimError, match=r"texture: got 'nowhere\.exr', which does not exist, in line \d+ of 'flat\.xml'; allowed"
+        PixsimError,
+        match=(
+            r"texture: got 'nowhere\.exr', which does not exist, in line \d+ of 'flat\.xml';"
+            r" allowed"
+        ),
     ):
         load("flat", chart="nowhere.exr")
     whole = (packaged_scenes()["flat"].parent / "charts/slanted_edge.exr").read_bytes()
     (tmp_path / "torn.exr").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(PixsimError, match=r"EXR file: got '.*torn\.exr'|'torn\.exr': Mitsuba cannot load"):
+    with pytest.raises(
+        PixsimError, match=r"EXR file: got '.*torn\.exr'|'torn\.exr': Mitsuba cannot load"
+    ):
         pixsim.render(load("flat", chart=str(tmp_path / "torn.exr"), resolution=8))
 
 
@@ -557,17 +716,26 @@ BALL = '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape>'
     [
         (
             "texture",
-            BALL.format("diffuse", '<texture type="bitmap" name="reflectance"><string name="filename" value="no"/></texture>'),
+            BALL.format(
+                "diffuse",
+                '<texture type="bitmap" name="reflectance"><string name="filename"'
+                ' value="no"/></texture>',
+            ),
         ),
         ("mesh", '<shape type="obj"><string name="filename" value="no"/></shape>'),
         ("spectrum", BALL.format("diffuse", '<spectrum name="reflectance" filename="no"/>')),
     ],
 )
-def test_load_scene_missing_file_names_its_line_and_the_folder(tmp_path, monkeypatch, what, element):
+def test_load_scene_missing_file_names_its_line_and_the_folder(
+    tmp_path, monkeypatch, what, element
+):
     path = edited(tmp_path, "macbeth", (END, element))
     monkeypatch.chdir(path.parent)
     line = 1 + path.read_text().split(element)[0].count("\n")
-    expected = f"{what}: got 'no', which does not exist, in line {line} of '{path.name}'; allowed: a file in '{path.parent}'"
+    expected = (
+        f"{what}: got 'no', which does not exist, in line {line} of '{path.name}'; allowed: a file"
+        f" in '{path.parent}'"
+    )
     with pytest.raises(PixsimError) as error:
         pixsim.load_scene(path.name)
     assert str(error.value).startswith(expected)
@@ -592,7 +760,13 @@ def test_content_hash_depends_on_content_only(copy, tmp_path):
 
 
 def test_content_hash_changes_with_textures_and_parameters(copy):
-    changes = {}, {"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}
+    changes = (
+        {},
+        {"resolution": 512},
+        {"spp": 64},
+        {"luminance_cd_per_m2": 100},
+        {"aperture_radius": 1e-3},
+    )
     hashes = {load(copy, **parameters).content_hash for parameters in changes}
     assert len(hashes) == 5
     pixsim.write_chart(copy.parent / "charts/flat.exr", np.full((4, 4), 0.999, np.float32))
@@ -605,9 +779,14 @@ WIDE = '<point name="center" x="0" y="0" z="0.0000001"/>'
 
 
 def test_content_hash_changes_with_visible_nodes(tmp_path):
-    first = '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
+    first = (
+        '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
+    )
     second = '<bsdf type="diffuse" id="b"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf>'
-    ball, disk = '<shape type="sphere"><ref id="{}"/></shape>', '<shape type="disk"><ref id="{}"/></shape>'
+    ball, disk = (
+        '<shape type="sphere"><ref id="{}"/></shape>',
+        '<shape type="disk"><ref id="{}"/></shape>',
+    )
     whole = first + second + ball.format("a") + disk.format("b")
     changed = {
         "another spectrum": whole.replace("400:0.1", "400:0.2"),
@@ -618,13 +797,20 @@ def test_content_hash_changes_with_visible_nodes(tmp_path):
         "materials exchanged": first + second + ball.format("b") + disk.format("a"),
     }
     one, again = (load(write_scene(tmp_path, sensor_xml(), whole)).content_hash for _ in range(2))
-    hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in changed.items()}
+    hashes = {
+        name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash
+        for name, body in changed.items()
+    }
     assert one == again
     assert [name for name, result in hashes.items() if result == again] == []
 
 
 def test_content_hash_changes_with_meshes(tmp_path):
-    path = write_scene(tmp_path, sensor_xml(), '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>')
+    path = write_scene(
+        tmp_path,
+        sensor_xml(),
+        '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>',
+    )
     hashes = set()
     for corner in (1, 2):
         (tmp_path / "mesh.obj").write_text(f"v 0 0 1\nv 1 0 1\nv 0 1 {corner}\nf 1 2 3\n")
@@ -633,16 +819,24 @@ def test_content_hash_changes_with_meshes(tmp_path):
 
 
 def test_load_scene_max_lp_per_mm_renders_that_chart():
-    """Cell means of the chart's formula, times the lens's factor; 25 lp/mm are 3.8 samples a cycle."""
+    """Cell means of the chart's formula, times the lens's factor; 25 lp/mm are 3.8 samples a
+    cycle.
+    """
     scene = pixsim.load_scene("csf", resolution=256, max_lp_per_mm=25)
     camera = scene.camera()
     picture = pixsim.render(scene, camera).illuminance_lx()
     x = (np.arange(256 * 8) + 0.5) / (256 * 8)
     rows = (np.arange(256) + 0.5) / 256
-    cells = charts.csf_value(x, rows[:, None], highest_lp_per_mm=25.0).reshape(256, 256, 8).mean(axis=2)
+    cells = (
+        charts.csf_value(x, rows[:, None], highest_lp_per_mm=25.0).reshape(256, 256, 8).mean(axis=2)
+    )
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
-    expected = 1000 * cells * pixsim.optics.field_factor(picture.shape, 1e3 * camera.die_mm / 256, *lens)
+    expected = (
+        1000 * cells * pixsim.optics.field_factor(picture.shape, 1e3 * camera.die_mm / 256, *lens)
+    )
     # 16 samples a cell, and bilinear texels: the strongest rows have a contrast of 0.95.
     assert np.sqrt(np.mean((picture / expected - 1) ** 2)) < 0.01
-    assert scene.content_hash == pixsim.load_scene("csf", resolution=256).content_hash, "the file is the same, the parameter is not"
+    assert scene.content_hash == pixsim.load_scene("csf", resolution=256).content_hash, (
+        "the file is the same, the parameter is not"
+    )
     assert pixsim.load_scene("csf", max_lp_per_mm=100).parameters == {"max_lp_per_mm": "100.0"}

@@ -1,4 +1,6 @@
-"""The plain tree of a scene says what Mitsuba's parser state says, and keeps Mitsuba out of commands that trace no rays."""
+"""The plain tree of a scene says what Mitsuba's parser state says, and keeps Mitsuba out of
+commands that trace no rays.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,11 @@ EVERY_KIND = """<scene version="3.0.0">
 </scene>"""
 
 
-OF_MITSUBA = {"Transform": lambda one: one.matrix, "Reference": lambda one: one.id(), "ResolvedReference": lambda one: one.index()}
+OF_MITSUBA = {
+    "Transform": lambda one: one.matrix,
+    "Reference": lambda one: one.id(),
+    "ResolvedReference": lambda one: one.index(),
+}
 
 
 def agree(mine: Any, theirs: Any) -> bool:
@@ -42,7 +48,10 @@ def agree(mine: Any, theirs: Any) -> bool:
         case list():
             return np.array_equal(np.array(mine), np.array(theirs))
         case SpectrumTable():
-            same = (mine.wavelengths, mine.values) == (list(theirs.wavelengths), list(theirs.values))
+            same = (mine.wavelengths, mine.values) == (
+                list(theirs.wavelengths),
+                list(theirs.values),
+            )
             return same and mine.uniform == theirs.is_uniform()
     return type(mine) is type(theirs) and mine == theirs
 
@@ -59,7 +68,11 @@ def test_tree_of_says_what_mitsuba_says(name: str) -> None:
         assert tree.id_to_index == dict(state.id_to_index)
         for mine, theirs in zip(tree.nodes, state.nodes, strict=True):
             props = theirs.props
-            assert (mine.kind, mine.plugin, mine.id) == (theirs.type.name, props.plugin_name(), props.id())
+            assert (mine.kind, mine.plugin, mine.id) == (
+                theirs.type.name,
+                props.plugin_name(),
+                props.id(),
+            )
             assert list(mine) == list(props.keys())
             for key in mine:
                 kind = props.type(key).name
@@ -137,7 +150,9 @@ def test_parse_tree_depends_on_text_and_variant(own_cache: Path) -> None:
     assert first.exists()
 
 
-def test_parse_tree_large_or_without_cache_is_not_kept(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parse_tree_large_or_without_cache_is_not_kept(
+    own_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     long = EVERY_KIND.replace("</scene>", f"<!-- {'x' * trees.MAX_TEXT} --></scene>")
     assert len(parse_tree(long, VARIANT).nodes) == len(parse(EVERY_KIND, VARIANT).nodes)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")

@@ -1,4 +1,6 @@
-"""Choice of a Mitsuba variant with libraries that are too old, broken, missing or usable, in separate processes."""
+"""Choice of a Mitsuba variant with libraries that are too old, broken, missing or usable, in
+separate processes.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ from pixsim.base.errors import PixsimError
 from pixsim.scene.variants import variant
 
 PLACES = "lib/*-linux-gnu", "lib64"
-OLD_SYSTEM_LLVM = [str(path) for place in PLACES for path in sorted(Path("/usr").glob(f"{place}/libLLVM-1[1-6].so*"))]
+OLD_SYSTEM_LLVM = [
+    str(path)
+    for place in PLACES
+    for path in sorted(Path("/usr").glob(f"{place}/libLLVM-1[1-6].so*"))
+]
 
 
 def wheel_installed() -> bool:
@@ -34,12 +40,16 @@ def python(code: str, *arguments: str, **environment: str) -> subprocess.Complet
     """Run code in a new process whose LLVM is chosen by `environment` only."""
     clean = {key: value for key, value in os.environ.items() if key != variant.LLVM_VARIABLE}
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
+    return subprocess.run(
+        command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S
+    )
 
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """Clear the cache of `choose`; the variable is set, since another test may have imported Dr.Jit."""
+    """Clear the cache of `choose`; the variable is set, since another test may have imported
+    Dr.Jit.
+    """
     monkeypatch.setenv(variant.LLVM_VARIABLE, "of a test")
     variant.choose.cache_clear()
     yield monkeypatch
@@ -73,9 +83,17 @@ def fake_llvm(folder: Path, major: int) -> str:
     """Build a library that reports this version of LLVM."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
-    source = f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b = 0; if (c) *c = 0; }}"
+    source = (
+        f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b ="
+        " 0; if (c) *c = 0; }"
+    )
     library = folder / f"libLLVM-{major}.so"
-    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library], input=source, text=True, check=True)
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library],
+        input=source,
+        text=True,
+        check=True,
+    )
     return str(library)
 
 
@@ -85,10 +103,14 @@ def test_find_llvm_oldest_version_is_17(tmp_path, fresh, major, usable):
     assert variant.llvm_version(library) == major
     fresh.setenv(variant.LLVM_VARIABLE, library)
     if usable:
-        chosen = variant.ChosenVariant("llvm_ad_spectral", library, f"{variant.LLVM_VARIABLE}, LLVM {major}")
+        chosen = variant.ChosenVariant(
+            "llvm_ad_spectral", library, f"{variant.LLVM_VARIABLE}, LLVM {major}"
+        )
         assert variant.choose("llvm_ad_spectral") == chosen
     else:
-        with pytest.raises(PixsimError, match=r"which is version 16; allowed: LLVM 17 or newer\. Unset it"):
+        with pytest.raises(
+            PixsimError, match=r"which is version 16; allowed: LLVM 17 or newer\. Unset it"
+        ):
             variant.choose()
 
 
@@ -114,7 +136,9 @@ def test_choose_repeated_is_equal(tmp_path, fresh):
     system = fake_llvm(tmp_path, 19)
     fresh.setattr(variant, "_system_candidates", lambda: [system])
     fresh.setenv(variant.LLVM_VARIABLE, "")
-    fresh.delitem(sys.modules, "drjit", raising=False)  # else too late to choose, after another test
+    fresh.delitem(
+        sys.modules, "drjit", raising=False
+    )  # else too late to choose, after another test
     first = variant.choose()
     assert os.environ[variant.LLVM_VARIABLE] == system
     variant.choose.cache_clear()
@@ -127,7 +151,11 @@ def test_newest_first_resolves_links(tmp_path):
         (tmp_path / name).touch()
     (tmp_path / "libLLVM.so").symlink_to("libLLVM-9.so.1")
     result = variant._newest_first(tmp_path.iterdir())
-    assert [Path(path).name for path in result] == ["libLLVM-21.so", "libLLVM.so.18.1", "libLLVM-9.so.1"]
+    assert [Path(path).name for path in result] == [
+        "libLLVM-21.so",
+        "libLLVM.so.18.1",
+        "libLLVM-9.so.1",
+    ]
 
 
 # --- The user's variable ---
@@ -155,11 +183,15 @@ def test_find_llvm_unusable_variable_raises(tmp_path):
         str(tmp_path): "which cannot be loaded (no library for this machine)",
     } | ({old: "which is version 15 or older"} if old else {})
     done = python(RUN_WITH_EACH, str(tmp_path / "out"), *faults)
-    # Without the judgement Mitsuba aborts the process at the first render (signal 6) or quietly takes another library.
+    # Without the judgement Mitsuba aborts the process at the first render (signal 6) or quietly
+    # takes another library.
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["2"] * len(faults)
     for path, message in faults.items():
-        assert f"DRJIT_LIBLLVM_PATH: got '{path}', {message}; allowed: LLVM 17 or newer." in done.stderr
+        assert (
+            f"DRJIT_LIBLLVM_PATH: got '{path}', {message}; allowed: LLVM 17 or newer."
+            in done.stderr
+        )
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
@@ -191,11 +223,15 @@ def test_choose_with_wheel_loads_working_llvm():
 
 def test_choose_without_llvm_warns_with_hint(fresh):
     fresh.setattr(variant, "find_llvm", lambda: (None, "no LLVM 17 or newer was found"))
-    with pytest.warns(UserWarning, match=r"scalar_spectral, since no LLVM 17.*pip install karellen-llvm-core"):
+    with pytest.warns(
+        UserWarning, match=r"scalar_spectral, since no LLVM 17.*pip install karellen-llvm-core"
+    ):
         scene = pixsim.load_scene("flat", resolution=8)
     assert scene.choice.variant == "scalar_spectral"
     assert pixsim.render(scene).illuminance_lx().max() > 0
-    with pytest.raises(PixsimError, match=r"got 'llvm_ad_spectral', but no LLVM 17.*pip install karellen-llvm-core"):
+    with pytest.raises(
+        PixsimError, match=r"got 'llvm_ad_spectral', but no LLVM 17.*pip install karellen-llvm-core"
+    ):
         pixsim.load_scene("flat", variant="llvm_ad_spectral")
 
 
@@ -208,7 +244,9 @@ def test_choose_scalar_needs_no_llvm(fresh):
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm", ""])
 def test_choose_unknown_variant_raises(name):
-    with pytest.raises(PixsimError, match=rf"variant: got '{name}'; allowed: llvm_ad_spectral, scalar_spectral"):
+    with pytest.raises(
+        PixsimError, match=rf"variant: got '{name}'; allowed: llvm_ad_spectral, scalar_spectral"
+    ):
         variant.choose(name)
 
 

@@ -1,4 +1,6 @@
-"""Neighbours' shares over an array: conservation, the kernel's transform, the border, and shares that vary over the field."""
+"""Neighbours' shares over an array: conservation, the kernel's transform, the border, and shares
+that vary over the field.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,15 @@ def test_light_of_one_pixel_lands_as_the_shares():
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (12, 7)])
 def test_flat_field_stays_flat(shape):
-    np.testing.assert_allclose(share_with_neighbours(np.full(shape, 7.0), KERNEL), 7 * KERNEL.sum(), rtol=1e-14)
+    np.testing.assert_allclose(
+        share_with_neighbours(np.full(shape, 7.0), KERNEL), 7 * KERNEL.sum(), rtol=1e-14
+    )
 
 
 def test_grating_is_scaled_by_the_transform_of_the_kernel():
-    """A symmetric kernel multiplies a reflected cosine by its transform; a real one, of a microlens with diffraction."""
+    """A symmetric kernel multiplies a reflected cosine by its transform; a real one, of a microlens
+    with diffraction.
+    """
     shares = collected_shares(Stack(1.4, 0.8, 2.5, 1.5), disc_pupil(0.25), 600.0)[0]
     assert 0.02 < 1 - shares[2, 2] / shares.sum() < 0.3
     count = 24
@@ -37,7 +43,9 @@ def test_grating_is_scaled_by_the_transform_of_the_kernel():
         cosine = np.cos(math.pi * order * (np.arange(count) + 0.5) / count)
         result = share_with_neighbours((1 + cosine) * np.ones((6, 1)), shares)
         transform = (shares.sum(axis=0) * np.cos(math.pi * order / count * np.arange(-2, 3))).sum()
-        np.testing.assert_allclose(result, (shares.sum() + transform * cosine) * np.ones((6, 1)), atol=1e-12)
+        np.testing.assert_allclose(
+            result, (shares.sum() + transform * cosine) * np.ones((6, 1)), atol=1e-12
+        )
 
 
 def test_shares_are_linear_between_points_of_the_field():
@@ -49,10 +57,18 @@ def test_shares_are_linear_between_points_of_the_field():
         (8, 4, field[2, 1]),
         (2, 1, (3 * (field[0, 0] + field[1, 0]) + field[0, 1] + field[1, 1]) / 8),
     ):
-        np.testing.assert_allclose(result[row, column], share_with_neighbours(signal, kernel)[row, column], rtol=1e-13)
-    np.testing.assert_allclose(shares_sum(field, (9, 5))[4], np.linspace(field[1, 0].sum(), field[1, 1].sum(), 5), rtol=1e-14)
+        np.testing.assert_allclose(
+            result[row, column], share_with_neighbours(signal, kernel)[row, column], rtol=1e-13
+        )
+    np.testing.assert_allclose(
+        shares_sum(field, (9, 5))[4],
+        np.linspace(field[1, 0].sum(), field[1, 1].sum(), 5),
+        rtol=1e-14,
+    )
     same = np.broadcast_to(KERNEL, (3, 2, 5, 5))
-    np.testing.assert_allclose(share_with_neighbours(signal, same), share_with_neighbours(signal, KERNEL), rtol=1e-14)
+    np.testing.assert_allclose(
+        share_with_neighbours(signal, same), share_with_neighbours(signal, KERNEL), rtol=1e-14
+    )
     assert shares_sum(field, (1, 1))[0, 0] == pytest.approx(field[1].mean(axis=0).sum(), rel=1e-14)
 
 

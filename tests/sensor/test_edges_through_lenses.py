@@ -1,4 +1,6 @@
-"""Edges through a real lens, from the chart to the pixels: against the lens's own OTF and the pixel's, on the axis and off it."""
+"""Edges through a real lens, from the chart to the pixels: against the lens's own OTF and the
+pixel's, on the axis and off it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import edge_response
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.camera_lens import Tiling, camera_with_lens, choose_tiling, distortion_of, light_of
+from pixsim.optics.camera_lens import (
+    Tiling,
+    camera_with_lens,
+    choose_tiling,
+    distortion_of,
+    light_of,
+)
 from pixsim.optics.field_blur import even_window, periodic_psf
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.integration import integrate_pixels, real_lens_rate
@@ -23,14 +31,20 @@ ROWS, COLUMNS = 320, 2000  # a strip of the die along a radius
 OFF_AXIS_UM = 1030.0  # 11.6° at a focal length of 5 mm
 LOW, HIGH = 1.0, 10.0
 TURNS_DEG = (5.0, 85.0)  # of the edge's normal from the radius: tangential and sagittal
-SOFT_UM = 1.0  # standard deviation of a soft edge: 2e-4 of it lies beyond the film's Nyquist frequency
+SOFT_UM = (
+    1.0  # standard deviation of a soft edge: 2e-4 of it lies beyond the film's Nyquist frequency
+)
 FINE_UM, FINE_CELLS = 0.25, 801  # of PSFs for an OTF
 
 
 @pytest.fixture(scope="module")
 def camera() -> Camera:
-    die = Camera(die_mm=COLUMNS * FILM_UM * 1e-3, die_height_mm=ROWS * FILM_UM * 1e-3, object_distance_m=5.0)
-    return camera_with_lens(die, CameraOptions(f_number=5.0), LensOptions(file="cooke_triplet", focal_length_mm=5.0))
+    die = Camera(
+        die_mm=COLUMNS * FILM_UM * 1e-3, die_height_mm=ROWS * FILM_UM * 1e-3, object_distance_m=5.0
+    )
+    return camera_with_lens(
+        die, CameraOptions(f_number=5.0), LensOptions(file="cooke_triplet", focal_length_mm=5.0)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +59,16 @@ def coordinates_um(shape: tuple[int, int], pitch_um: float) -> list[Array]:
 def undistorted_um(camera: Camera, height_um: Array | float) -> Array:
     distortion = distortion_of(camera)
     assert distortion is not None
-    return np.asarray(1e3 * np.interp(np.asarray(height_um) * 1e-3, distortion.height_mm, distortion.undistorted_mm))
+    return np.asarray(
+        1e3
+        * np.interp(np.asarray(height_um) * 1e-3, distortion.height_mm, distortion.undistorted_mm)
+    )
 
 
 def chart(camera: Camera, place_um: float, turn_deg: float, soft_um: float = 0.0) -> Array:
-    """Return means over cells of the rendered film of a straight edge that the lens shows through a place on the radius."""
+    """Return means over cells of the rendered film of a straight edge that the lens shows through a
+    place on the radius.
+    """
     distortion, turn = distortion_of(camera), math.radians(turn_deg)
     assert distortion is not None
     cell_um = FILM_UM * distortion.widening
@@ -58,12 +77,20 @@ def chart(camera: Camera, place_um: float, turn_deg: float, soft_um: float = 0.0
     down, across = (abs(part) * cell_um for part in (math.sin(turn), math.cos(turn)))
 
     def ramp(shift: float) -> Array:
-        """Twice the integral of the edge along its normal, of which differences make the mean over a square."""
+        """Twice the integral of the edge along its normal, of which differences make the mean over
+        a square.
+        """
         u = distance + shift
         if not soft_um:
             return np.square(np.maximum(u, 0)) / 2
         z = u / soft_um
-        return np.asarray((u**2 + soft_um**2) * ndtr(z) + u * soft_um * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)) / 2
+        return (
+            np.asarray(
+                (u**2 + soft_um**2) * ndtr(z)
+                + u * soft_um * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+            )
+            / 2
+        )
 
     half, rest = (down + across) / 2, (across - down) / 2
     share = (ramp(half) - ramp(rest) - ramp(-rest) + ramp(-half)) / (down * across)
@@ -81,7 +108,9 @@ def pixels_of(camera: Camera, tiling: Tiling, picture: Array) -> Array:
 
 
 @cache
-def edge_seen(camera: Camera, tiling: Tiling, place_um: float, turn_deg: float, soft_um: float = 0.0) -> Array:
+def edge_seen(
+    camera: Camera, tiling: Tiling, place_um: float, turn_deg: float, soft_um: float = 0.0
+) -> Array:
     return pixels_of(camera, tiling, chart(camera, place_um, turn_deg, soft_um))
 
 
@@ -94,16 +123,26 @@ def around(place_um: float, columns: int, half_px: int) -> slice:
 @cache
 def fine_psf(camera: Camera, tiling: Tiling, place_um: float) -> Array:
     light = light_of(camera, np.array([NM]), np.ones(1), tiling)
-    return periodic_psf(light, place_um, 0.0, FINE_UM, even_window(light, place_um, 0.0, FINE_UM, FINE_CELLS))
+    return periodic_psf(
+        light, place_um, 0.0, FINE_UM, even_window(light, place_um, 0.0, FINE_UM, FINE_CELLS)
+    )
 
 
-def transfer(camera: Camera, tiling: Tiling, place_um: float, turn_deg: float, frequency_cy_per_mm: Array) -> Array:
-    """Return the OTF of the lens at a place and of the pixel, along an edge's normal, from a PSF on finer cells."""
+def transfer(
+    camera: Camera, tiling: Tiling, place_um: float, turn_deg: float, frequency_cy_per_mm: Array
+) -> Array:
+    """Return the OTF of the lens at a place and of the pixel, along an edge's normal, from a PSF on
+    finer cells.
+    """
     psf, turn = fine_psf(camera, tiling, place_um), math.radians(turn_deg)
     at_mm = np.fft.fftfreq(len(psf), 1 / len(psf)) * FINE_UM * 1e-3
     fx, fy = (frequency_cy_per_mm * part for part in (math.cos(turn), math.sin(turn)))
     down, across = (np.exp(-2j * np.pi * f[:, None] * at_mm) for f in (fy, fx))
-    return ((down @ psf) * across).sum(axis=1) * np.sinc(fx * PIXEL_UM * 1e-3) * np.sinc(fy * PIXEL_UM * 1e-3)
+    return (
+        ((down @ psf) * across).sum(axis=1)
+        * np.sinc(fx * PIXEL_UM * 1e-3)
+        * np.sinc(fy * PIXEL_UM * 1e-3)
+    )
 
 
 @pytest.mark.parametrize("place_um", [0.0, OFF_AXIS_UM])
@@ -111,7 +150,8 @@ def transfer(camera: Camera, tiling: Tiling, place_um: float, turn_deg: float, f
 def test_sfr_of_an_edge_is_the_mtf_of_the_lens_and_the_pixel(
     place_um: float, turn_deg: float, camera: Camera, tiling: Tiling
 ) -> None:
-    """Up to half the film's Nyquist frequency. Measured: 0.0043, of which a window of ±64 pixels of the SFR itself makes most.
+    """Up to half the film's Nyquist frequency. Measured: 0.0043, of which a window of ±64 pixels of
+    the SFR itself makes most.
 
     Without what the distortion's spline rings, the tangential edge off the axis would be 0.018 low.
     """
@@ -129,19 +169,26 @@ def test_sfr_of_an_edge_is_the_mtf_of_the_lens_and_the_pixel(
 def test_pixels_at_an_edge_are_within_the_bound_of_the_plan(
     place_um: float, turn_deg: float, camera: Camera, tiling: Tiling
 ) -> None:
-    """Of a soft edge, since the stated bound is that of the lens's blur and distortion, and not that of the film's samples."""
-    # Of the edge of a wave, whose next edges, at 250 µm, are beyond what the PSF of ±100 µm reaches.
+    """Of a soft edge, since the stated bound is that of the lens's blur and distortion, and not
+    that of the film's samples.
+    """
+    # Of the edge of a wave, whose next edges, at 250 µm, are beyond what the PSF of ±100 µm
+    # reaches.
     step, turn = 2.0, math.radians(turn_deg)
     seen = edge_seen(camera, tiling, place_um, turn_deg, SOFT_UM)
     part = slice(20, -20), around(place_um, seen.shape[1], 20)
     y, x = (axis[part] for axis in coordinates_um(seen.shape, PIXEL_UM))
     radius = np.maximum(np.hypot(x, y), 1e-9)
     grown = undistorted_um(camera, radius) / radius
-    distance_um = (x * grown - undistorted_um(camera, place_um)) * math.cos(turn) + y * grown * math.sin(turn)
+    distance_um = (x * grown - undistorted_um(camera, place_um)) * math.cos(
+        turn
+    ) + y * grown * math.sin(turn)
     distance_um /= np.hypot(*np.gradient(distance_um, PIXEL_UM))  # where the lens shows it
     near = np.abs(distance_um) < 40
     frequency = (np.arange(200) + 0.5) * step
-    otf = transfer(camera, tiling, place_um, turn_deg, frequency) * np.exp(-2 * np.square(np.pi * SOFT_UM * 1e-3 * frequency))
+    otf = transfer(camera, tiling, place_um, turn_deg, frequency) * np.exp(
+        -2 * np.square(np.pi * SOFT_UM * 1e-3 * frequency)
+    )
     waves = np.exp(2j * np.pi * np.multiply.outer(distance_um[near] * 1e-3, frequency))
     share = 0.5 + (waves @ (otf / (1j * frequency))).real * step / np.pi  # of the light on one side
     error = seen[part][near] - (LOW + (HIGH - LOW) * share)
@@ -152,11 +199,16 @@ def test_pixels_at_an_edge_are_within_the_bound_of_the_plan(
 
 
 def test_a_patch_far_away_does_not_change_an_edge(camera: Camera, tiling: Tiling) -> None:
-    """White and black of 1000 : 0.001 in the other half of the die, beyond what their stray light reaches."""
+    """White and black of 1000 : 0.001 in the other half of the die, beyond what their stray light
+    reaches.
+    """
     with_patch = chart(camera, OFF_AXIS_UM, TURNS_DEG[0])
     with_patch[40:56, 100:116] = np.where(np.indices((16, 16)).sum(axis=0) % 2, 1000.0, 0.001)
     with_patch[40:56, 116:132] = 0.001
-    one, other = edge_seen(camera, tiling, OFF_AXIS_UM, TURNS_DEG[0]), pixels_of(camera, tiling, with_patch)
+    one, other = (
+        edge_seen(camera, tiling, OFF_AXIS_UM, TURNS_DEG[0]),
+        pixels_of(camera, tiling, with_patch),
+    )
     part = slice(None), around(OFF_AXIS_UM, one.shape[1], 40)
     assert np.abs(one - other).max() > 100  # there
     assert np.abs(one[part] - other[part]).max() < 1e-3 * (HIGH - LOW)

@@ -1,4 +1,5 @@
-"""Light to mean electrons: integration over photodiodes, its spline and strips, and the spectrum of the light.
+"""Light to mean electrons: integration over photodiodes, its spline and strips, and the spectrum of
+the light.
 
 Conservation and closed forms at the extremes of pitch and size: pixsim.verification.extreme_cases.
 """
@@ -61,23 +62,30 @@ def test_integrate_pixels_any_pitch_is_centred_and_conserves(pitch_um):
     expected = antiderivative(high) - antiderivative(low)
     rows = integrate_pixels(np.tile(line, (n, 1)), 1.0, pitch_um, pitch_um)
     assert rows.shape == (count, count)
-    # The function is smooth on this grid; its spline errs by 1.3e-10. Half a sample off centre gives 8e-4.
+    # The function is smooth on this grid; its spline errs by 1.3e-10. Half a sample off centre
+    # gives 8e-4.
     np.testing.assert_allclose(rows.sum(axis=1), expected * pitch_um, rtol=1e-9)
     np.testing.assert_allclose(rows.sum(axis=0)[0], rows[:, 0].sum(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 33.333, 60.0])
-@pytest.mark.parametrize(("pitch_um", "fill_factor"), [(2.0, 0.9), (5.3, 0.05), (6.5, 0.31), (7.77, 1.0), (15.0, 0.73)])
+@pytest.mark.parametrize(
+    ("pitch_um", "fill_factor"), [(2.0, 0.9), (5.3, 0.05), (6.5, 0.31), (7.77, 1.0), (15.0, 0.73)]
+)
 def test_integrate_pixels_sinusoid_contrast_is_sinc(frequency_lp_per_mm, pitch_um, fill_factor):
-    omega, contrast, side_um = 2e-3 * np.pi * frequency_lp_per_mm, 0.5, pitch_um * np.sqrt(fill_factor)
+    omega, contrast, side_um = (
+        2e-3 * np.pi * frequency_lp_per_mm,
+        0.5,
+        pitch_um * np.sqrt(fill_factor),
+    )
     line = cell_means(lambda x: x - contrast / omega * np.cos(omega * x + 0.3), 1024, DIE_UM)
     pixels = integrate_pixels(np.tile(line, (8, 1)), DIE_UM / 1024, pitch_um, side_um)[0]
     x = DIE_UM / 2 + (np.arange(pixels.size) - (pixels.size - 1) / 2) * pitch_um
     waves = np.stack([np.ones_like(x), np.sin(omega * x), np.cos(omega * x)], axis=1)
     mean, sine, cosine = np.linalg.lstsq(waves, pixels, rcond=None)[0]
     sinc = np.sinc(frequency_lp_per_mm * side_um * 1e-3)
-    # Measured: at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33 lp/mm and below.
-    # A cubic spline errs by 0.55 %, plain area weights by 15 %.
+    # Measured: at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33
+    # lp/mm and below. A cubic spline errs by 0.55 %, plain area weights by 15 %.
     tolerance = 3e-4 if frequency_lp_per_mm > 50 else 1e-5
     assert np.hypot(sine, cosine) / mean == pytest.approx(contrast * sinc, rel=tolerance)
     assert mean == pytest.approx(side_um**2, rel=1e-4)
@@ -90,7 +98,9 @@ def test_integrate_pixels_tiny_picture_conserves(shape):
     np.testing.assert_allclose(whole, picture, rtol=1e-14)
     parts = integrate_pixels(picture, 1.0, 1 / 3, 1 / 3)
     assert parts.shape == (3 * shape[0], 3 * shape[1])
-    np.testing.assert_allclose(parts.reshape(shape[0], 3, shape[1], 3).sum(axis=(1, 3)), picture, rtol=1e-13)
+    np.testing.assert_allclose(
+        parts.reshape(shape[0], 3, shape[1], 3).sum(axis=(1, 3)), picture, rtol=1e-13
+    )
 
 
 @pytest.mark.parametrize("pitch_um", [1e-310, 1e-12, 1e-5])
@@ -122,7 +132,9 @@ def by_scipy(samples: np.ndarray, degree: int):
     return make_interp_spline(np.arange(len(samples) + 1.0), running, k=degree, axis=0)
 
 
-@pytest.mark.parametrize(("n", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (40, 5), (301, 5)])
+@pytest.mark.parametrize(
+    ("n", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (40, 5), (301, 5)]
+)
 def test_spline_matches_scipy(n, degree):
     samples = smooth((n, 3))
     spline, at = by_scipy(samples, degree), np.sort(np.random.default_rng(2).uniform(0, n, 50))
@@ -145,7 +157,10 @@ def test_integrate_pixels_strips_are_equal(monkeypatch, picture, pitch_um, side_
 def test_integrate_pixels_float32_needs_strip_memory_only(monkeypatch):
     picture = smooth((20, 9)).astype(np.float32)
     monkeypatch.setattr(integration, "STRIP_COLUMNS", 2)
-    np.testing.assert_array_equal(integrate_pixels(picture, 1.0, 2.3, 1.1), integrate_pixels(picture.astype(float), 1.0, 2.3, 1.1))
+    np.testing.assert_array_equal(
+        integrate_pixels(picture, 1.0, 2.3, 1.1),
+        integrate_pixels(picture.astype(float), 1.0, 2.3, 1.1),
+    )
 
 
 # --- High-contrast edges ---
@@ -158,9 +173,12 @@ def test_integrate_pixels_hard_edge_does_not_ring(contrast, side_um):
     centres = np.arange(side_um / 2 + 0.05, 80 - side_um / 2, side_um)
     result = integrate_axis(line, 1.0, centres - side_um / 2, centres + side_um / 2, 1)
     assert result.min() >= 0
-    # Beyond the cell behind the edge each side has its own light; 1e-5 of a cell's is left, 1.6e-5 of a small photodiode's.
+    # Beyond the cell behind the edge each side has its own light; 1e-5 of a cell's is left, 1.6e-5
+    # of a small photodiode's.
     dark, bright = centres - side_um / 2 > 41, centres + side_um / 2 < 39
-    np.testing.assert_allclose(result[:, dark], side_um / contrast, rtol=2e-5, atol=40 * 80 * 2.2e-16)  # 80 eps of the bright half
+    np.testing.assert_allclose(
+        result[:, dark], side_um / contrast, rtol=2e-5, atol=40 * 80 * 2.2e-16
+    )  # 80 eps of the bright half
     np.testing.assert_allclose(result[:, bright], side_um, rtol=2e-5)
 
 
@@ -182,7 +200,8 @@ def test_limit_overshoot_keeps_resolved_crests():
     running = by_scipy(waves[:, None], 5)(edges)
     low, high = np.split(limit_overshoot(running, waves[:, None], edges)[:, 0], 2)
     exact = 0.2 - (np.cos(omega * (at + 0.2)) - np.cos(omega * at)) / omega
-    # Of a crest, 0.4: the spline's own error is 0.06 %; without room for crests the limit would cut 12 %.
+    # Of a crest, 0.4: the spline's own error is 0.06 %; without room for crests the limit would cut
+    # 12 %.
     np.testing.assert_allclose(high - low, exact, atol=1e-3 * 0.4)
 
 
@@ -193,7 +212,9 @@ AT, SIDE = (
 
 
 def edge_of_ten(patch: tuple[float, ...] = (), at: int = 0) -> np.ndarray:
-    """Return a line with an edge of 10 : 1 at 50, and fine detail, with other light from a sample on."""
+    """Return a line with an edge of 10 : 1 at 50, and fine detail, with other light from a sample
+    on.
+    """
     line = np.where(np.arange(150) < 50, 10.0, 1.0) * np.tile([1.0, 1.1, 0.9], 50)
     line[at : at + len(patch)] = patch
     return line[:, None]
@@ -201,8 +222,13 @@ def edge_of_ten(patch: tuple[float, ...] = (), at: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("patch", [(1000.0, 0.001) * 4, (0.0, 1e6), (-3.0, 1000.0, 0.001)])
 def test_what_is_far_away_does_not_change_an_edge(patch: tuple[float, ...]) -> None:
-    """In the same line, 40 cells away, the spline has 1e-14 of it; limited everywhere, an edge of 10 : 1 would move by 1.6 %."""
-    alone, beside = (integrate_axis(line, 1.0, AT, AT + SIDE, 0) for line in (edge_of_ten(), edge_of_ten(patch, 100)))
+    """In the same line, 40 cells away, the spline has 1e-14 of it; limited everywhere, an edge of
+    10 : 1 would move by 1.6 %.
+    """
+    alone, beside = (
+        integrate_axis(line, 1.0, AT, AT + SIDE, 0)
+        for line in (edge_of_ten(), edge_of_ten(patch, 100))
+    )
     spline = by_scipy(edge_of_ten(), 5)
     np.testing.assert_allclose(alone, spline(AT + SIDE) - spline(AT), atol=1e-12)
     assert np.abs(beside - alone).max() < 1e-9 * 9 * SIDE
@@ -212,7 +238,9 @@ def test_what_is_far_away_does_not_change_an_edge(patch: tuple[float, ...]) -> N
 
 
 def test_ringing_cells_reach_as_far_as_the_ring_shows() -> None:
-    """Where the limit stops, the spline of the edge itself is off by 1e-5 of the light or less; it does not stop far beyond."""
+    """Where the limit stops, the spline of the edge itself is off by 1e-5 of the light or less; it
+    does not stop far beyond.
+    """
     line = np.repeat([1000.0, 1.0], [60, 60])[:, None]
     rings = ringing_cells(line)[:, 0]
     spline, part = by_scipy(line, 5), np.linspace(0.0, 1.0, 21)
@@ -224,7 +252,9 @@ def test_ringing_cells_reach_as_far_as_the_ring_shows() -> None:
 
 
 def test_limit_acts_at_an_edge_beside_a_little_negative_light() -> None:
-    """Rounding, or what a blur rings below zero, does not switch the limit off; none acts where a signed picture changes sign."""
+    """Rounding, or what a blur rings below zero, does not switch the limit off; none acts where a
+    signed picture changes sign.
+    """
     line = np.repeat([1000.0, 0.0], [60, 60])[:, None]
     line[60:64, 0] = -0.3, 0.1, -0.03, 0.01
     result = integrate_axis(line, 1.0, np.arange(60.0, 70.0, 0.25), np.arange(60.25, 70.1, 0.25), 0)
@@ -232,12 +262,16 @@ def test_limit_acts_at_an_edge_beside_a_little_negative_light() -> None:
     assert result.sum() == pytest.approx(line[60:70].sum(), abs=1e-9)
     wave = np.sin(np.arange(150.0) * 2 * np.pi / 6 + 1e-3)[:, None]
     spline = by_scipy(wave, 5)
-    np.testing.assert_allclose(integrate_axis(wave, 1.0, AT, AT + SIDE, 0), spline(AT + SIDE) - spline(AT), atol=1e-12)
+    np.testing.assert_allclose(
+        integrate_axis(wave, 1.0, AT, AT + SIDE, 0), spline(AT + SIDE) - spline(AT), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("below_zero", [False, True])
 def test_integrate_axis_decides_for_each_column(monkeypatch, below_zero):
-    """An edge in one column, and light below zero in another, leave all others as they are; columns are asked for once."""
+    """An edge in one column, and light below zero in another, leave all others as they are; columns
+    are asked for once.
+    """
     picture, edges = smooth((30, 12)), np.arange(0.0, 29.0, 0.37)
     picture[7, 11] = 1e6
     if below_zero:
@@ -252,17 +286,28 @@ def test_integrate_axis_decides_for_each_column(monkeypatch, below_zero):
 
 
 @pytest.mark.parametrize("pitch_um", [0.6, 1.7, 4.1])
-def test_charts_of_hard_edges_have_no_negative_electrons_and_all_of_their_light(pitch_um: float) -> None:
-    """Checks, lines and points of 1000 : 0.001 in both directions, with photodiodes that fill their pixels."""
+def test_charts_of_hard_edges_have_no_negative_electrons_and_all_of_their_light(
+    pitch_um: float,
+) -> None:
+    """Checks, lines and points of 1000 : 0.001 in both directions, with photodiodes that fill their
+    pixels.
+    """
     rng = seeded(4)
     chart = np.where(rng.random((41, 41)) < 0.4, 1000.0, 0.001)
     chart[:, 10:20] = np.where(np.arange(10) % 2, 1000.0, 0.001)
     pixels = integrate_pixels(chart, 1.0, pitch_um, pitch_um)
     assert pixels.min() >= 0
     side = len(pixels) * pitch_um
-    inside = np.clip(np.minimum(np.arange(1.0, 42.0), 20.5 + side / 2) - np.maximum(np.arange(41.0), 20.5 - side / 2), 0, 1)
+    inside = np.clip(
+        np.minimum(np.arange(1.0, 42.0), 20.5 + side / 2)
+        - np.maximum(np.arange(41.0), 20.5 - side / 2),
+        0,
+        1,
+    )
     # The pixels end within cells of the border, where light may lie anywhere.
-    assert pixels.sum() == pytest.approx(inside @ chart @ inside, abs=(1 - inside[0]) * 82 * 1000.0 + 1e-6)
+    assert pixels.sum() == pytest.approx(
+        inside @ chart @ inside, abs=(1 - inside[0]) * 82 * 1000.0 + 1e-6
+    )
 
 
 # --- Electrons ---
@@ -275,11 +320,14 @@ def test_mean_signal_rate_is_independent_of_oversampling():
 
     rates = []
     for n in (256, 1024):
-        irradiance = SpectralImage(NM, WIDTH_NM, DIE_UM / n, factors=([[1e-3, 2e-3, 4e-3]], [picture(n)]))
+        irradiance = SpectralImage(
+            NM, WIDTH_NM, DIE_UM / n, factors=([[1e-3, 2e-3, 4e-3]], [picture(n)])
+        )
         rates.append(mean_signal_rate(irradiance, Camera(), derive(Pixel(pitch_um=9.1))))
     coarse, fine = rates
     assert coarse.shape == fine.shape == (298, 298)
-    # Measured: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
+    # Measured: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the
+    # picture's slope is cut there).
     assert coarse.sum() == pytest.approx(fine.sum(), rel=1e-5)
     assert np.abs(coarse - fine)[3:-3, 3:-3].max() < 1e-4 * fine.mean()
     assert np.abs(coarse - fine).max() < 1e-3 * fine.mean()
@@ -287,13 +335,19 @@ def test_mean_signal_rate_is_independent_of_oversampling():
 
 @pytest.mark.parametrize("f_number", [1.0, 1.8, 8.0])
 def test_diffracted_rate_grating_contrast_is_otf(f_number):
-    """At 0.3 of 2 sin α/λ, with tan α = 1/(2 N (1 + |m|)): a cut-off of 2 tan α/λ would be 12 % off at f/1."""
+    """At 0.3 of 2 sin α/λ, with tan α = 1/(2 N (1 + |m|)): a cut-off of 2 tan α/λ would be 12 % off
+    at f/1.
+    """
     camera, wavelength_mm, n = Camera(f_number=f_number), 550e-6, 512
     sin_alpha = np.sin(np.arctan(1 / (2 * camera.working_f_number)))
     periods = 16
     pitch_um = 1e3 * periods / (0.3 * 2 * sin_alpha / wavelength_mm) / n
-    cosine = np.cos(2 * np.pi * periods * (np.arange(n) + 0.5) / n)  # an even number of half periods: reflected smoothly
-    light = SpectralImage([550.0], 10.0, pitch_um, factors=([[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))]))
+    cosine = np.cos(
+        2 * np.pi * periods * (np.arange(n) + 0.5) / n
+    )  # an even number of half periods: reflected smoothly
+    light = SpectralImage(
+        [550.0], 10.0, pitch_um, factors=([[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))])
+    )
     rate = integration.diffracted_rate(light, camera, derive(Pixel()))
     contrast = 2 * (rate * cosine).mean() / rate.mean() / 0.5
     otf = 2 / np.pi * (np.arccos(0.3) - 0.3 * np.sqrt(1 - 0.3**2))
@@ -307,14 +361,16 @@ def test_mean_signal_rate_factored_equals_general():
     general = SpectralImage(NM, WIDTH_NM, 4.0, data=np.einsum("rb,ryx->yxb", spectra, pictures))
     physics = derive(Pixel(pitch_um=8.0))
     one, other = (mean_signal_rate(image, Camera(), physics) for image in (factored, general))
-    # Two convolutions with white-light OTFs against three with one band each; float32 and the OTF's table.
+    # Two convolutions with white-light OTFs against three with one band each; float32 and the OTF's
+    # table.
     np.testing.assert_allclose(one, other, rtol=1e-6)
 
 
 @pytest.mark.parametrize("diffraction", [True, False])
 def test_mean_signal_rate_negative_factors_cancel(diffraction):
     rng = seeded(9)
-    # Spectra as a fit of few pulses gives them: large, of both signs, while the light that they add up to is positive.
+    # Spectra as a fit of few pulses gives them: large, of both signs, while the light that they add
+    # up to is positive.
     pictures = np.cumsum(rng.uniform(0.2, 1, (4, 48, 48)), axis=0) / 4
     spectra = np.linalg.inv(np.tril(np.ones((4, 4)))).T @ rng.uniform(1e-3, 4e-3, (4, 3))
     assert spectra.min() < -1e-3
@@ -327,20 +383,30 @@ def test_mean_signal_rate_negative_factors_cancel(diffraction):
     assert one.min() > 0
     # float32 of terms that cancel to a quarter, and the OTF's table.
     np.testing.assert_allclose(one, other, rtol=1e-5)
-    unblurred = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures), header={"diffraction": not diffraction})
-    assert np.abs(mean_signal_rate(unblurred, Camera(), physics) / one - 1).max() > 1e-3  # so diffraction does count
+    unblurred = SpectralImage(
+        NM, WIDTH_NM, 4.0, factors=(spectra, pictures), header={"diffraction": not diffraction}
+    )
+    assert (
+        np.abs(mean_signal_rate(unblurred, Camera(), physics) / one - 1).max() > 1e-3
+    )  # so diffraction does count
 
 
 def per_joule(options: dict, nm: float, within: tuple | None = None) -> float:
     """Electrons s⁻¹ m⁻² of 1 W m⁻² in a band of 10 nm."""
     image = SpectralImage([nm], 10.0, 1.0, data=np.ones((1, 1, 1)), within=within)
-    return float(integration.electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
+    return (
+        float(integration.electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0])
+        / 10
+    )
 
 
 @pytest.mark.parametrize("laser_nm", [526.0, 532.0, 534.5])
 @pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
 def test_electrons_per_joule_laser_off_band_centre(technology, laser_nm):
-    physics, options = derive(Pixel(pitch_um=8.0, technology=technology)), {"technology": technology}
+    physics, options = (
+        derive(Pixel(pitch_um=8.0, technology=technology)),
+        {"technology": technology},
+    )
     exact = float(physics.quantum_efficiency(laser_nm)) * laser_nm * 1e-9 / (planck * light_speed)
     assert per_joule(options, 530.0, ([[laser_nm]], [[1.0]])) == pytest.approx(exact, rel=1e-6)
     # Without being told it is taken at the band's centre: 0.2 % and more off.
@@ -349,15 +415,22 @@ def test_electrons_per_joule_laser_off_band_centre(technology, laser_nm):
     assert abs(centre / exact - 1) > 2e-3
 
 
-@pytest.mark.parametrize(("cut_nm", "share"), [(640, 0.0), (645, 0.0), (646, 0.1), (650, 0.5), (653, 0.8), (655, 1.0), (700, 1.0)])
+@pytest.mark.parametrize(
+    ("cut_nm", "share"),
+    [(640, 0.0), (645, 0.0), (646, 0.1), (650, 0.5), (653, 0.8), (655, 1.0), (700, 1.0)],
+)
 def test_electrons_per_joule_infrared_cut_inside_band(cut_nm, share):
     options = {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}
     # Light that is even over the band: at its centre, times the part below the cut.
-    assert per_joule(options, 650.0) == pytest.approx(0.5 * share * 650e-9 / (planck * light_speed), rel=1e-12)
+    assert per_joule(options, 650.0) == pytest.approx(
+        0.5 * share * 650e-9 / (planck * light_speed), rel=1e-12
+    )
     # The same in ten parts: the photons of a joule at each.
     nodes = 645.5 + np.arange(10)
     expected = 0.5 * nodes[nodes < cut_nm].sum() / 10 * 1e-9 / (planck * light_speed)
-    assert per_joule(options, 650.0, ([nodes], [np.full(10, 0.1)])) == pytest.approx(expected, rel=1e-12)
+    assert per_joule(options, 650.0, ([nodes], [np.full(10, 0.1)])) == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(("cut_nm", "below"), [(651.0, 1.0), (649.0, 0.0)])
@@ -365,7 +438,9 @@ def test_electrons_per_joule_infrared_cut_near_line(cut_nm, below):
     # A line at 650.0 in parts of 1 nm: a cut a nanometre beside it takes all of it or nothing.
     nodes = 645.5 + np.arange(10)
     nodes[5] = 650.0
-    seen = per_joule({"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}, 650.0, ([nodes], [np.eye(10)[5]]))
+    seen = per_joule(
+        {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}, 650.0, ([nodes], [np.eye(10)[5]])
+    )
     assert seen == pytest.approx(below * 0.5 * 650e-9 / (planck * light_speed), rel=1e-12)
 
 
@@ -376,30 +451,46 @@ def test_mean_signal_rate_sums_in_float64():
     weight = integration.electrons_per_joule(physics, image) * 1e-12
     result = integration.ideal_rate(image, physics)
     assert result.dtype == np.float64
-    np.testing.assert_allclose(result, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)
+    np.testing.assert_allclose(
+        result, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14
+    )
 
 
 def test_integrate_pixels_smaller_array_is_centred() -> None:
-    """Nine rows on a picture of ten: a linear rise is exact under the spline, so each row has the value at its centre."""
+    """Nine rows on a picture of ten: a linear rise is exact under the spline, so each row has the
+    value at its centre.
+    """
     rise = np.tile(np.arange(10.0)[:, None] + 0.5, (1, 12))
     pixels = integrate_pixels(rise, 1.0, 1.0, 1.0, size_um=(9.0, 12.0))
     np.testing.assert_allclose(pixels, np.tile(np.arange(1.0, 10.0)[:, None], (1, 12)), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("die_height_mm", "rows"), [(None, 10), (0.009, 9), (0.0095, 9), (0.02, 10)])
-def test_capture_beyond_the_die_has_pixels_of_the_die(die_height_mm: float | None, rows: int) -> None:
-    """A film of whole samples may end beyond the die; a smaller picture has fewer pixels than the die."""
-    camera = Camera(die_mm=0.012, die_height_mm=die_height_mm, focal_length_mm=0.05, object_distance_m=1.0)
+@pytest.mark.parametrize(
+    ("die_height_mm", "rows"), [(None, 10), (0.009, 9), (0.0095, 9), (0.02, 10)]
+)
+def test_capture_beyond_the_die_has_pixels_of_the_die(
+    die_height_mm: float | None, rows: int
+) -> None:
+    """A film of whole samples may end beyond the die; a smaller picture has fewer pixels than the
+    die.
+    """
+    camera = Camera(
+        die_mm=0.012, die_height_mm=die_height_mm, focal_length_mm=0.05, object_distance_m=1.0
+    )
     light = SpectralImage([550.0], 10.0, 1.0, data=np.ones((10, 12, 1), np.float32))
     physics = derive(Pixel(technology="4t-bsi", pitch_um=1.0))
     assert mean_signal_rate(light, camera, physics).shape == (rows, 12)
 
 
 def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
-    """A point through a singlet as three channels see it, against the PSFs of all bands by the shares of each channel."""
+    """A point through a singlet as three channels see it, against the PSFs of all bands by the
+    shares of each channel.
+    """
     nm, cells, pitch_um = np.arange(420.0, 661.0, 20.0), 33, 12.0
     camera = camera_with_lens(
-        Camera(die_mm=3.0, object_distance_m=5.0), CameraOptions(f_number=8.0), LensOptions(file="singlet", focal_length_mm=20.0)
+        Camera(die_mm=3.0, object_distance_m=5.0),
+        CameraOptions(f_number=8.0),
+        LensOptions(file="singlet", focal_length_mm=20.0),
     )
     channels = [np.exp(-(((nm - middle) / 35) ** 2)) for middle in (460.0, 540.0, 610.0)]
     tiling = Tiling(400.0, cells * pitch_um, 0.0, wavelengths=6, nodes=9)
@@ -408,7 +499,10 @@ def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
     image = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), picture[None]))
     at_um = [(place[axis] - 64) * pitch_um for axis in (1, 0)]
     fronts = fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes)
-    single = [point_spread(ChannelWavefronts([front], np.ones(1)), *at_um, pitch_um, cells).kernel for front in fronts]
+    single = [
+        point_spread(ChannelWavefronts([front], np.ones(1)), *at_um, pitch_um, cells).kernel
+        for front in fronts
+    ]
     around = tuple(slice(middle - cells // 2, middle + cells // 2 + 1) for middle in place)
     found = []
     for weight in channels:

@@ -15,7 +15,10 @@ STUDIES = [
     (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
     (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
     (["0.35um", "mine/0.35um.toml"], ["0.35um", "0.35um-2"]),
-    ([f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"], [f"{'n' * (MAX_LABEL - 1)}…", f"{'n' * (MAX_LABEL - 1)}…-2"]),
+    (
+        [f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"],
+        [f"{'n' * (MAX_LABEL - 1)}…", f"{'n' * (MAX_LABEL - 1)}…-2"],
+    ),
 ]
 
 

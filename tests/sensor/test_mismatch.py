@@ -1,4 +1,6 @@
-"""Spreads from geometry: their laws, and sampled dark currents against the closed form of their mean and variance."""
+"""Spreads from geometry: their laws, and sampled dark currents against the closed form of their
+mean and variance.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ import math
 import numpy as np
 import pytest
 
-from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
+from pixsim.sensor.mismatch import (
+    ELECTRON_C,
+    DarkSpread,
+    dark_current_of_geometry_e_per_s,
+    follower_offset_e,
+    prnu_of_area,
+)
 
 
 def test_prnu_falls_with_the_side():
@@ -18,20 +26,31 @@ def test_prnu_falls_with_the_side():
 def test_follower_offset_is_threshold_spread_on_the_node():
     """5 mV µm on 0.25 µm² is 10 mV, 10 mV · 1.602 fF is 100 electrons."""
     assert follower_offset_e(5.0, 0.25, ELECTRON_C * 1e19) == pytest.approx(1e2 * 1.0, rel=1e-12)
-    assert follower_offset_e(5.0, 1.0, 1.6) == pytest.approx(follower_offset_e(5.0, 0.25, 1.6) / 2, rel=1e-15)
+    assert follower_offset_e(5.0, 1.0, 1.6) == pytest.approx(
+        follower_offset_e(5.0, 0.25, 1.6) / 2, rel=1e-15
+    )
 
 
 def test_dark_current_is_area_and_perimeter():
     """1 nA/cm² is 62.4 e-/s on 1 µm²; 1 nA/cm is 6.24e5 e-/s on 1 µm."""
     per_um2 = 1e-9 * 1e-8 / ELECTRON_C
-    assert dark_current_of_geometry_e_per_s(1.0, 0.0, 4.0, 8.0) == pytest.approx(4 * per_um2, rel=1e-14)
-    assert dark_current_of_geometry_e_per_s(0.0, 1.0, 4.0, 8.0) == pytest.approx(8e4 * per_um2, rel=1e-14)
+    assert dark_current_of_geometry_e_per_s(1.0, 0.0, 4.0, 8.0) == pytest.approx(
+        4 * per_um2, rel=1e-14
+    )
+    assert dark_current_of_geometry_e_per_s(0.0, 1.0, 4.0, 8.0) == pytest.approx(
+        8e4 * per_um2, rel=1e-14
+    )
     # A square: the perimeter's part over the area's is 4 J_P/(J_A side).
     both = dark_current_of_geometry_e_per_s(1.0, 1e-4, 4.0, 8.0)
     assert both == pytest.approx(4 * per_um2 * (1 + 4 * 1.0 / 2.0), rel=1e-14)
 
 
-SPREADS = [DarkSpread(0.3), DarkSpread(0.3, 0.01, 10.0, 0.8), DarkSpread(0.0, 0.2, 4.0, 0.3), DarkSpread(0.5, 1.0, 3.0, 0.4)]
+SPREADS = [
+    DarkSpread(0.3),
+    DarkSpread(0.3, 0.01, 10.0, 0.8),
+    DarkSpread(0.0, 0.2, 4.0, 0.3),
+    DarkSpread(0.5, 1.0, 3.0, 0.4),
+]
 
 
 @pytest.mark.parametrize("spread", SPREADS)

@@ -1,4 +1,6 @@
-"""The photodiode: charge against light from hours to picoseconds, its junctions, and the signal of the sensor."""
+"""The photodiode: charge against light from hours to picoseconds, its junctions, and the signal of
+the sensor.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,32 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.sensor import photodiode as saturation, readout as sensors
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
-from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
+from pixsim.sensor.photodiode import (
+    charge_from_total_e,
+    collected_charge_e,
+    default_diode,
+    diode_of,
+)
+from pixsim.sensor.pixel import (
+    WELL_REFERENCE_S,
+    derive,
+    diode_full_v,
+    junction_charge_fc,
+    junction_ff,
+)
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
-QUIET = {"read_noise_e": 0, "reset_noise_factor": 0, "prnu": 0, "dsnu": 0, "offset_fpn": 0, "column_fpn": 0}
+QUIET = {
+    "read_noise_e": 0,
+    "reset_noise_factor": 0,
+    "prnu": 0,
+    "dsnu": 0,
+    "offset_fpn": 0,
+    "column_fpn": 0,
+}
 SHAPE = (64, 64)
 
 
@@ -40,8 +60,16 @@ def pixel(technology: str = "0.35um", **options) -> Pixel:
 def test_diode_charge_is_integral_of_capacitance(built_in_v, grading):
     for high_v, low_v in ((2.2, 1.0), (2.2, -0.1), (2.2, -0.7), (-0.3, -0.9), (0.0, -5.0)):
         knee = [-0.5 * built_in_v] if low_v < -0.5 * built_in_v < high_v else None
-        expected, _ = quad(lambda v: float(junction_ff(v, 3.0, built_in_v, grading)), low_v, high_v, points=knee, epsrel=1e-12)
-        assert junction_charge_fc(high_v, high_v - low_v, 3.0, built_in_v, grading) == pytest.approx(expected, rel=1e-11)
+        expected, _ = quad(
+            lambda v: float(junction_ff(v, 3.0, built_in_v, grading)),
+            low_v,
+            high_v,
+            points=knee,
+            epsrel=1e-12,
+        )
+        assert junction_charge_fc(
+            high_v, high_v - low_v, 3.0, built_in_v, grading
+        ) == pytest.approx(expected, rel=1e-11)
 
 
 def test_capacitance_forward_bias_is_smooth_spice_tangent():
@@ -68,17 +96,23 @@ def test_capacitance_without_tangent_is_undefined():
 def test_diode_of_pixel_has_its_area(technology):
     physics = derive(pixel(technology))
     diode, junction = diode_of(physics), physics.technology.junction
-    assert diode.charge_e(junction.reset_voltage_v, junction.voltage_swing_v) == pytest.approx(physics.full_well_e, rel=1e-12)
+    assert diode.charge_e(junction.reset_voltage_v, junction.voltage_swing_v) == pytest.approx(
+        physics.full_well_e, rel=1e-12
+    )
     assert diode.saturation_current_e_per_s == physics.dark_current_e_per_s
     assert diode.thermal_v == pytest.approx(boltzmann * 300.15 / electron, rel=1e-12)
     charge = physics.full_well_e * np.array([0.0, 1e-9, 0.3, 1.0, 2.5])
-    np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-13)
+    np.testing.assert_allclose(
+        diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-13
+    )
 
 
 def test_drop_v_deep_forward_bias_inverts_charge():
     diode = default_diode()
     charge = np.logspace(-9, 20, 59)
-    np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-12)
+    np.testing.assert_allclose(
+        diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-12
+    )
 
 
 # --- Collected charge ---
@@ -92,7 +126,9 @@ def test_photodiode_public_names():
     dark_e = derive(Pixel()).dark_current_e_per_s * 0.03
     assert charge[0, 0] == pytest.approx(dark_e, rel=1e-12)
     assert charge[1, 0] == pytest.approx(30_000 + dark_e, rel=1e-12)
-    assert collected_charge_e(1e6, np.array([0.0, 0.01])).tolist() == pytest.approx([0.0, 10_000 + dark_e / 3], rel=1e-12)
+    assert collected_charge_e(1e6, np.array([0.0, 0.01])).tolist() == pytest.approx(
+        [0.0, 10_000 + dark_e / 3], rel=1e-12
+    )
     assert collected_charge_e([], 1.0).shape == (0,)
 
 
@@ -105,9 +141,14 @@ def test_collected_charge_invalid_arguments_raise(wrong):
 
 
 def test_diode_varying_capacitance_is_not_constant():
-    # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward bias.
+    # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward
+    # bias.
     physics = derive(pixel())
-    flat = {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": physics.capacitance_ff}
+    flat = {
+        "cj_ff_per_um2": 0.0,
+        "cjsw_ff_per_um": 0.0,
+        "node_capacitance_ff": physics.capacitance_ff,
+    }
     constant = replace(diode_of(physics), **flat)
     assert collected_charge_e(*SATURATED) / collected_charge_e(*SATURATED, constant) > 1.1
 
@@ -115,19 +156,27 @@ def test_diode_varying_capacitance_is_not_constant():
 def test_open_circuit_v_extreme_currents():
     diode = replace(default_diode(), saturation_current_e_per_s=5e-324)
     # The ratio overflows, its logarithm does not.
-    assert diode.open_circuit_v(1e17) == pytest.approx(-diode.thermal_v * (math.log(1e17) - math.log(5e-324)), rel=1e-12)
+    assert diode.open_circuit_v(1e17) == pytest.approx(
+        -diode.thermal_v * (math.log(1e17) - math.log(5e-324)), rel=1e-12
+    )
     assert diode.open_circuit_v(0.0) == 0.0
     none = replace(diode, saturation_current_e_per_s=0.0)
     assert (none.open_circuit_v(0.0), none.open_circuit_v(1.0)) == (0.0, -math.inf)
-    assert default_diode().open_circuit_v(1e-12) == pytest.approx(-default_diode().thermal_v * 1e-12 / 819.0475, rel=1e-6)
+    assert default_diode().open_circuit_v(1e-12) == pytest.approx(
+        -default_diode().thermal_v * 1e-12 / 819.0475, rel=1e-6
+    )
 
 
 def test_charge_from_total_negative_photocurrent_slows_discharge():
-    # What a dark pixel's share below the mean is to the table; with less than I_s e^(-V_0/V_T) nothing is collected.
+    # What a dark pixel's share below the mean is to the table; with less than I_s e^(-V_0/V_T)
+    # nothing is collected.
     diode = replace(default_diode(), reset_voltage_v=0.1)
     total = diode.saturation_current_e_per_s * np.array([0.0, 1e-3, 0.1, 1.0])
     charge = charge_from_total_e(total, np.full(4, 1e5), diode)
-    assert (charge[:2].tolist(), charge[3]) == ([0.0, 0.0], pytest.approx(charge_to_e(diode, 0.0), rel=1e-9))
+    assert (charge[:2].tolist(), charge[3]) == (
+        [0.0, 0.0],
+        pytest.approx(charge_to_e(diode, 0.0), rel=1e-9),
+    )
     assert 0 < charge[2] < charge[3]
 
 
@@ -135,51 +184,83 @@ def test_charge_from_total_negative_photocurrent_slows_discharge():
 def test_collected_charge_of_a_constant_capacitance_is_the_closed_form(temperature_k):
     """20 decades of light, 1 ns to 10 h."""
     diode = diode_of(Pixel(capacitance="paper", temperature_k=temperature_k))
-    current, time_s = np.logspace(-3, 17, 201)[:, None], np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
+    current, time_s = (
+        np.logspace(-3, 17, 201)[:, None],
+        np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0]),
+    )
     expected = constant_diode_charge_e(current, time_s, diode)
-    np.testing.assert_allclose(collected_charge_e(current, time_s, diode), expected, rtol=1e-10)  # as the kernel promises
+    np.testing.assert_allclose(
+        collected_charge_e(current, time_s, diode), expected, rtol=1e-10
+    )  # as the kernel promises
 
 
 LOG_CURRENT, LOG_TIME = st.floats(-3, 17), st.floats(-9, math.log10(36000))
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
-@given(st.sampled_from([*PITCHES_UM]), st.floats(77, 400), st.tuples(LOG_CURRENT, LOG_CURRENT), st.tuples(LOG_TIME, LOG_TIME))
-def test_collected_charge_grows_with_light_and_time(technology, temperature_k, log_current, log_time):
+@given(
+    st.sampled_from([*PITCHES_UM]),
+    st.floats(77, 400),
+    st.tuples(LOG_CURRENT, LOG_CURRENT),
+    st.tuples(LOG_TIME, LOG_TIME),
+)
+def test_collected_charge_grows_with_light_and_time(
+    technology, temperature_k, log_current, log_time
+):
     diode = diode_of(pixel(technology, temperature_k=temperature_k))
     current, time_s = (np.power(10.0, sorted(item)) for item in (log_current, log_time))
     charge = collected_charge_e(current[:, None], time_s, diode)
     rounding = 1e-12 * charge.max()
     assert np.diff(charge, axis=0).min() >= -rounding
     assert np.diff(charge, axis=1).min() >= -rounding
-    assert np.all(charge <= (current[:, None] + diode.saturation_current_e_per_s) * time_s * (1 + 1e-12))
-    most = [diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v - diode.open_circuit_v(each)) for each in current]
+    assert np.all(
+        charge <= (current[:, None] + diode.saturation_current_e_per_s) * time_s * (1 + 1e-12)
+    )
+    most = [
+        diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v - diode.open_circuit_v(each))
+        for each in current
+    ]
     assert np.all(charge <= np.array(most)[:, None] * (1 + 1e-12))
 
 
 # --- Wells ---
 
 
-@pytest.mark.parametrize(("technology", "ratio"), [("0.5um", 2.69), ("0.35um", 2.27), ("0.25um", 2.59), ("0.18um", 2.88)])
+@pytest.mark.parametrize(
+    ("technology", "ratio"), [("0.5um", 2.69), ("0.35um", 2.27), ("0.25um", 2.59), ("0.18um", 2.88)]
+)
 def test_diode_well_is_two_to_three_swings(technology, ratio):
     swing, diode = (derive(pixel(technology, well_limit=limit)) for limit in ("swing", "diode"))
     assert diode.full_well_e / swing.full_well_e == pytest.approx(ratio, abs=0.005)
     kind = diode_of(diode)
     full_v = diode_full_v(kind)
     # The light that discharges it to 0 V in the reference time is what it carries when full.
-    assert full_v == pytest.approx(kind.open_circuit_v(charge_to_e(kind, 0.0) / WELL_REFERENCE_S), rel=1e-9)
+    assert full_v == pytest.approx(
+        kind.open_circuit_v(charge_to_e(kind, 0.0) / WELL_REFERENCE_S), rel=1e-9
+    )
     assert diode.full_well_e == pytest.approx(charge_to_e(kind, full_v), rel=1e-9)
-    assert diode.capacitance_ff == pytest.approx(diode.full_well_e * 1.602176634e-4 / (kind.reset_voltage_v - full_v), rel=1e-9)
+    assert diode.capacitance_ff == pytest.approx(
+        diode.full_well_e * 1.602176634e-4 / (kind.reset_voltage_v - full_v), rel=1e-9
+    )
     # Reset noise is that of the same node, fixed patterns are fractions of the well.
     assert diode.reset_noise_e == swing.reset_noise_e
-    assert diode.offset_fpn_e / diode.full_well_e == pytest.approx(swing.offset_fpn_e / swing.full_well_e, rel=1e-12)
+    assert diode.offset_fpn_e / diode.full_well_e == pytest.approx(
+        swing.offset_fpn_e / swing.full_well_e, rel=1e-12
+    )
 
 
 def test_derive_given_well_scales_capacitance():
-    standard, given_ = derive(pixel(well_limit="diode")), derive(pixel(well_limit="diode", full_well_e=500_000))
+    standard, given_ = (
+        derive(pixel(well_limit="diode")),
+        derive(pixel(well_limit="diode", full_well_e=500_000)),
+    )
     factor = 500_000 / standard.full_well_e
-    assert diode_of(given_).capacitance_ff(1.3) == pytest.approx(factor * diode_of(standard).capacitance_ff(1.3), rel=1e-12)
-    assert diode_of(given_).drop_v(500_000) == pytest.approx(float(diode_of(standard).drop_v(standard.full_well_e)), rel=1e-12)
+    assert diode_of(given_).capacitance_ff(1.3) == pytest.approx(
+        factor * diode_of(standard).capacitance_ff(1.3), rel=1e-12
+    )
+    assert diode_of(given_).drop_v(500_000) == pytest.approx(
+        float(diode_of(standard).drop_v(standard.full_well_e)), rel=1e-12
+    )
 
 
 def test_diode_full_v_without_current_is_tangent_bias():
@@ -187,16 +268,24 @@ def test_diode_full_v_without_current_is_tangent_bias():
     assert diode_full_v(diode_of(physics)) == -0.5 * physics.technology.junction.pb_v
     assert saturation.linear_limit_e(diode_of(physics), physics.full_well_e, 0.1) == math.inf
     for conversion in ("linear", "junction"):
-        readout = Readout.of(derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion)))
-        level = saturation.stored_signal_e(np.array([0.0, 1.0, 2.0, 1e6]) * readout.full_well_e, 0.1, readout)
+        readout = Readout.of(
+            derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion))
+        )
+        level = saturation.stored_signal_e(
+            np.array([0.0, 1.0, 2.0, 1e6]) * readout.full_well_e, 0.1, readout
+        )
         assert np.all(np.diff(level) > 0)
         assert level[1] == pytest.approx(readout.full_well_e, rel=1e-6)
 
 
-@pytest.mark.parametrize("options", [{"well_limit": "diode"}, {"conversion": "junction"}, {"capacitance": "paper"}])
+@pytest.mark.parametrize(
+    "options", [{"well_limit": "diode"}, {"conversion": "junction"}, {"capacitance": "paper"}]
+)
 def test_well_pinned_photodiode_options_raise(options):
     (name, value) = next(iter(options.items()))
-    with pytest.raises(PixsimError, match=rf"pixel\.{name}: got '{value}' for 4t-bsi; allowed: .*3T technology"):
+    with pytest.raises(
+        PixsimError, match=rf"pixel\.{name}: got '{value}' for 4t-bsi; allowed: .*3T technology"
+    ):
         derive(Pixel(technology="4t-bsi", pitch_um=2.8, **options))
     with pytest.raises(PixsimError, match="photodiode: got the pinned one of 4t-bsi"):
         diode_of(Pixel(technology="4t-bsi", pitch_um=2.8))
@@ -205,9 +294,13 @@ def test_well_pinned_photodiode_options_raise(options):
 # --- Signal of the sensor ---
 
 
-def frame(readout, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
+def frame(
+    readout, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3
+) -> np.ndarray:
     sensor = sensors.sample_sensor(readout, shape, np.random.default_rng(1))
-    return sensors.read_out(np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed))
+    return sensors.read_out(
+        np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed)
+    )
 
 
 def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.ndarray:
@@ -221,13 +314,17 @@ def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.
     return stored
 
 
-@pytest.mark.parametrize(("limit", "conversion"), [*itertools.product(("swing", "diode"), ("linear", "junction"))])
+@pytest.mark.parametrize(
+    ("limit", "conversion"), [*itertools.product(("swing", "diode"), ("linear", "junction"))]
+)
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
 def test_read_out_without_noise_matches_kernel(monkeypatch, limit, conversion, share):
     readout = Readout.of(derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET)))
     monkeypatch.setattr(sensors, "_shot_noise", lambda mean_e, rng: mean_e.copy())
     light_e = share * readout.full_well_e
-    level = exact_level_e(readout.physics, np.array(light_e + 0.03 * readout.dark_current_e_per_s), 0.03)
+    level = exact_level_e(
+        readout.physics, np.array(light_e + 0.03 * readout.dark_current_e_per_s), 0.03
+    )
     expected = min(float(level) * readout.dn_per_e, 2**16 - 1)
     # Rounding, and 1e-6 of the well: 0.07 DN.
     assert np.abs(frame(readout, light_e) - expected).max() <= 0.57
@@ -252,7 +349,10 @@ def test_read_out_soft_saturation_shapes_shot_noise():
 def test_read_out_below_saturation_both_well_limits_agree():
     options = QUIET | {"full_well_e": 150_000, "prnu": 0.02, "read_noise_e": 20}
     for mean_e, differ in ((90_000, False), (148_000, True)):
-        swing, diode = (frame(Readout.of(derive(pixel(well_limit=limit, **options))), mean_e) for limit in ("swing", "diode"))
+        swing, diode = (
+            frame(Readout.of(derive(pixel(well_limit=limit, **options))), mean_e)
+            for limit in ("swing", "diode")
+        )
         assert np.any(swing != diode) == differ
 
 
@@ -260,7 +360,10 @@ def test_read_out_below_saturation_both_well_limits_agree():
 def test_converted_junction_nonlinearity_is_two_percent(technology):
     readout = Readout.of(derive(pixel(technology, conversion="junction")))
     charge = np.linspace(0, 1, 201) * readout.full_well_e
-    bend = saturation.stored_signal_e(charge, 0.03, readout) / readout.full_well_e - charge / readout.full_well_e
+    bend = (
+        saturation.stored_signal_e(charge, 0.03, readout) / readout.full_well_e
+        - charge / readout.full_well_e
+    )
     # 1.61, 1.75, 1.93 and 0.99 %, half way up; both ends stay.
     stated = {"0.5um": 0.0161, "0.35um": 0.0175, "0.25um": 0.0193, "0.18um": 0.0099}[technology]
     assert bend.max() == pytest.approx(stated, abs=1e-4)
@@ -272,7 +375,9 @@ def test_converted_junction_nonlinearity_is_two_percent(technology):
 def test_converted_constant_capacitance_is_linear():
     readout = Readout.of(derive(pixel(capacitance="paper", conversion="junction")))
     charge = np.linspace(0, 1.3, 50) * readout.full_well_e
-    np.testing.assert_array_equal(saturation.stored_signal_e(charge, 0.03, readout), np.minimum(charge, readout.full_well_e))
+    np.testing.assert_array_equal(
+        saturation.stored_signal_e(charge, 0.03, readout), np.minimum(charge, readout.full_well_e)
+    )
 
 
 @pytest.mark.parametrize("integration_s", [1e-3, 0.1, 3600.0])
@@ -282,7 +387,9 @@ def test_linear_limit_loss_is_1e_6_of_well(integration_s):
     limit_e = saturation.linear_limit_e(diode, well_e, integration_s)
     for share, beyond in ((1 - 1e-6, False), (1 + 1e-4, True)):
         generated = np.array([share * limit_e])
-        assert (generated - saturation.stored_charge_e(generated, integration_s, diode) > 1e-6 * well_e).item() is beyond
+        assert (
+            generated - saturation.stored_charge_e(generated, integration_s, diode) > 1e-6 * well_e
+        ).item() is beyond
     # Below it no table is made.
     saturation.level_table.cache_clear()
     dim = np.array([0.0, 0.999 * limit_e])
@@ -295,5 +402,8 @@ def test_linear_limit_loss_is_1e_6_of_well(integration_s):
 
 def test_integration_time_targets_well_of_limit():
     wells = (Readout.of(derive(pixel(well_limit=limit))) for limit in ("swing", "diode"))
-    swing_s, diode_s = (sensors.integration_time_s(Exposure(max_integration_s=10), readout, 1e7) for readout in wells)
+    swing_s, diode_s = (
+        sensors.integration_time_s(Exposure(max_integration_s=10), readout, 1e7)
+        for readout in wells
+    )
     assert diode_s / swing_s == pytest.approx(2.267, abs=1e-3)

@@ -17,7 +17,16 @@ from PIL.PngImagePlugin import PngInfo
 import pixsim
 from pixsim import cli
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BLACK_LEVEL_TAG, ENCODING, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame, read_picture, write_frame
+from pixsim.sensor.raw import (
+    BLACK_LEVEL_TAG,
+    ENCODING,
+    FACTS,
+    SUFFIXES,
+    WHITE_LEVEL_TAG,
+    RawFrame,
+    read_picture,
+    write_frame,
+)
 from pixsim.sensor.readout import Frame
 
 CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int32)
@@ -34,17 +43,33 @@ def test_write_frame_numbers_read_back(suffix: str, tmp_path: Path) -> None:
     result = pixsim.read_frame(path)
     np.testing.assert_array_equal(result.dn, CODES)
     assert result.dn.dtype == np.uint16
-    assert (result.black_level_dn, result.white_level_dn, result.bits, result.pitch_um) == (64.25, 4095.0, 12, 5.3)
-    assert (result.dn_per_e, result.integration_s, result.saturated_fraction) == (0.37, 1 / 60, 1 / 3)
+    assert (result.black_level_dn, result.white_level_dn, result.bits, result.pitch_um) == (
+        64.25,
+        4095.0,
+        12,
+        5.3,
+    )
+    assert (result.dn_per_e, result.integration_s, result.saturated_fraction) == (
+        0.37,
+        1 / 60,
+        1 / 3,
+    )
     pixsim.write_frame(tmp_path / f"again{suffix}", result)
     assert (tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
     assert sorted(item.name for item in tmp_path.iterdir()) == sorted([path.name, f"again{suffix}"])
 
 
-@pytest.mark.parametrize(("bits", "suffixes"), [(8, SUFFIXES), (16, SUFFIXES), (17, (".exr", ".npz")), (24, (".exr", ".npz"))])
-def test_write_frame_all_codes_read_back(bits: int, suffixes: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("bits", "suffixes"),
+    [(8, SUFFIXES), (16, SUFFIXES), (17, (".exr", ".npz")), (24, (".exr", ".npz"))],
+)
+def test_write_frame_all_codes_read_back(
+    bits: int, suffixes: tuple[str, ...], tmp_path: Path
+) -> None:
     top = 2**bits - 1
-    dn = np.unique(np.concatenate([np.arange(300) % (top + 1), top - np.arange(300) % (top + 1)])).astype(np.int32)[None, :]
+    dn = np.unique(
+        np.concatenate([np.arange(300) % (top + 1), top - np.arange(300) % (top + 1)])
+    ).astype(np.int32)[None, :]
     for suffix in suffixes:
         pixsim.write_frame(tmp_path / f"raw{suffix}", frame(dn, bits))
         np.testing.assert_array_equal(pixsim.read_frame(tmp_path / f"raw{suffix}").dn, dn)
@@ -52,7 +77,9 @@ def test_write_frame_all_codes_read_back(bits: int, suffixes: tuple[str, ...], t
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
 def test_write_frame_too_many_bits_raises_and_leaves_no_file(suffix: str, tmp_path: Path) -> None:
-    with pytest.raises(pixsim.PixsimError, match=r"up to 65536; allowed: 16 bits. Write .exr or .npz"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"up to 65536; allowed: 16 bits. Write .exr or .npz"
+    ):
         pixsim.write_frame(tmp_path / f"raw{suffix}", frame(np.array([[1, 65536]], np.int32), 17))
     assert list(tmp_path.iterdir()) == []
 
@@ -60,9 +87,15 @@ def test_write_frame_too_many_bits_raises_and_leaves_no_file(suffix: str, tmp_pa
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("value", [-1, 1.7, np.nan, np.inf, -np.inf, 1e30, 2**32, 70000, 2**24 + 1])
 def test_write_frame_keeps_numbers_or_raises(suffix: str, value: float, tmp_path: Path) -> None:
-    """No format may hold another number: of 16 bits 70000 would be 4464, and float32 rounds 2²⁴ + 1."""
+    """No format may hold another number: of 16 bits 70000 would be 4464, and float32 rounds 2²⁴ +
+    1.
+    """
     dn = np.array([[1, value]])
-    if value <= {".npz": 2**32 - 1, ".exr": 2**24}.get(suffix, 2**16 - 1) and value >= 0 and value % 1 == 0:
+    if (
+        value <= {".npz": 2**32 - 1, ".exr": 2**24}.get(suffix, 2**16 - 1)
+        and value >= 0
+        and value % 1 == 0
+    ):
         pixsim.write_frame(tmp_path / f"raw{suffix}", RawFrame(dn))
         np.testing.assert_array_equal(pixsim.read_frame(tmp_path / f"raw{suffix}").dn, dn)
         return
@@ -72,10 +105,20 @@ def test_write_frame_keeps_numbers_or_raises(suffix: str, value: float, tmp_path
 
 
 @pytest.mark.parametrize(
-    "dn", [np.array(3), np.ones(3), np.ones((0, 3)), np.ones((2, 2, 2)), np.array([["x"]]), np.array([[None]])]
+    "dn",
+    [
+        np.array(3),
+        np.ones(3),
+        np.ones((0, 3)),
+        np.ones((2, 2, 2)),
+        np.array([["x"]]),
+        np.array([[None]]),
+    ],
 )
 def test_write_frame_no_picture_raises(dn: np.ndarray, tmp_path: Path) -> None:
-    with pytest.raises(pixsim.PixsimError, match=r"whole numbers, \(rows, columns\)|an array of real numbers"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"whole numbers, \(rows, columns\)|an array of real numbers"
+    ):
         pixsim.write_frame(tmp_path / "raw.npz", RawFrame(dn))
 
 
@@ -88,9 +131,16 @@ def test_write_frame_other_readers_agree(tmp_path: Path) -> None:
             np.testing.assert_array_equal(np.asarray(image), CODES)
             assert image.mode == "I;16"
             if suffix == ".png":
-                assert (image.text["black_level_dn"], image.text["white_level_dn"], image.text["unit"]) == ("64.25", "4095.0", "DN")
+                assert (
+                    image.text["black_level_dn"],
+                    image.text["white_level_dn"],
+                    image.text["unit"],
+                ) == ("64.25", "4095.0", "DN")
             else:
-                assert (image.tag_v2[BLACK_LEVEL_TAG], image.tag_v2[WHITE_LEVEL_TAG]) == (64.25, 4095)
+                assert (image.tag_v2[BLACK_LEVEL_TAG], image.tag_v2[WHITE_LEVEL_TAG]) == (
+                    64.25,
+                    4095,
+                )
                 assert json.loads(image.tag_v2[270])["integration_s"] == 1 / 60
     with np.load(tmp_path / "raw.npz") as file:
         np.testing.assert_array_equal(file["dn"], CODES)
@@ -123,9 +173,10 @@ def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
     pixsim.write_frame(path, frame())
     simulated = pixsim.read_frame(path)
     assert (simulated.saturated_fraction, simulated.top_code_fraction) == (1 / 3, 1 / 12)
-    assert repr(simulated) == (
-        "<RawFrame 3 × 4: black_level_dn=64.25, white_level_dn=4095, bits=12, pitch_um=5.3, dn_per_e=0.37, "
-        "integration_s=0.0166667, saturated_fraction=0.333333>"
+    assert (
+        repr(simulated)
+        == "<RawFrame 3 × 4: black_level_dn=64.25, white_level_dn=4095, bits=12, pitch_um=5.3,"
+        " dn_per_e=0.37, integration_s=0.0166667, saturated_fraction=0.333333>"
     )
     np.savez(path, dn=CODES, bits=12)
     other = pixsim.read_frame(path)
@@ -136,12 +187,20 @@ def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
 
 
 INVALID = [("a.npz", np.array([[value]]), "whole numbers from 0 to") for value in (0.5, -1, np.nan)]
-INVALID += [("a.npz", array, "whole numbers, ") for array in (np.array(["a"]), np.zeros((0, 3)), np.zeros((2, 3, 3)))]
-INVALID += [("a.png", np.zeros((4, 4, 3), np.uint8), "mode RGB"), ("a.tiff", np.zeros((4, 4), np.uint8), "mode L")]
+INVALID += [
+    ("a.npz", array, "whole numbers, ")
+    for array in (np.array(["a"]), np.zeros((0, 3)), np.zeros((2, 3, 3)))
+]
+INVALID += [
+    ("a.png", np.zeros((4, 4, 3), np.uint8), "mode RGB"),
+    ("a.tiff", np.zeros((4, 4), np.uint8), "mode L"),
+]
 
 
 @pytest.mark.parametrize(("name", "array", "message"), INVALID)
-def test_read_frame_invalid_values_raise(name: str, array: np.ndarray, message: str, tmp_path: Path) -> None:
+def test_read_frame_invalid_values_raise(
+    name: str, array: np.ndarray, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / name
     np.savez(path, dn=array) if path.suffix == ".npz" else Image.fromarray(array).save(path)
     with pytest.raises(pixsim.PixsimError, match=message):
@@ -175,9 +234,15 @@ def run(line: str) -> int:
 
 def test_run_writes_frames_of_equal_sfr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    small = "--resolution 192 --display.dots 128 --camera.die-mm 1.0 --pixel.black-level-dn 40 --exposure.well-target 0.7"
+    small = (
+        "--resolution 192 --display.dots 128 --camera.die-mm 1.0 --pixel.black-level-dn 40"
+        " --exposure.well-target 0.7"
+    )
     assert run(f"run slanted_edge {small} --raw tiff --raw png --raw npz --out {out}") == 0
-    frames = {suffix: pixsim.read_frame(out / f"raw{suffix}") for suffix in (".exr", ".tiff", ".png", ".npz")}
+    frames = {
+        suffix: pixsim.read_frame(out / f"raw{suffix}")
+        for suffix in (".exr", ".tiff", ".png", ".npz")
+    }
     for result in frames.values():
         np.testing.assert_array_equal(result.dn, frames[".exr"].dn)
         assert (result.black_level_dn, result.white_level_dn, result.bits) == (40.0, 1023.0, 10)
@@ -196,10 +261,17 @@ def test_write_frame_without_metadata(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("layout", "size", "pattern"),
-    [("GR/BG", (2, 2), [1, 0, 2, 1]), ("RGB/GGR", (2, 3), [0, 1, 2, 1, 1, 0]), ("RC/CB", None, None), ("R+G+B", None, None)],
+    [
+        ("GR/BG", (2, 2), [1, 0, 2, 1]),
+        ("RGB/GGR", (2, 3), [0, 1, 2, 1, 1, 0]),
+        ("RC/CB", None, None),
+        ("R+G+B", None, None),
+    ],
 )
 def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pattern):
-    """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue; none for other colours."""
+    """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue;
+    none for other colours.
+    """
     frame = RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.of_text(layout))
     write_frame(tmp_path / "raw.tiff", frame)
     with Image.open(tmp_path / "raw.tiff") as picture:
@@ -213,7 +285,15 @@ def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pat
 def test_mosaic_of_tiff_ep_is_read(deflate: bool, tmp_path: Path) -> None:
     """Photometric interpretation 32803, with its tags; cut off anywhere, it is refused."""
     values = np.arange(8 * 6).reshape(8, 6, 1).astype("<u2")
-    tiff(tmp_path / "raw.tif", values, 32803, deflate=deflate, t33421=(3, [2, 2]), t33422=(1, [1, 2, 0, 1]), t50714=(3, [64] * 4))
+    tiff(
+        tmp_path / "raw.tif",
+        values,
+        32803,
+        deflate=deflate,
+        t33421=(3, [2, 2]),
+        t33422=(1, [1, 2, 0, 1]),
+        t50714=(3, [64] * 4),
+    )
     frame = pixsim.read_frame(tmp_path / "raw.tif")
     np.testing.assert_array_equal(frame.dn, values[..., 0])
     assert (str(frame.layout), frame.black_level_dn) == ("GB/RG", 64.0)
@@ -247,12 +327,16 @@ def test_png_of_16_bits_in_colour_is_read_to_the_last_bit(count: int, tmp_path: 
     values = np.random.default_rng(1).integers(0, 65536, (7, 5, count)).astype(">u2")
 
     def chunk(name: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        return (
+            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        )
 
     header = struct.pack(">2I5B", 5, 7, 16, {3: 2, 4: 6}[count], 0, 0, 0)
     rows = zlib.compress(b"".join(b"\0" + row.tobytes() for row in values))
     path = tmp_path / "deep.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    )
     found, metadata = read_picture(path, "picture", SUFFIXES, in_colour=True)
     np.testing.assert_array_equal(found, values[..., :3])
     assert ENCODING not in metadata
@@ -261,11 +345,15 @@ def test_png_of_16_bits_in_colour_is_read_to_the_last_bit(count: int, tmp_path: 
     assert read_picture(path, "picture", SUFFIXES, in_colour=True)[1][ENCODING] == "srgb"
 
 
-@pytest.mark.parametrize(("kind", "photometric", "planar"), [("<f4", 2, False), ("<u2", 2, True), ("<u1", 32803, False)])
+@pytest.mark.parametrize(
+    ("kind", "photometric", "planar"), [("<f4", 2, False), ("<u2", 2, True), ("<u1", 32803, False)]
+)
 def test_other_tiffs_are_refused(kind: str, photometric: int, planar: bool, tmp_path: Path) -> None:
     values = np.zeros((4, 4, 1 if photometric == 32803 else 3), kind)
     tiff(tmp_path / "a.tif", values, photometric, planar=planar)
-    with pytest.raises(pixsim.PixsimError, match=r"a\.tif.*(Pillow does not read|a plane for each colour)"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"a\.tif.*(Pillow does not read|a plane for each colour)"
+    ):
         read_picture(tmp_path / "a.tif", "picture", SUFFIXES, in_colour=True)
 
 
@@ -275,9 +363,13 @@ BLACK: dict[str, tuple] = {"t50713": (3, [2, 2]), "t50714": (3, [256, 257, 258, 
 
 
 def edge_codes(shape: tuple[int, int] = (160, 120)) -> np.ndarray:
-    """A slanted edge between 100 and 1000 codes of green above black, 0.6 of it in red and 0.8 in blue, RGGB, with CELL."""
+    """A slanted edge between 100 and 1000 codes of green above black, 0.6 of it in red and 0.8 in
+    blue, RGGB, with CELL.
+    """
     rows, columns = np.mgrid[: shape[0], : shape[1]]
-    right = np.clip((columns - shape[1] / 2 + (rows - shape[0] / 2) * np.tan(np.radians(5))) / 1.2 + 0.5, 0, 1)
+    right = np.clip(
+        (columns - shape[1] / 2 + (rows - shape[0] / 2) * np.tan(np.radians(5))) / 1.2 + 0.5, 0, 1
+    )
     light = (100 + 900 * right) * np.tile([[0.6, 1.0], [1.0, 0.8]], (shape[0] // 2, shape[1] // 2))
     noise = np.random.default_rng(1).standard_normal(shape) * np.sqrt(light) / 3
     return np.rint(light + noise + np.tile(CELL, (shape[0] // 2, shape[1] // 2))).astype("<u2")
@@ -285,20 +377,26 @@ def edge_codes(shape: tuple[int, int] = (160, 120)) -> np.ndarray:
 
 @pytest.mark.parametrize("photometric", [1, 32803])
 def test_black_levels_of_each_place_of_the_cell_are_used(photometric: int, tmp_path: Path) -> None:
-    """The contrast of every channel is (1000 - 100)/(1000 + 100); with black left in, that of red is 0.46."""
+    """The contrast of every channel is (1000 - 100)/(1000 + 100); with black left in, that of red
+    is 0.46.
+    """
     tiff(tmp_path / "raw.tif", edge_codes()[..., None], photometric, **MOSAIC, **BLACK)
     levels = pixsim.read_frame(tmp_path / "raw.tif").black_level_dn
     np.testing.assert_array_equal(levels, np.tile(CELL, (80, 60)))
     for channel in "RGB":
         edge = pixsim.sfr(tmp_path / "raw.tif", channel=channel)
-        # Noise of 4 codes and less in 600 pixels of each side, and half a code: below 0.002 of the contrast.
+        # Noise of 4 codes and less in 600 pixels of each side, and half a code: below 0.002 of the
+        # contrast.
         assert edge.contrast == pytest.approx(900 / 1100, abs=0.004)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_black_levels_of_a_cell_are_written(suffix: str, tmp_path: Path) -> None:
     levels = np.tile(CELL, (3, 2))[:5, :3]
-    write_frame(tmp_path / f"raw{suffix}", RawFrame(np.arange(300, 315).reshape(5, 3), black_level_dn=levels))
+    write_frame(
+        tmp_path / f"raw{suffix}",
+        RawFrame(np.arange(300, 315).reshape(5, 3), black_level_dn=levels),
+    )
     back = pixsim.read_frame(tmp_path / f"raw{suffix}")
     np.testing.assert_array_equal(back.black_level_dn, levels)
     assert "black_level_dn=256…258" in repr(back)
@@ -308,12 +406,16 @@ def test_black_levels_of_a_cell_are_written(suffix: str, tmp_path: Path) -> None
 
 def test_black_levels_without_a_cell_are_not_written(tmp_path: Path) -> None:
     levels = np.random.default_rng(1).uniform(0, 9, (40, 40))
-    with pytest.raises(pixsim.PixsimError, match="another one for each pixel; allowed: cells of up to 16 × 16"):
+    with pytest.raises(
+        pixsim.PixsimError, match="another one for each pixel; allowed: cells of up to 16 × 16"
+    ):
         write_frame(tmp_path / "raw.npz", RawFrame(np.full((40, 40), 9), black_level_dn=levels))
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("tags", [{"t50714": (3, [1, 2, 3, 4])}, {"t50713": (3, [2, 3]), "t50714": (3, [1, 2, 3, 4])}])
+@pytest.mark.parametrize(
+    "tags", [{"t50714": (3, [1, 2, 3, 4])}, {"t50713": (3, [2, 3]), "t50714": (3, [1, 2, 3, 4])}]
+)
 def test_black_levels_that_fit_no_cell_are_named(tags: dict[str, tuple], tmp_path: Path) -> None:
     tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 1, **tags)
     with pytest.warns(UserWarning, match="states black levels that fit no cell"):
@@ -331,7 +433,9 @@ def test_transfer_function_of_a_tiff_is_an_encoding(tmp_path: Path) -> None:
     for gamma, encoding in ((1.0, None), (2.2, "TransferFunction")):
         curve = np.rint(65535 * level**gamma).astype(int).tolist()
         tiff(tmp_path / "picture.tif", np.full((8, 6, 1), 9, "<u2"), 1, t301=(3, curve))
-        assert read_picture(tmp_path / "picture.tif", "picture", SUFFIXES)[1].get(ENCODING) == encoding
+        assert (
+            read_picture(tmp_path / "picture.tif", "picture", SUFFIXES)[1].get(ENCODING) == encoding
+        )
 
 
 PAGES = [Image.fromarray(np.full((8, 6), 100 + number, np.uint16)) for number in range(3)]

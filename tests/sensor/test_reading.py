@@ -1,4 +1,6 @@
-"""How pixels are read: one record of gain, exposures, ADC, black level and binning, against closed forms."""
+"""How pixels are read: one record of gain, exposures, ADC, black level and binning, against closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,12 @@ SHEET = {
 def binned(**more: float) -> PixelPhysics:
     """Return a pixel of a sensor that sums the charge of 2 × 2 pixels."""
     sheet = {name: value for name, value in SHEET.items() if name != "quantum_efficiency"}
-    colour = {"pattern": "quad_rggb", "binning": True, "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
+    colour = {
+        "pattern": "quad_rggb",
+        "binning": True,
+        "sensitivities": "Nikon_D5100",
+        "peak_quantum_efficiency": 0.5,
+    }
     return derive(Pixel.model_validate(sheet | {"colour": colour} | more))
 
 
@@ -36,7 +43,9 @@ def test_codes_of_an_adc_follow_its_gain_or_its_span() -> None:
 
 
 def test_readout_of_an_exposure_is_that_of_the_pixel_taken_to_it() -> None:
-    """20 dB: a tenth of the range, ten times the gain, and √(1.5² + 0.4²) of read noise; of 4 exposures their sum."""
+    """20 dB: a tenth of the range, ten times the gain, and √(1.5² + 0.4²) of read noise; of 4
+    exposures their sum.
+    """
     exposure = Exposure(gain_db=20.0, frames=4)
     readout = Readout.of(derive(Pixel(**SHEET)), exposure)
     assert readout == Readout.of(readout.physics).at(exposure)
@@ -49,19 +58,29 @@ def test_readout_of_an_exposure_is_that_of_the_pixel_taken_to_it() -> None:
 
 @pytest.mark.parametrize("adc", [{}, {"gain_e_per_dn": 2.0}, {"adc_full_scale_e": 8000.0}])
 def test_binned_charge_adds_up_and_is_read_once(adc: dict[str, float]) -> None:
-    """Wells, dark currents and the ADC's range are four times as large, gains and dark currents vary half as much."""
+    """Wells, dark currents and the ADC's range are four times as large, gains and dark currents
+    vary half as much.
+    """
     physics = binned(**adc)
     single, summed = Readout.of(physics, bin_side=1), Readout.of(physics)
     assert (single.bin_side, summed.bin_side) == (1, 2)
     for name in ("full_well_e", "dark_current_e_per_s", "adc_range_e", "saturation_e"):
         assert getattr(summed, name) == 4 * getattr(single, name)
-    assert (summed.dn_per_e, summed.prnu, summed.dark_spread.dsnu) == (single.dn_per_e / 4, 0.01, 0.15)
+    assert (summed.dn_per_e, summed.prnu, summed.dark_spread.dsnu) == (
+        single.dn_per_e / 4,
+        0.01,
+        0.15,
+    )
     assert summed.noise_floor_e == single.noise_floor_e
 
 
 def test_binned_hot_pixels_are_those_with_a_hot_one_among_them() -> None:
-    """1 - (1 - φ)⁴ of the sums; the mean of the rest of a hot sum is that of three ordinary pixels."""
-    summed = Readout.of(binned(hot_pixel_fraction=0.01, hot_pixel_median=41.0, hot_pixel_spread=0.5)).dark_spread
+    """1 - (1 - φ)⁴ of the sums; the mean of the rest of a hot sum is that of three ordinary
+    pixels.
+    """
+    summed = Readout.of(
+        binned(hot_pixel_fraction=0.01, hot_pixel_median=41.0, hot_pixel_spread=0.5)
+    ).dark_spread
     assert summed.hot_fraction == pytest.approx(1 - 0.99**4, rel=1e-14)
     assert (summed.hot_median, summed.hot_spread) == (11.0, 0.5)
 

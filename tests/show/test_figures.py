@@ -1,4 +1,6 @@
-"""Line styles are distinct: by colour for every kind of colour vision, and by dashes and markers in grey."""
+"""Line styles are distinct: by colour for every kind of colour vision, and by dashes and markers in
+grey.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
 
 
 def perceived_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
-    """CIELAB of sRGB colours as a dichromat sees them (Machado, Oliveira and Fernandes 2009, severity 1), (n, 3)."""
+    """CIELAB of sRGB colours as a dichromat sees them (Machado, Oliveira and Fernandes 2009,
+    severity 1), (n, 3).
+    """
     import colour
     from colour.blindness import matrix_cvd_Machado2009
 
@@ -51,7 +55,9 @@ def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
     assert least_distance(perceived_lab(COLOURS[:TOGETHER], eye)) > 19
     # The measure can fail: red and green of one lightness merge for a deuteranope.
     if eye == "Deuteranomaly":
-        merged, apart = (least_distance(perceived_lab(("#B05A00", "#6C7A00"), each)) for each in (eye, None))
+        merged, apart = (
+            least_distance(perceived_lab(("#B05A00", "#6C7A00"), each)) for each in (eye, None)
+        )
         assert merged < 10 < apart
 
 
@@ -65,7 +71,11 @@ def test_looks_in_grey_are_distinct() -> None:
 @own_style()
 def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     axes = new_figure(2, 2).subplots()
-    one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
+    one, other, dashed = (
+        axes.plot([0, 1], color=COLOURS[0])
+        + axes.plot([1, 0], color=COLOURS[1])
+        + axes.plot([1, 1], "--")
+    )
     assert not same_color(one.get_color(), other.get_color())
     assert grey_look(one) == grey_look(other) != grey_look(dashed)
 
@@ -80,9 +90,16 @@ def test_literal_text_is_drawn_without_warnings() -> None:
     figure.draw_without_rendering()
 
 
-# --- Settings of the user --------------------------------------------------------------------------------------------------
+# --- Settings of the user
+# --------------------------------------------------------------------------------------------------
 
-SETTINGS = {"lines.linewidth": 9.0, "text.usetex": True, "font.size": 30.0, "axes.facecolor": "red", "font.family": ["cursive"]}
+SETTINGS = {
+    "lines.linewidth": 9.0,
+    "text.usetex": True,
+    "font.size": 30.0,
+    "axes.facecolor": "red",
+    "font.family": ["cursive"],
+}
 
 
 @own_style()
@@ -94,7 +111,9 @@ def figure() -> Figure:
 
 
 def test_settings_of_the_user_change_no_figure_and_stay() -> None:
-    """Those of another program would need LaTeX. The user's own are there again, also after two blocks that overlap."""
+    """Those of another program would need LaTeX. The user's own are there again, also after two
+    blocks that overlap.
+    """
     expected = svg_text(figure())
     with matplotlib.rc_context(SETTINGS):
         before = dict(matplotlib.rcParams)
@@ -126,13 +145,18 @@ print(os.getcwd() == before, matplotlib.rcParams["lines.linewidth"])
 @pytest.mark.parametrize("what", ["a file", "a pipe"])
 @pytest.mark.parametrize("who", ["command", "library"])
 def test_a_matplotlibrc_of_the_current_folder(what: str, who: str, tmp_path: Path) -> None:
-    """A command reads none. A library leaves the user's settings to Matplotlib, but does not wait for a pipe."""
+    """A command reads none. A library leaves the user's settings to Matplotlib, but does not wait
+    for a pipe.
+    """
     rc = tmp_path / "matplotlibrc"
     os.mkfifo(rc) if what == "a pipe" else rc.write_text("lines.linewidth: 9\n")
     line = [sys.executable, "-c", COMMAND, who]
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S)
     if (what, who) == ("a pipe", "library"):
-        assert "PixsimError: matplotlibrc: got a link to nothing, a pipe or a device in the current folder" in done.stderr
+        assert (
+            "PixsimError: matplotlibrc: got a link to nothing, a pipe or a device in the current"
+            " folder" in done.stderr
+        )
     else:
         linewidth = 9.0 if (what, who) == ("a file", "library") else 1.5
         assert done.stdout == f"True {linewidth}\n", done.stderr

@@ -25,15 +25,28 @@ def parabola(places: int) -> Drawing:
 
 
 def registered() -> list[tuple[str, ast.expr]]:
-    """The names of the package's figures, and their captions as expressions, with the constants that they name."""
+    """The names of the package's figures, and their captions as expressions, with the constants
+    that they name.
+    """
     figures = []
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        constants = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
-        calls = [call for node in tree.body if isinstance(node, ast.FunctionDef) for call in node.decorator_list]
+        constants = {
+            ast.unparse(node.targets[0]): node.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+        }
+        calls = [
+            call
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+            for call in node.decorator_list
+        ]
         for call in calls:
             if isinstance(call, ast.Call) and ast.unparse(call.func) == "figure":
-                name, caption = (constants.get(ast.unparse(argument), argument) for argument in call.args)
+                name, caption = (
+                    constants.get(ast.unparse(argument), argument) for argument in call.args
+                )
                 figures.append((ast.literal_eval(name), caption))
     return figures
 
@@ -54,7 +67,9 @@ def test_shorter_columns_end_in_nan():
 
 
 def test_captions_do_not_depend_on_results():
-    """Each is a text of the source, without values of variables: an f-string would be another kind of node."""
+    """Each is a text of the source, without values of variables: an f-string would be another kind
+    of node.
+    """
     for name, caption in registered():
         assert ast.literal_eval(caption).endswith("."), name
 

@@ -1,4 +1,6 @@
-"""PNG files as Pillow reads them: display codes, ΔE maps in the colours of the scale, and the position of axes."""
+"""PNG files as Pillow reads them: display codes, ΔE maps in the colours of the scale, and the
+position of axes.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,30 @@ from PIL import Image
 
 import pixsim
 from pixsim.report.pictures import picture_axes
-from pixsim.show.pictures import LEFT, MAP, TOP, Picture, delta_e_colours, delta_e_png, light_png, scale_end
+from pixsim.show.pictures import (
+    LEFT,
+    MAP,
+    TOP,
+    Picture,
+    delta_e_colours,
+    delta_e_png,
+    light_png,
+    scale_end,
+)
 
 
-def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -> pixsim.SpectralImage:
-    return pixsim.SpectralImage([550.0], 10.0, 1e3 * die_mm / shape[1], data=np.ones((*shape, 1)), header=header)
+def light(
+    shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header
+) -> pixsim.SpectralImage:
+    return pixsim.SpectralImage(
+        [550.0], 10.0, 1e3 * die_mm / shape[1], data=np.ones((*shape, 1)), header=header
+    )
 
 
 def test_light_png_encodes_gamma():
-    codes = np.asarray(Image.open(io.BytesIO(light_png(np.array([[0.0, 0.2, 1.0], [-0.1, 0.5, 1.5]])))))
+    codes = np.asarray(
+        Image.open(io.BytesIO(light_png(np.array([[0.0, 0.2, 1.0], [-0.1, 0.5, 1.5]]))))
+    )
     expected = [[0, round(255 * 0.2 ** (1 / 2.2)), 255], [0, round(255 * 0.5 ** (1 / 2.2)), 255]]
     np.testing.assert_array_equal(codes, np.repeat(np.array(expected)[:, :, None], 3, axis=2))
 
@@ -33,7 +50,9 @@ def test_delta_e_colours_are_viridis():
     np.testing.assert_array_equal(delta_e_colours(delta_e / 5, 2.0), expected)
 
 
-@pytest.mark.parametrize(("p99", "end"), [(0.0, 1.0), (1.0, 1.0), (1.01, 2.0), (4.0, 5.0), (9.0, 10.0), (40.0, 10.0)])
+@pytest.mark.parametrize(
+    ("p99", "end"), [(0.0, 1.0), (1.0, 1.0), (1.01, 2.0), (4.0, 5.0), (9.0, 10.0), (40.0, 10.0)]
+)
 def test_scale_end_is_next_of_few(p99, end):
     assert scale_end(p99) == end
 
@@ -43,7 +62,9 @@ def test_delta_e_png_map_fills_axes(shape):
     """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
     delta_e = np.zeros(shape)
     delta_e[: shape[0] // 2, : shape[1] // 2] = 10
-    shown = np.asarray(Image.open(io.BytesIO(delta_e_png(delta_e, picture_axes(light(shape)), 10.0)))).astype(int)
+    shown = np.asarray(
+        Image.open(io.BytesIO(delta_e_png(delta_e, picture_axes(light(shape)), 10.0)))
+    ).astype(int)
     height, width = (MAP * n // max(shape) for n in shape)
     inside = shown[TOP : TOP + height, LEFT : LEFT + width]
     bright = np.abs(inside - delta_e_colours(np.array([[10.0]]), 10.0)[0, 0]).sum(axis=2) == 0
@@ -56,14 +77,24 @@ def test_delta_e_png_map_fills_axes(shape):
 
 @pytest.mark.parametrize("shape", [(40, 30), (40, 30, 1), (40, 30, 3)])
 def test_png_of_a_picture_has_the_same_pixels_and_is_grey_where_colours_are_equal(shape):
-    codes = np.broadcast_to(np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8), (*shape[:2], 3)[: len(shape)])
+    codes = np.broadcast_to(
+        np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8),
+        (*shape[:2], 3)[: len(shape)],
+    )
     picture = Image.open(io.BytesIO(Picture(codes, "noise").png))
     assert picture.mode == ("RGB" if shape[2:] == (3,) else "L")
-    np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), np.broadcast_to(codes.reshape(40, 30, -1), (40, 30, 3)))
+    np.testing.assert_array_equal(
+        np.asarray(picture.convert("RGB")), np.broadcast_to(codes.reshape(40, 30, -1), (40, 30, 3))
+    )
 
 
 def test_imports_of_run_exclude_matplotlib():
-    code = "import sys, pixsim.report.run, pixsim.show.pictures; pixsim.show.pictures.font(15); print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    code = (
+        "import sys, pixsim.report.run, pixsim.show.pictures; pixsim.show.pictures.font(15);"
+        " print(*sys.modules)"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert "pixsim.show.pictures" in loaded
     assert not {"matplotlib", "scipy.stats", "pixsim.studies.study", "mitsuba"} & set(loaded)

@@ -12,13 +12,29 @@ from helpers.looks import Elements
 from pixsim.base.notes import Note
 from pixsim.base.schema import SCHEMA
 from pixsim.show import render
-from pixsim.show.document import Answer, Block, Document, DocumentTable, Link, Listed, Plot, Section, Strong, pairs
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    DocumentTable,
+    Link,
+    Listed,
+    Plot,
+    Section,
+    Strong,
+    pairs,
+)
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 
 EVIL = '<script>alert("&")</script>'
 HEAD = ("size\nµm", "mean ΔE\n", "remark\n")
-ROWS = (("first group",), ("2", "0.5", "a"), ("10", "12.25", f"{EVIL} `code`"), ("30", "none at all"))
+ROWS = (
+    ("first group",),
+    ("2", "0.5", "a"),
+    ("10", "12.25", f"{EVIL} `code`"),
+    ("30", "none at all"),
+)
 
 
 @own_style()
@@ -31,7 +47,13 @@ def plate() -> Plate:
 TABLE = DocumentTable("sizes", HEAD, ROWS, EVIL, words=(2,), stacks=True)
 BLOCKS: tuple[Block, ...] = (
     (f"{EVIL}, ", Strong("5.3 µm"), " in ", Link(EVIL, 'a "b".csv'), " is good"),
-    *(Listed((EVIL, "second")), TABLE, pairs("versions", {"python": EVIL}), Plot(plate), Note.restored("other", EVIL)),
+    *(
+        Listed((EVIL, "second")),
+        TABLE,
+        pairs("versions", {"python": EVIL}),
+        Plot(plate),
+        Note.restored("other", EVIL),
+    ),
 )
 
 
@@ -39,7 +61,11 @@ def document(**changes: object) -> Document:
     values = {"title": f"A {EVIL}", "data": {"value": 1.5}, "terminal": BLOCKS}
     values |= {
         "answers": (Answer(EVIL, (EVIL, "below")),),
-        "sections": (Section("all", EVIL, BLOCKS), Section("more", "More", "text"), Section("empty", "Empty", ())),
+        "sections": (
+            Section("all", EVIL, BLOCKS),
+            Section("more", "More", "text"),
+            Section("empty", "Empty", ()),
+        ),
     }
     return Document("lens", "test", **(values | changes))  # type: ignore[arg-type]
 
@@ -47,7 +73,11 @@ def document(**changes: object) -> Document:
 def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge() -> None:
     shown = render.text(
         document(
-            terminal=(Answer("head", ("below",)), DocumentTable("", HEAD, ROWS[:3], words=(2,)), Note("other", words="warned"))
+            terminal=(
+                Answer("head", ("below",)),
+                DocumentTable("", HEAD, ROWS[:3], words=(2,)),
+                Note("other", words="warned"),
+            )
         )
     )
     assert shown.splitlines() == [
@@ -63,8 +93,14 @@ def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge(
 
 
 def test_terminal_wraps_words_where_a_table_is_too_wide() -> None:
-    """Words are not broken, and neither are numbers and the last cell of a short row, which may be a command."""
-    rows = (("one", "12.5", "a few words"), ("two", "100.25", "more-of-them in all"), ("", "a command of many words"))
+    """Words are not broken, and neither are numbers and the last cell of a short row, which may be
+    a command.
+    """
+    rows = (
+        ("one", "12.5", "a few words"),
+        ("two", "100.25", "more-of-them in all"),
+        ("", "a command of many words"),
+    )
     table = DocumentTable("", ("", "number", "remark"), rows, words=(2,))
     shown = render.text(document(terminal=(table, table)), 28).splitlines()
     assert shown[:6] == [
@@ -76,7 +112,11 @@ def test_terminal_wraps_words_where_a_table_is_too_wide() -> None:
         "       number  remark",  # below something
     ]
     narrow = render.text(document(terminal=(table,)), 5).splitlines()
-    assert narrow[1:4] == ["one    12.5  a few words", "two  100.25  more-of-them", "             in all"]
+    assert narrow[1:4] == [
+        "one    12.5  a few words",
+        "two  100.25  more-of-them",
+        "             in all",
+    ]
 
 
 def test_terminal_draws_nothing() -> None:
@@ -112,15 +152,29 @@ def test_page_of_one_section_has_no_contents(count: int) -> None:
 
 def test_write_writes_page_figures_data_and_files(tmp_path: Path) -> None:
     page = render.write(document(files={"sizes.csv": "a\r\n1\r\n"}), tmp_path / "out")
-    names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert names == {"report.html", "summary.json", "sizes.csv", "figures/line.svg", "figures/line.csv", "pixsim.json"}
+    names = {
+        path.relative_to(tmp_path / "out").as_posix()
+        for path in (tmp_path / "out").rglob("*")
+        if path.is_file()
+    }
+    assert names == {
+        "report.html",
+        "summary.json",
+        "sizes.csv",
+        "figures/line.svg",
+        "figures/line.csv",
+        "pixsim.json",
+    }
     assert page.read_text(encoding="utf-8").count("download=") == 1
 
 
 def test_write_publishes_arrays_and_parts_with_a_document(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     part = document(sections=(), figures=".", lead=(Plot(plate),), data_file="part.json")
-    content = {"writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),), "parts": {"case": part}}
+    content = {
+        "writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),),
+        "parts": {"case": part},
+    }
     render.write(document(**content, sections=(), files={"page.csv": "a"}), folder)
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     own = {"report.html", "part.json", "line.svg", "line.csv"}

@@ -1,4 +1,6 @@
-"""One pixel for several conditions, against closed forms of parabolas in the logarithm of the pitch."""
+"""One pixel for several conditions, against closed forms of parabolas in the logarithm of the
+pitch.
+"""
 
 from __future__ import annotations
 
@@ -15,35 +17,64 @@ from pixsim.show.document import plain_text
 from pixsim.show.render import lines
 from pixsim.studies.curve import CaseLabels, Curve
 from pixsim.studies.optimum import fit_curve, fit_of_metric
-from pixsim.studies.regret import Criterion, Regrets, condition_regrets, weighted_criterion, weighted_fit, weighted_mean
+from pixsim.studies.regret import (
+    Criterion,
+    Regrets,
+    condition_regrets,
+    weighted_criterion,
+    weighted_fit,
+    weighted_mean,
+)
 from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
 NAMES = ("day", "night", "never")
 CONDITIONS = [
-    {"name": name, "weight": weight, "set": {"resolution": 48}} for name, weight in zip(NAMES, (3.0, 1.0, 0.0), strict=True)
+    {"name": name, "weight": weight, "set": {"resolution": 48}}
+    for name, weight in zip(NAMES, (3.0, 1.0, 0.0), strict=True)
 ]
-SHEET = {"full_well_e": 1e4, "read_noise_e": 2.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
-STUDY = Study.model_validate({"name": "x", "pixel": SHEET | {"data_sheet_pitch_um": 5.0}, "condition": CONDITIONS})
+SHEET = {
+    "full_well_e": 1e4,
+    "read_noise_e": 2.0,
+    "dark_current_e_per_s": 1.0,
+    "quantum_efficiency": 0.6,
+}
+STUDY = Study.model_validate(
+    {"name": "x", "pixel": SHEET | {"data_sheet_pitch_um": 5.0}, "condition": CONDITIONS}
+)
 
 
 def parabola(best_um: float, least: float, bend: float, pitch_um: Any = PITCH_UM) -> Any:
     return least + bend * np.log(pitch_um / best_um) ** 2
 
 
-def curve(condition: str, mean: np.ndarray, scatter: float, seed: int = 0, sensors: int = 4) -> Curve:
+def curve(
+    condition: str, mean: np.ndarray, scatter: float, seed: int = 0, sensors: int = 4
+) -> Curve:
     noise = np.random.default_rng(seed).standard_normal((PITCH_UM.size, sensors))
     noise -= noise.mean() * (scatter < 1e-3)
     delta_e = mean[:, None] * (1 + scatter * noise)
     fit, statistics = fit_curve(PITCH_UM, delta_e), {"mean_delta_e": delta_e}
     label = f"data sheet, {condition}"
-    return Curve("none", 0.35, PITCH_UM, np.ones(PITCH_UM.size), statistics, fit, label, case=CaseLabels(condition=condition))
+    return Curve(
+        "none",
+        0.35,
+        PITCH_UM,
+        np.ones(PITCH_UM.size),
+        statistics,
+        fit,
+        label,
+        case=CaseLabels(condition=condition),
+    )
 
 
 def curves_of(*means: np.ndarray, scatter: float = 1e-6, seed: int = 0) -> list[Curve]:
     """Of day, night and never, as far as there are means."""
-    return [curve(name, mean, scatter, seed + n) for n, (name, mean) in enumerate(zip(NAMES, means, strict=False))]
+    return [
+        curve(name, mean, scatter, seed + n)
+        for n, (name, mean) in enumerate(zip(NAMES, means, strict=False))
+    ]
 
 
 def exact() -> list[Curve]:
@@ -57,7 +88,9 @@ def weighted(regrets: Regrets) -> Criterion:
 
 
 def best_of_both_um(of_day: float, of_night: float) -> float:
-    """Return the vertex of the sum of two parabolas, of day at 5 µm and of night at 9 µm, with these weights × bends."""
+    """Return the vertex of the sum of two parabolas, of day at 5 µm and of night at 9 µm, with
+    these weights × bends.
+    """
     return float(np.exp((of_day * np.log(5.0) + of_night * np.log(9.0)) / (of_day + of_night)))
 
 
@@ -76,7 +109,9 @@ def test_regrets_of_parabolas_match_closed_forms() -> None:
     """A condition's value at the best size of the other one, over its least value, less 1."""
     (regrets,) = condition_regrets(STUDY, exact())
     apart = np.log(9.0 / 5.0) ** 2
-    assert regrets.matrix[0, 1] == pytest.approx(0.8 * apart / 0.3, rel=0.01)  # the spline has an error of 0.3 % of the size
+    assert regrets.matrix[0, 1] == pytest.approx(
+        0.8 * apart / 0.3, rel=0.01
+    )  # the spline has an error of 0.3 % of the size
     assert regrets.matrix[1, 0] == pytest.approx(0.4 * apart / 0.9, rel=0.01)
     np.testing.assert_array_equal(np.diag(regrets.matrix), 0.0)
 
@@ -91,7 +126,9 @@ def by_information() -> tuple[Study, list[Curve]]:
         fit = fit_of_metric(metrics[0], PITCH_UM, values, np.asarray)
         assert fit is not None
         statistics = {"information": values, "mean_delta_e": own.delta_e}
-        curves.append(replace(own, fit=fit, fits={"delta_e": own.fit}, metrics=metrics, statistics=statistics))
+        curves.append(
+            replace(own, fit=fit, fits={"delta_e": own.fit}, metrics=metrics, statistics=statistics)
+        )
     return STUDY.model_copy(update={"condition": STUDY.condition[:2]}), curves
 
 
@@ -105,7 +142,8 @@ def test_regrets_of_a_metric_of_which_more_is_better_match_closed_forms() -> Non
     best_um = best_of_both_um(0.75 * 8.0, 0.25 * 4.0)
     assert best.pitch_um == pytest.approx(best_um, rel=0.003)
     assert best.value == pytest.approx(
-        0.75 * parabola(5.0, 30.0, -8.0, best_um) + 0.25 * parabola(9.0, 20.0, -4.0, best_um), rel=1e-3
+        0.75 * parabola(5.0, 30.0, -8.0, best_um) + 0.25 * parabola(9.0, 20.0, -4.0, best_um),
+        rel=1e-3,
     )
     assert "greatest weighted information" in plain_text(weighted_answer(information).head)
 
@@ -120,7 +158,9 @@ def test_regrets_by_a_further_metric_are_those_of_a_study_of_that_metric_alone()
 def test_weighted_mean_of_a_single_condition_is_its_own_optimum() -> None:
     study = STUDY.model_copy(update={"condition": STUDY.condition[:1]})
     (regrets,) = condition_regrets(study, exact()[:1])
-    assert weighted(regrets).optimum.pitch_um == pytest.approx(regrets.criteria[0].optimum.pitch_um, rel=1e-9)
+    assert weighted(regrets).optimum.pitch_um == pytest.approx(
+        regrets.criteria[0].optimum.pitch_um, rel=1e-9
+    )
     np.testing.assert_allclose(regrets.matrix, 0.0, atol=1e-5)
 
 
@@ -128,7 +168,11 @@ DAY_AND_NIGHT = {"day": 0.5, "night": 0.5, "never": 0.0}
 
 
 def test_weighted_mean_best_at_an_end_is_open() -> None:
-    fit = weighted_fit(STUDY, curves_of(parabola(3.0, 0.3, 0.8), parabola(3.5, 0.9, 0.4), scatter=1e-4), DAY_AND_NIGHT)
+    fit = weighted_fit(
+        STUDY,
+        curves_of(parabola(3.0, 0.3, 0.8), parabola(3.5, 0.9, 0.4), scatter=1e-4),
+        DAY_AND_NIGHT,
+    )
     assert fit is not None
     assert not fit.optimum.inside
     assert fit.optimum.interval_um[0] is None
@@ -143,7 +187,9 @@ def test_weighted_mean_of_few_common_sizes_is_none() -> None:
 
 
 def test_weighted_mean_without_one_of_the_conditions_is_none() -> None:
-    """A study may leave out the case of a condition: what suits the others is not what suits all."""
+    """A study may leave out the case of a condition: what suits the others is not what suits
+    all.
+    """
     day, night = exact()[:2]
     assert weighted_fit(STUDY, [day, night], DAY_AND_NIGHT) is not None
     assert weighted_fit(STUDY, [day], DAY_AND_NIGHT) is None
@@ -153,12 +199,18 @@ def test_weighted_mean_without_one_of_the_conditions_is_none() -> None:
 
 
 def test_weighted_mean_pairs_sensors() -> None:
-    """A scatter that two conditions share with opposite signs cancels: sensors are added one by one."""
+    """A scatter that two conditions share with opposite signs cancels: sensors are added one by
+    one.
+    """
     noise = np.random.default_rng(1).standard_normal((PITCH_UM.size, 4))
     both = []
     for name, sign in (("day", 1.0), ("night", -1.0)):
         delta_e = 1.0 + 0.1 * sign * noise
-        both.append(replace(exact()[0], statistics={"mean_delta_e": delta_e}, case=CaseLabels(condition=name)))
+        both.append(
+            replace(
+                exact()[0], statistics={"mean_delta_e": delta_e}, case=CaseLabels(condition=name)
+            )
+        )
     pitches_um, mean = weighted_mean([(both[0], 0.5), (both[1], 0.5)])
     assert pitches_um.tolist() == PITCH_UM.tolist()
     np.testing.assert_allclose(mean, 1.0, atol=1e-12)
@@ -168,7 +220,12 @@ def test_tables_of_regrets_have_all_numbers_in_80_columns() -> None:
     """Of seven criteria with long names and values: six conditions and their weighted mean."""
     (information,) = metrics_named(["information"])
     ends = 1 / 5.42e5, 1 / 5.41e5
-    best = replace(exact()[0].optimum, mean_delta_e=1 / 5.418e5, mean_delta_e_interval=ends, is_of_reciprocal=True)
+    best = replace(
+        exact()[0].optimum,
+        mean_delta_e=1 / 5.418e5,
+        mean_delta_e_interval=ends,
+        is_of_reciprocal=True,
+    )
     inside = replace(best, pitch_um=10.25, interval_um=(10.11, 10.36), inside=True)
     smallest = replace(best, pitch_um=4.0, interval_um=(None, 4.5), inside=False)
     largest = replace(best, pitch_um=12.0, interval_um=(None, None), inside=False)

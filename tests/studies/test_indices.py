@@ -29,16 +29,21 @@ def ishigami(quantile: np.ndarray) -> np.ndarray:
 
 def deviations(shares: dict[str, Share], known: list[float]) -> np.ndarray:
     """Errors of shares in their standard errors."""
-    return np.array([(share.share - value) / share.standard_error for share, value in zip(shares.values(), known, strict=True)])
+    return np.array(
+        [
+            (share.share - value) / share.standard_error
+            for share, value in zip(shares.values(), known, strict=True)
+        ]
+    )
 
 
 @pytest.mark.parametrize("count", [64, 256, 512])
 def test_first_order_of_linear_model(count: int) -> None:
     """y = 0.6 a + 0.4 b + 0.4 of noise: variances of 0.36, 0.16 and 0.16, and none of c.
 
-    Of 500 sets of each count none has a share beyond 3 standard errors (the largest is 2.4 away): a sound program has one in less
-    than 0.6 % of sets (95 % confidence). The mean error of 25 sets tells a bias: for independent draws its standard deviation would
-    be a fifth of a standard error.
+    Of 500 sets of each count none has a share beyond 3 standard errors (the largest is 2.4 away): a
+    sound program has one in less than 0.6 % of sets (95 % confidence). The mean error of 25 sets
+    tells a bias: for independent draws its standard deviation would be a fifth of a standard error.
     """
     errors = []
     for seed in range(25):
@@ -52,15 +57,19 @@ def test_first_order_of_linear_model(count: int) -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.9])
 def test_first_order_standard_error_is_that_of_r_squared(share: float) -> None:
-    """The scatter of estimates from independent draws, over 400 sets of 128, which tell it to 3.5 %: within five times that.
+    """The scatter of estimates from independent draws, over 400 sets of 128, which tell it to 3.5
+    %: within five times that.
 
-    Of normal inputs it is 2ρ(1 - ρ²)/√n, with ρ² the share, and (1 - ρ²)√(2p/((n - 1 - p)(n + 1))) for the chance of p terms.
+    Of normal inputs it is 2ρ(1 - ρ²)/√n, with ρ² the share, and (1 - ρ²)√(2p/((n - 1 - p)(n + 1)))
+    for the chance of p terms.
     """
     rng = np.random.default_rng(1)
     shares = []
     for _ in range(400):
         x, noise = rng.standard_normal((2, 128))
-        shares.append(first_order(x[:, None], math.sqrt(share) * x + math.sqrt(1 - share) * noise, ["x"])["x"])
+        shares.append(
+            first_order(x[:, None], math.sqrt(share) * x + math.sqrt(1 - share) * noise, ["x"])["x"]
+        )
     estimates = np.array([(found.share, found.standard_error) for found in shares])
     scatter = estimates[:, 0].std(ddof=1)
     known = math.sqrt(4 * share * (1 - share) ** 2 / 128 + (1 - share) ** 2 * 2 * 3 / (124 * 129))
@@ -70,28 +79,40 @@ def test_first_order_standard_error_is_that_of_r_squared(share: float) -> None:
 
 
 def test_first_order_standard_error_without_effect() -> None:
-    """R² of 3 terms without effect has a standard deviation of √(2·3/(124 · 129)); estimates above 0 add up to a quarter to it."""
+    """R² of 3 terms without effect has a standard deviation of √(2·3/(124 · 129)); estimates above
+    0 add up to a quarter to it.
+    """
     rng = np.random.default_rng(2)
     shares = []
     for _ in range(200):
         x, noise = rng.standard_normal((2, 128))
         shares.append(first_order(x[:, None], noise, ["x"])["x"])
     known = math.sqrt(6 / (124 * 129))
-    assert np.mean([share.standard_error for share in shares]) == pytest.approx(1.15 * known, rel=0.15)
+    assert np.mean([share.standard_error for share in shares]) == pytest.approx(
+        1.15 * known, rel=0.15
+    )
     # An estimate is 0 where χ² of 3 degrees of freedom is below its mean.
-    assert np.mean([share.share == 0 for share in shares]) == pytest.approx(chi2(3).cdf(3), abs=5 * math.sqrt(0.25 / 200))
+    assert np.mean([share.share == 0 for share in shares]) == pytest.approx(
+        chi2(3).cdf(3), abs=5 * math.sqrt(0.25 / 200)
+    )
 
 
 def test_first_order_of_power_law_is_that_of_product() -> None:
-    """Var(E[y|a])/Var(y) of a product of two lognormal inputs: expm1 of each variance over expm1 of their sum."""
+    """Var(E[y|a])/Var(y) of a product of two lognormal inputs: expm1 of each variance over expm1 of
+    their sum.
+    """
     x = ndtri(points(256, 2))
     variances = np.array([0.1**2, 0.09**2])
     shares = first_order(x, np.exp(x @ np.sqrt(variances)), ["a", "b"])
-    assert np.abs(deviations(shares, list(np.expm1(variances) / np.expm1(variances.sum())))).max() < 3
+    assert (
+        np.abs(deviations(shares, list(np.expm1(variances) / np.expm1(variances.sum())))).max() < 3
+    )
 
 
 def test_first_order_of_waves_is_too_small() -> None:
-    """Ishigami's second input turns three times over its range: a cubic does not see it, as the docstring says."""
+    """Ishigami's second input turns three times over its range: a cubic does not see it, as the
+    docstring says.
+    """
     quantile = points(256, 3)
     shares = first_order(quantile, ishigami(quantile), ABC)
     assert shares["b"].share == pytest.approx(0.02, abs=0.05)
@@ -100,7 +121,9 @@ def test_first_order_of_waves_is_too_small() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_total_indices_of_ishigami(seed: int) -> None:
-    """n = 512. Of 200 seeds, a share is beyond 3 standard errors in 1 % (first) and in none (total)."""
+    """n = 512. Of 200 seeds, a share is beyond 3 standard errors in 1 % (first) and in none
+    (total).
+    """
     indices = total_indices(ishigami(saltelli(points(512, 6, seed))), ABC)
     for kind, known in (("first", ISHIGAMI_FIRST), ("total", ISHIGAMI_TOTAL)):
         shares = [index[kind] for index in indices.values()]
@@ -140,4 +163,6 @@ def test_shares_are_unknown_where_nothing_varies_or_draws_are_few() -> None:
     assert not math.isnan(first_order(few, few.sum(axis=1), ["a", "b"])["a"].standard_error)
     fewer = few[:4]
     shares = first_order(fewer, fewer.sum(axis=1), ["a", "b"])
-    assert shares["a"].as_dict() == {"share": None, "standard_error": None}, "3 terms and a mean of 4 draws"
+    assert shares["a"].as_dict() == {"share": None, "standard_error": None}, (
+        "3 terms and a mean of 4 draws"
+    )

@@ -21,7 +21,11 @@ LIGHT = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
 
 def stages(study: Study) -> dict[str, str]:
     lit = lit_sensors(study, LIGHT, Camera())[0]
-    return {"light": light_hash(study), "frame": lit.pixel_hash(PITCH_UM), "score": lit.keys(PITCH_UM, 2)[1]}
+    return {
+        "light": light_hash(study),
+        "frame": lit.pixel_hash(PITCH_UM),
+        "score": lit.keys(PITCH_UM, 2)[1],
+    }
 
 
 def made_anew(before: Study, **change: Any) -> set[str]:
@@ -46,10 +50,16 @@ def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
         ("detectability", {"without": "flat"}, "light score"),
     ],
 )
-def test_settings_of_a_metric_count_where_it_is_asked_for(name: str, table: dict[str, object], anew: str) -> None:
+def test_settings_of_a_metric_count_where_it_is_asked_for(
+    name: str, table: dict[str, object], anew: str
+) -> None:
     assert made_anew(tiny(metrics=["delta_e", name]), metric={name: table}) == set(anew.split())
 
 
 def test_raster_decides_on_the_frame_too() -> None:
     """A frame is registered with a display of dots, not with one of a dot for each pixel."""
-    assert made_anew(tiny(), display=tiny(display={"raster": "one_to_one"}).display) == {"light", "frame", "score"}
+    assert made_anew(tiny(), display=tiny(display={"raster": "one_to_one"}).display) == {
+        "light",
+        "frame",
+        "score",
+    }

@@ -1,4 +1,6 @@
-"""Many sensors in one light: the frames of `pixsim.evaluate`, through the evaluations of a study."""
+"""Many sensors in one light: the frames of `pixsim.evaluate`, through the evaluations of a
+study.
+"""
 
 import csv
 import sys
@@ -22,7 +24,13 @@ COLOUR = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 def light_of(seed=1):
     data = 1e-3 * (1 + np.random.default_rng(seed).random((64, 64, 3)))
-    return SpectralImage([450.0, 550.0, 620.0], 30.0, 10.0, data=data.astype(np.float32), header={"diffraction": False})
+    return SpectralImage(
+        [450.0, 550.0, 620.0],
+        30.0,
+        10.0,
+        data=data.astype(np.float32),
+        header={"diffraction": False},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +44,9 @@ def mean_image(score):
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
 def test_numbers_of_pixels_of_one_size_are_those_of_evaluate_bit_for_bit(light, raster):
-    display = Display(raster=raster, white_cd_per_m2=3000.0, **({"dots": 48} if raster == "fixed_size" else {}))
+    display = Display(
+        raster=raster, white_cd_per_m2=3000.0, **({"dots": 48} if raster == "fixed_size" else {})
+    )
     own = {"display": display, "metrics": [*METRICS, "detectability", mean_image], "seed": 5}
     own["without"] = light.with_planes(0.99 * light.planes)
     table = sweep(light, SAME_SIZE, camera=CAMERA, jobs=1, **own)
@@ -48,8 +58,19 @@ def test_numbers_of_pixels_of_one_size_are_those_of_evaluate_bit_for_bit(light, 
 
 
 def test_repeats_are_the_sensors_of_a_run(light):
-    """`pixsim run --repeats 3` scores these frames, each a sensor of its own at its registration."""
-    table = sweep(light, [SAME_SIZE["paper"]], camera=CAMERA, display=DISPLAY, metrics=METRICS, repeats=3, seed=2, jobs=1)
+    """`pixsim run --repeats 3` scores these frames, each a sensor of its own at its
+    registration.
+    """
+    table = sweep(
+        light,
+        [SAME_SIZE["paper"]],
+        camera=CAMERA,
+        display=DISPLAY,
+        metrics=METRICS,
+        repeats=3,
+        seed=2,
+        jobs=1,
+    )
     tables = {"camera": CAMERA, "pixel": SAME_SIZE["paper"], "display": DISPLAY}
     stated = {name: table.model_dump(exclude_unset=True) for name, table in tables.items()}
     settings = Run.model_validate(stated | {"metrics": METRICS, "seed": 2})
@@ -59,9 +80,18 @@ def test_repeats_are_the_sensors_of_a_run(light):
 
 
 def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
-    """Dots of 13.3 µm: the border of pixels of 30 µm is four of them wide, that of pixels of 6 µm one."""
+    """Dots of 13.3 µm: the border of pixels of 30 µm is four of them wide, that of pixels of 6 µm
+    one.
+    """
     small, large = Pixel(pitch_um=6.0), Pixel(pitch_um=30.0)
-    table = sweep(light, [small, large], camera=CAMERA, display=DISPLAY, metrics=["delta_e", mean_image], jobs=1)
+    table = sweep(
+        light,
+        [small, large],
+        camera=CAMERA,
+        display=DISPLAY,
+        metrics=["delta_e", mean_image],
+        jobs=1,
+    )
     alone = [evaluate(light, CAMERA, pixel, display=DISPLAY) for pixel in (small, large)]
     assert table[1]["mean_delta_e"] == alone[1].mean_delta_e
     assert table[0]["mean_electrons_e"] == alone[0].statistics()["mean_electrons_e"]
@@ -71,9 +101,23 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
 
 def test_metric_without_a_number_for_one_of_the_sensors_is_nan(light):
     """The deep well shows its surfaces, the shallow one is full of the brighter one."""
-    sheet = {"technology": "none", "pitch_um": 10.0, "quantum_efficiency": 0.5, "read_noise_e": 2.0, "dark_current_e_per_s": 0.0}
-    pixels = {name: Pixel(full_well_e=well_e, **sheet) for name, well_e in (("shallow", 300.0), ("deep", 1e6))}
-    own = {"camera": CAMERA, "display": DISPLAY, "exposure": Exposure(integration_s=0.01), "metrics": ["delta_e", "niirs"]}
+    sheet = {
+        "technology": "none",
+        "pitch_um": 10.0,
+        "quantum_efficiency": 0.5,
+        "read_noise_e": 2.0,
+        "dark_current_e_per_s": 0.0,
+    }
+    pixels = {
+        name: Pixel(full_well_e=well_e, **sheet)
+        for name, well_e in (("shallow", 300.0), ("deep", 1e6))
+    }
+    own = {
+        "camera": CAMERA,
+        "display": DISPLAY,
+        "exposure": Exposure(integration_s=0.01),
+        "metrics": ["delta_e", "niirs"],
+    }
     with pytest.warns(UserWarning, match="pixel shallow: the metric niirs: got .* full at 300 e-"):
         table = sweep(light, pixels, **own, jobs=1)
     assert [np.isnan(row["niirs"]) for row in table] == [True, False]
@@ -82,10 +126,14 @@ def test_metric_without_a_number_for_one_of_the_sensors_is_nan(light):
 
 
 def test_jobs_change_no_number_and_another_light_does():
-    """Two lights whose headers say the same, in the workers of one another: their chains are not mixed up."""
+    """Two lights whose headers say the same, in the workers of one another: their chains are not
+    mixed up.
+    """
     own = {"camera": CAMERA, "display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}
     lights = [light_of(1), light_of(2)]
-    alone, together = ([list(sweep(light, SAME_SIZE, **own, jobs=jobs)) for light in lights] for jobs in (1, 2))
+    alone, together = (
+        [list(sweep(light, SAME_SIZE, **own, jobs=jobs)) for light in lights] for jobs in (1, 2)
+    )
     assert alone == together
     assert alone[0][0]["mean_delta_e"] != alone[1][0]["mean_delta_e"]
 
@@ -94,10 +142,18 @@ def test_white_that_nobody_states_is_one_for_all():
     """That of the sensor which sees the picture brightest; each alone would have its own."""
     light = light_of(9)  # whose whites differ after rounding
     with pytest.warns(UserWarning, match="the largest of these sensors'"):
-        table = sweep(light, SAME_SIZE, camera=CAMERA, display=Display(dots=48), metrics=[mean_image], jobs=1)
+        table = sweep(
+            light, SAME_SIZE, camera=CAMERA, display=Display(dots=48), metrics=[mean_image], jobs=1
+        )
     with pytest.warns(UserWarning, match="the scene does not define its white") as notes:
-        alone = [evaluate(light, CAMERA, pixel, display=Display(dots=48)) for pixel in SAME_SIZE.values()]
-    whites = [float(str(note.message).split("using ")[1].split(" cd")[0]) for note in notes if "using" in str(note.message)]
+        alone = [
+            evaluate(light, CAMERA, pixel, display=Display(dots=48)) for pixel in SAME_SIZE.values()
+        ]
+    whites = [
+        float(str(note.message).split("using ")[1].split(" cd")[0])
+        for note in notes
+        if "using" in str(note.message)
+    ]
     brightest = int(np.argmax(whites))
     assert whites[0] != whites[1]
     assert table[brightest]["mean_image"] == mean_image(alone[brightest])
@@ -105,7 +161,15 @@ def test_white_that_nobody_states_is_one_for_all():
 
 
 def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
-    table = sweep(light, {"007": SAME_SIZE["paper"]}, camera=CAMERA, display=DISPLAY, metrics=[mean_image], repeats=2, jobs=1)
+    table = sweep(
+        light,
+        {"007": SAME_SIZE["paper"]},
+        camera=CAMERA,
+        display=DISPLAY,
+        metrics=[mean_image],
+        repeats=2,
+        jobs=1,
+    )
     text = table.to_csv(tmp_path / "table.csv")
     assert (tmp_path / "table.csv").read_text() == text.replace("\r\n", "\n")
     rows = list(csv.DictReader(text.splitlines()))
@@ -131,9 +195,21 @@ def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
         ({"b": "imx477"}, {}, r"pixels\['b'\]: got 'imx477'; allowed: a Pixel"),
         ([Pixel(), Pixel(pitch_um=5.0)], {}, "pixel 1: .*pitch_um"),
         ([Pixel(), Pixel(pitch_um=400.0)], {}, "pixel 1: pixel.pitch_um: got pixels whose border"),
-        ([Pixel()], {"metrics": ["detectability"]}, "pixel 0: metrics: got 'detectability'; allowed: light of the scene without"),
-        ([Pixel(), Pixel(colour=COLOUR)], {"metrics": ["acutance"]}, "pixel 1: metrics: got 'acutance'"),
-        ([Pixel(pitch_um=20.0), Pixel(pitch_um=20.0, colour=COLOUR)], {}, "one ideal image for all"),
+        (
+            [Pixel()],
+            {"metrics": ["detectability"]},
+            "pixel 0: metrics: got 'detectability'; allowed: light of the scene without",
+        ),
+        (
+            [Pixel(), Pixel(colour=COLOUR)],
+            {"metrics": ["acutance"]},
+            "pixel 1: metrics: got 'acutance'",
+        ),
+        (
+            [Pixel(pitch_um=20.0), Pixel(pitch_um=20.0, colour=COLOUR)],
+            {},
+            "one ideal image for all",
+        ),
         ([Pixel()], {"repeats": 0}, "repeats: got 0"),
         ([Pixel()], {"jobs": 0}, "jobs: got 0"),
     ],
@@ -143,7 +219,8 @@ def test_what_cannot_be_swept_says_why(light, pixels, more, message):
         sweep(light, pixels, camera=CAMERA, display=DISPLAY, **more)
 
 
-# --- what a study takes -------------------------------------------------------------------------------------------------------
+# --- what a study takes
+# -------------------------------------------------------------------------------------------------------
 
 
 def without_labels(rows, *labels):
@@ -159,7 +236,9 @@ def test_rows_of_axes_and_conditions_are_those_of_sweeps_with_their_settings(lig
         (name, bits, "short") for bits in (6, 10) for name in SAME_SIZE
     ]
     for bits, rows in ((6, table[:2]), (10, table[2:])):
-        alone = sweep(light, SAME_SIZE, pixel={"bits": bits}, exposure=Exposure(integration_s=1e-4), **own)
+        alone = sweep(
+            light, SAME_SIZE, pixel={"bits": bits}, exposure=Exposure(integration_s=1e-4), **own
+        )
         assert without_labels(rows, "bits", "condition") == list(alone)
 
 
@@ -167,7 +246,10 @@ def test_tables_and_files_state_what_records_state(light, tmp_path):
     """Bit for bit; an argument takes precedence over a file."""
     own = {"camera": CAMERA, "jobs": 1}
     file = tmp_path / "settings.toml"
-    file.write_text("[display]\ndots = 48\nwhite_cd_per_m2 = 3000.0\n[exposure]\nwell_target = 0.5\n", encoding="utf-8")
+    file.write_text(
+        "[display]\ndots = 48\nwhite_cd_per_m2 = 3000.0\n[exposure]\nwell_target = 0.5\n",
+        encoding="utf-8",
+    )
     of_records = sweep(light, SAME_SIZE, display=DISPLAY, exposure=Exposure(well_target=0.8), **own)
     of_tables = sweep(light, SAME_SIZE, config=file, exposure={"well_target": 0.8}, **own)
     assert list(of_tables) == list(of_records)
@@ -179,7 +261,10 @@ def test_sensor_types_are_further_rows_within_the_ranges_of_the_technology(light
     table, plain = sweep(light, pixels, uncertainty=8, **own), sweep(light, pixels, **own)
     technology = load_technology("0.35um")
     numbers = {f"old {name}" for name in technology.ranges}
-    as_is, types = [row for row in table if row["draw"] == "base"], [row for row in table if row["draw"] != "base"]
+    as_is, types = (
+        [row for row in table if row["draw"] == "base"],
+        [row for row in table if row["draw"] != "base"],
+    )
     assert without_labels(as_is, "draw", *numbers) == list(plain)
     assert [row["draw"] for row in types] == list(range(8))
     for name, (low, high) in technology.ranges.items():

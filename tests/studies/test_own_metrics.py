@@ -1,4 +1,6 @@
-"""Metrics of a user's own: functions of a Score in studies, their code in the keys of rows, and entry points of packages."""
+"""Metrics of a user's own: functions of a Score in studies, their code in the keys of rows, and
+entry points of packages.
+"""
 
 import sys
 import types
@@ -8,7 +10,18 @@ import pytest
 from helpers.tiny import rows, tiny_toml
 
 import pixsim
-from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage, compare, evaluate, run, score_pictures, study
+from pixsim import (
+    Camera,
+    Display,
+    Pixel,
+    PixsimError,
+    SpectralImage,
+    compare,
+    evaluate,
+    run,
+    score_pictures,
+    study,
+)
 from pixsim.base.user_code import content_of
 from pixsim.viewer import metric_registry
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -27,21 +40,33 @@ def rms_error(score):
     return float(np.sqrt(np.mean((score.image - score.ideal) ** 2)))
 
 
-rms_error.unit, rms_error.title, rms_error.unseen = "of white", "RMS error", "what the eye does not see"
+rms_error.unit, rms_error.title, rms_error.unseen = (
+    "of white",
+    "RMS error",
+    "what the eye does not see",
+)
 
 
 def test_a_function_is_a_metric_of_a_study_in_any_process(plan, tmp_path):
-    """Workers get it by value, and know no function by its name: neither for frames, nor for the lights that they compute."""
+    """Workers get it by value, and know no function by its name: neither for frames, nor for the
+    lights that they compute.
+    """
     axis = [{"name": "aperture", "set": "camera.f_number", "values": [2.8, 8.0]}]
     for jobs in (1, 2):
-        result = study(plan, tmp_path / str(jobs), metrics=["delta_e", rms_error], axis=axis, jobs=jobs)
+        result = study(
+            plan, tmp_path / str(jobs), metrics=["delta_e", rms_error], axis=axis, jobs=jobs
+        )
     assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
     values = np.array([curve.statistics["rms_error"] for curve in result.curves])
     assert values.shape == (2, 6, 2)
     assert [float(row["rms_error"]) for row in rows(tmp_path / "2")] == values.ravel().tolist()
     assert 0 < values.min() < values.max() < 1
     metric = result.curves[0].metrics[1]
-    assert (metric.label, metric.better, metric.unseen) == ("RMS error (of white)", "less", "what the eye does not see")
+    assert (metric.label, metric.better, metric.unseen) == (
+        "RMS error (of white)",
+        "less",
+        "what the eye does not see",
+    )
 
 
 def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(plan, tmp_path):
@@ -93,15 +118,24 @@ def test_content_of_a_function_is_its_code(other, alike):
 
 
 def test_content_of_a_function_has_what_it_refers_to():
-    """A value, an array, a function, and what that refers to; not a name that only looks like a value's."""
+    """A value, an array, a function, and what that refers to; not a name that only looks like a
+    value's.
+    """
     text = "def mine(score):\n    return helper(score.image) + bias"
     helper = "def mine(x):\n    return float(x.mean()) * gain"
     first = from_text(text, helper=from_text(helper, gain=1.0), bias=0.0)
-    for gain, bias, image, alike in ((1.0, 0.0, 5, True), (2.0, 0.0, 5, False), (1.0, 0.5, 5, False), (np.ones(3), 0.0, 5, False)):
+    for gain, bias, image, alike in (
+        (1.0, 0.0, 5, True),
+        (2.0, 0.0, 5, False),
+        (1.0, 0.5, 5, False),
+        (np.ones(3), 0.0, 5, False),
+    ):
         other = from_text(text, helper=from_text(helper, gain=gain), bias=bias, image=image)
         assert (content_of(first, []) == content_of(other, [])) is alike
     recursive = from_text("def mine(score):\n    return mine(score)")
-    assert content_of(recursive, []) == content_of(from_text("def mine(score):\n    return mine(score)"), [])
+    assert content_of(recursive, []) == content_of(
+        from_text("def mine(score):\n    return mine(score)"), []
+    )
 
 
 def returns(value, name="mine", **marks):
@@ -119,12 +153,18 @@ def returns(value, name="mine", **marks):
         ([lambda score: 1.0], "a function with a name, which is that of its column: not a lambda"),
         ([returns(1.0), returns(2.0)], "'mine' twice; allowed: metrics of different names"),
         (["delta_e", "delta_e"], "'delta_e' twice"),
-        (["sharpness"], "'sharpness'; allowed: any of delta_e, .*A function of your own is given in Python"),
+        (
+            ["sharpness"],
+            "'sharpness'; allowed: any of delta_e, .*A function of your own is given in Python",
+        ),
         ([returns(1.0, "delta_e")], "a function 'delta_e', which is a name of pixsim's"),
         ([returns(1.0, "pitch_um")], "a function 'pitch_um', which is a name of pixsim's"),
         ([returns(1.0, "visual_noise")], "a function 'visual_noise', which is a name of pixsim's"),
         ([returns(1.0, better="up")], "mine.better = 'up'; allowed: 'less' or 'more'"),
-        ([returns(np.nan)], "nan of mine; allowed: a function that returns one finite number of a Score"),
+        (
+            [returns(np.nan)],
+            "nan of mine; allowed: a function that returns one finite number of a Score",
+        ),
         ([returns(None)], "None of mine; allowed: a function that returns one finite number"),
         ([returns(True)], "True of mine"),
         ([returns(np.ones(2))], r"array\(.*\) of mine"),  # other packages change how NumPy prints
@@ -135,11 +175,16 @@ def returns(value, name="mine", **marks):
 def test_what_is_no_metric_says_why(metrics, message):
     with pytest.raises(PixsimError, match=message):
         score_pictures(EVEN, EVEN, metrics=metrics)
-    assert metrics_named(["delta_e"]) == (METRICS["delta_e"],), "the refused function has left nothing"
+    assert metrics_named(["delta_e"]) == (METRICS["delta_e"],), (
+        "the refused function has left nothing"
+    )
 
 
 def test_a_function_that_returns_nan_ends_a_study_with_its_name(plan, tmp_path):
-    with pytest.raises(PixsimError, match="nan of mine; allowed: a function that returns one finite number of a Score"):
+    with pytest.raises(
+        PixsimError,
+        match="nan of mine; allowed: a function that returns one finite number of a Score",
+    ):
         study(plan, tmp_path, metrics=["delta_e", returns(np.nan)], jobs=1)
 
 
@@ -151,10 +196,17 @@ def test_an_axis_may_not_have_the_name_of_a_metric_of_ones_own(plan, tmp_path):
 
 def test_runs_and_comparisons_take_functions_too():
     """The quieter sensor has the smaller error."""
-    small = {"display": {"dots": 32}, "resolution": 48, "pixel": {"pitch_um": 60.0}, "metrics": ["delta_e", rms_error]}
+    small = {
+        "display": {"dots": 32},
+        "resolution": 48,
+        "pixel": {"pitch_um": 60.0},
+        "metrics": ["delta_e", rms_error],
+    }
     result = run("csf", **small)
     assert result.score.metrics["rms_error"] == rms_error(result.score)
-    of_sensors = compare(["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, **small).judged["rms_error"]
+    of_sensors = compare(
+        ["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, **small
+    ).judged["rms_error"]
     assert of_sensors["4t-bsi"].mean() < of_sensors["0.35um"].mean()
 
 
@@ -168,9 +220,15 @@ def package(tmp_path, monkeypatch):
     info = tmp_path / "mymetrics-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mymetrics\nVersion: 1.0\n")
-    points = "[pixsim.metrics]\ncontrast = mymetrics:michelson\nbroken = mymetrics:missing\nnoname = mymetrics:number\n"
+    points = (
+        "[pixsim.metrics]\ncontrast = mymetrics:michelson\nbroken = mymetrics:missing\nnoname ="
+        " mymetrics:number\n"
+    )
     (info / "entry_points.txt").write_text(points)
-    code = "def michelson(score):\n    high, low = score.image.max(), score.image.min()\n    return (high - low) / (high + low)\n"
+    code = (
+        "def michelson(score):\n    high, low = score.image.max(), score.image.min()\n    return"
+        " (high - low) / (high + low)\n"
+    )
     (tmp_path / "mymetrics.py").write_text(f"{code}\n\nmichelson.better = 'more'\nnumber = 3\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     yield
@@ -185,7 +243,9 @@ def test_entry_points_of_installed_packages_are_metrics(package):
     score = score_pictures(picture, picture, display, metrics=["contrast"])
     assert score.metrics == {"contrast": pytest.approx(0.5, abs=1e-4)}
     assert metrics_named(["contrast"])[0].better == "more"
-    light = SpectralImage([550.0], 10.0, 10.0, data=np.full((48, 48, 1), 1e-3), header={"diffraction": False})
+    light = SpectralImage(
+        [550.0], 10.0, 10.0, data=np.full((48, 48, 1), 1e-3), header={"diffraction": False}
+    )
     own = {"display": Display(dots=48, white_cd_per_m2=1000.0), "metrics": ["delta_e", "contrast"]}
     frame = evaluate(light, Camera(die_mm=0.48), Pixel(), **own)
     assert frame.statistics()["contrast"] == frame.metrics["contrast"] > 0

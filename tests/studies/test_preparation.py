@@ -1,4 +1,6 @@
-"""What a command decides before its first render: display and chart of a data sheet's sensor, pixel sizes, windows, cost."""
+"""What a command decides before its first render: display and chart of a data sheet's sensor, pixel
+sizes, windows, cost.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +36,19 @@ from pixsim.studies.settings import Study
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 from pixsim.viewer.setting import Run
 
-SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
+SHEET = {
+    "pitch_um": 3.45,
+    "full_well_e": 11000,
+    "read_noise_e": 2.2,
+    "dark_current_e_per_s": 5,
+    "quantum_efficiency": 0.62,
+}
 SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}
 
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # such as of a shortened range; tests of warnings set their own
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::UserWarning"
+)  # such as of a shortened range; tests of warnings set their own
 
 
 def sheet_toml(folder: Path) -> Path:
@@ -53,18 +63,39 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Renderer, "run", lambda *_, **__: pytest.fail("rendered"))
 
 
-# --- Display and chart -------------------------------------------------------------------------------------------------
+# --- Display and chart
+# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("pitch_um", "display", "scene", "expected"),
     [
         # The display has a dot a pixel: the same frequency, named first.
-        (20.0, {}, {}, {"dots": 400, "max_lp_per_mm": 25.0, "limited_by": "the sensor's Nyquist frequency"}),
-        (3.45, {}, {}, {"dots": 2048, "max_lp_per_mm": 128.0, "limited_by": "the display's Nyquist frequency"}),
-        (10.0, {"dots": 100}, {}, {"max_lp_per_mm": 6.25, "limited_by": "the display's Nyquist frequency"}),
+        (
+            20.0,
+            {},
+            {},
+            {"dots": 400, "max_lp_per_mm": 25.0, "limited_by": "the sensor's Nyquist frequency"},
+        ),
+        (
+            3.45,
+            {},
+            {},
+            {"dots": 2048, "max_lp_per_mm": 128.0, "limited_by": "the display's Nyquist frequency"},
+        ),
+        (
+            10.0,
+            {"dots": 100},
+            {},
+            {"max_lp_per_mm": 6.25, "limited_by": "the display's Nyquist frequency"},
+        ),
         # Dots are pixels.
-        (10.0, {"raster": "one_to_one"}, {}, {"max_lp_per_mm": 50.0, "limited_by": "the sensor's Nyquist frequency"}),
+        (
+            10.0,
+            {"raster": "one_to_one"},
+            {},
+            {"max_lp_per_mm": 50.0, "limited_by": "the sensor's Nyquist frequency"},
+        ),
         # The fewest dots that a display has.
         (1500.0, {}, {"max_lp_per_mm": 20}, {"dots": 8}),
         (10.0, {}, {"max_lp_per_mm": 20}, {"dots": 800}),
@@ -75,7 +106,12 @@ def test_choose_view_takes_the_least_of_three_limits_and_keeps_what_was_set(
     pitch_um: float, display: dict[str, Any], scene: dict[str, Any], expected: dict[str, Any]
 ) -> None:
     camera = pixsim.Camera(die_mm=8.0, f_number=4.0, focal_length_mm=12.0)
-    view = choose_view(pitch_um, camera, pixsim.Display(**display), pixsim.load_scene("csf", resolution=64, **scene))
+    view = choose_view(
+        pitch_um,
+        camera,
+        pixsim.Display(**display),
+        pixsim.load_scene("csf", resolution=64, **scene),
+    )
     assert view == expected
 
 
@@ -85,25 +121,41 @@ def test_choose_view_ends_at_the_cut_off_of_the_lens() -> None:
     view = choose_view(3.45, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
     assert (view["dots"], view["limited_by"]) == (2048, "the lens's cut-off")
     at = np.array([0.98, 1.0]) * view["max_lp_per_mm"]
-    assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
-    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == {"dots": 800}, "no chart"
+    assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx(
+        [0.0034, 0.0], abs=1e-4
+    )
+    assert choose_view(
+        10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)
+    ) == {"dots": 800}, "no chart"
 
 
 def test_prepare_technology_keeps_paper_display_and_chart() -> None:
     for name in ("chen2000", "modern"):
         prepared = prepare(load_study(name))
         assert (prepared.view, prepared.complete.display.dots) == ({}, 512)
-        assert "max_lp_per_mm" not in {**prepared.complete.scene.parameters, **prepared.cases[0].scene.parameters}
+        assert "max_lp_per_mm" not in {
+            **prepared.complete.scene.parameters,
+            **prepared.cases[0].scene.parameters,
+        }
         assert prepared.complete == load_study(name)
 
 
-# --- Pixel sizes -------------------------------------------------------------------------------------------------------
+# --- Pixel sizes
+# -------------------------------------------------------------------------------------------------------
 
 
 def sheet_study(die_mm: float, **pitch: float) -> Study:
-    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 3.45}
+    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {
+        "data_sheet_pitch_um": 3.45
+    }
     return Study.model_validate(
-        {"name": "own", "technologies": ["none"], "pixel": pixel, "pitch": pitch, "camera": {"die_mm": die_mm}}
+        {
+            "name": "own",
+            "technologies": ["none"],
+            "pixel": pixel,
+            "pitch": pitch,
+            "camera": {"die_mm": die_mm},
+        }
     )
 
 
@@ -114,27 +166,52 @@ MOST_PIXELS = MAX_FRAME_BYTES / BYTES_PER_PIXEL
     ("die_mm", "message", "min_um", "max_um"),
     [
         (2.0, "", 0.8625, 13.8),
-        (8.5, r"smallest pixel size is 2\.20\d µm in place of 0\.8625.*--window", 8500 / MOST_PIXELS**0.5, 13.8),
-        (24.0, r"million pixels on the die", 24e3 / (24e3 // 3.45), 13.8),  # 48 million, more than 2 GiB a frame
+        (
+            8.5,
+            r"smallest pixel size is 2\.20\d µm in place of 0\.8625.*--window",
+            8500 / MOST_PIXELS**0.5,
+            13.8,
+        ),
+        (
+            24.0,
+            r"million pixels on the die",
+            24e3 / (24e3 // 3.45),
+            13.8,
+        ),  # 48 million, more than 2 GiB a frame
         (0.1, r"largest pixel size is 6\.25 µm in place of 13\.8 µm", 0.8625, 6.25),
     ],
 )
 def test_fitted_range_is_quarter_to_four_times_within_a_frame_and_the_die(
     die_mm: float, message: str, min_um: float, max_um: float
 ) -> None:
-    with warnings.catch_warnings(action="error") if not message else pytest.warns(UserWarning, match=message):
+    with (
+        warnings.catch_warnings(action="error")
+        if not message
+        else pytest.warns(UserWarning, match=message)
+    ):
         pitch = fitted_range(sheet_study(die_mm), pixsim.Camera(die_mm=die_mm)).pitch
     assert min_um <= pitch.min_um < min_um + 1e-4  # rounded up
     assert pitch.max_um == max_um
 
 
 def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
-    """√π times the height, whether four times the data sheet's pitch or a stated end lies beyond."""
+    """√π times the height, whether four times the data sheet's pitch or a stated end lies
+    beyond.
+    """
     lens = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
     for pitch, end in (({}, "13.8"), ({"max_um": 9.0}, "9")):
         study = sheet_study(2.0, **pitch)
-        study = study.model_copy(update={"pixel": PixelOptions(**study.pixel.model_dump(exclude_unset=True) | {"stack": lens})})
-        message = rf"largest pixel size of data sheet is 8\.862 µm in place of {end} µm: .*pixel\.stack\.microlens = 'none'"
+        study = study.model_copy(
+            update={
+                "pixel": PixelOptions(
+                    **study.pixel.model_dump(exclude_unset=True) | {"stack": lens}
+                )
+            }
+        )
+        message = (
+            rf"largest pixel size of data sheet is 8\.862 µm in place of {end} µm:"
+            r" .*pixel\.stack\.microlens = 'none'"
+        )
         with pytest.warns(UserWarning, match=message):
             fitted = fitted_range(study, pixsim.Camera(die_mm=2.0))
         assert study_pitches_um(fitted, "none").max() == 8.8622
@@ -144,7 +221,8 @@ def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
 def test_prepare_set_size_with_too_many_pixels_raises() -> None:
     for pitch in ({"min_um": 0.5}, {"values_um": (0.5, 3, 4, 5, 6)}):
         with pytest.raises(
-            pixsim.PixsimError, match=r"got 0\.5, which makes 289 million pixels; allowed: at least 1\.03.*--window"
+            pixsim.PixsimError,
+            match=r"got 0\.5, which makes 289 million pixels; allowed: at least 1\.03.*--window",
         ):
             prepare(sheet_study(8.5, **pitch))
     prepare(sheet_study(4.0, min_um=0.5))
@@ -160,7 +238,8 @@ def test_prepare_technology_with_too_many_pixels_is_clipped() -> None:
         prepare(load_study("pixel-size"))
 
 
-# --- One set of options in TOML, by options and in Python ----------------------------------------------------------------
+# --- One set of options in TOML, by options and in Python
+# ----------------------------------------------------------------
 
 
 def test_toml_options_and_python_make_the_same_study(tmp_path: Path) -> None:
@@ -174,16 +253,30 @@ def test_toml_options_and_python_make_the_same_study(tmp_path: Path) -> None:
     more = {"seed": 3, "refine": False, "resolution": 64}
     named = 'name = "own"\nrepeats = 2\n'
     given = more | {"scene": {"file": "slanted_edge", "parameters": SMALL}} | tables
-    own.write_text(named + "".join(f"{name} = {toml_of(value)}\n" for name, value in given.items()), encoding="utf-8")
-    bare.write_text(named + "[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n", encoding="utf-8")
+    own.write_text(
+        named + "".join(f"{name} = {toml_of(value)}\n" for name, value in given.items()),
+        encoding="utf-8",
+    )
+    bare.write_text(
+        named + "[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n", encoding="utf-8"
+    )
     options = "--seed 3 --no-refine --resolution 64 --scene slanted_edge"
-    options += "".join(f" --{table}.{name.replace('_', '-')} {value}" for table, of in tables.items() for name, value in of.items())
+    options += "".join(
+        f" --{table}.{name.replace('_', '-')} {value}"
+        for table, of in tables.items()
+        for name, value in of.items()
+    )
     options += "".join(f" -D {name}={value}" for name, value in SMALL.items())
     outlines = [
-        json.loads(quiet_command(f"study {words} --config {sheet} --dry-run --json")) for words in (own, f"{bare} {options}")
+        json.loads(quiet_command(f"study {words} --config {sheet} --dry-run --json"))
+        for words in (own, f"{bare} {options}")
     ]
     assert outlines[0] == outlines[1]
-    assert (outlines[0]["evaluations"], outlines[0]["seed"], outlines[0]["display"]["gamma"]) == (3 * 10, 3, 2.0)
+    assert (outlines[0]["evaluations"], outlines[0]["seed"], outlines[0]["display"]["gamma"]) == (
+        3 * 10,
+        3,
+        2.0,
+    )
     studies = (
         load_study(own, config=sheet),
         load_study(bare, config=sheet, scene="slanted_edge", parameters=SMALL, **more, **tables),
@@ -211,7 +304,9 @@ def test_study_range_option_replaces_list_of_sizes(tmp_path: Path) -> None:
 def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
     study = load_study("pixel-size", scene="still_life")
     assert (study.scene.file, study.scene.parameters) == ("still_life", {})
-    assert load_study("pixel-size", scene="csf", parameters={"spp": 4}).scene.parameters == {"spp": 4}
+    assert load_study("pixel-size", scene="csf", parameters={"spp": 4}).scene.parameters == {
+        "spp": 4
+    }
 
 
 @pytest.mark.parametrize(
@@ -228,17 +323,22 @@ def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
         ("-D max_lp_per_mm=0.5", ["max_lp_per_mm: got 0.5; allowed: at least 1.1"]),
     ],
 )
-def test_study_problem_is_found_before_render(words: str, message: list[str], unrendered: None, tmp_path: Path) -> None:
+def test_study_problem_is_found_before_render(
+    words: str, message: list[str], unrendered: None, tmp_path: Path
+) -> None:
     code, out, err = command(f"study pixel-size --out {tmp_path / 'out'} {words}")
     assert_refused(code, out, err, message)
     assert not (tmp_path / "out").exists()
 
 
-# --- Window ------------------------------------------------------------------------------------------------------------
+# --- Window
+# ------------------------------------------------------------------------------------------------------------
 
 
 def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
-    """In a scene whose lens follows from its focal length, a window is a smaller die; elsewhere it keeps the focal length too."""
+    """In a scene whose lens follows from its focal length, a window is a smaller die; elsewhere it
+    keeps the focal length too.
+    """
     few = {"pitch": {"values_um": [8, 10, 12, 16, 20]}}
     window = pixsim.study(tiny(**few, window_mm=0.9), tmp_path / "window", jobs=1)
     smaller = pixsim.study(tiny(**few, camera={"die_mm": 0.9}), tmp_path / "die", jobs=1)
@@ -252,22 +352,41 @@ def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
 
 def test_run_window_is_named(tmp_path: Path) -> None:
     sheet = sheet_toml(tmp_path)
-    out = quiet_command(f"run csf --config {sheet} --resolution 48 --window 0.7 --irradiance none --out {tmp_path / 'out'}")
+    out = quiet_command(
+        f"run csf --config {sheet} --resolution 48 --window 0.7 --irradiance none --out"
+        f" {tmp_path / 'out'}"
+    )
     # 202 pixels on as many dots.
     assert "202 × 202 pixels of 3.45 µm, exposed for" in out
-    assert "shown on 202 dots (from the sensor's pixels), 1 pixels per dot; chart to 144 lp/mm" in out
+    assert (
+        "shown on 202 dots (from the sensor's pixels), 1 pixels per dot; chart to 144 lp/mm" in out
+    )
     assert "only the central 0.7 mm of the die are shown and scored" in out
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
-    assert (score["window_mm"], score["camera"]["die_mm"], score["chosen"]["dots"]) == (0.7, 0.7, 202)
-    assert score["irradiance"]["parameters"]["max_lp_per_mm"] == repr(score["chosen"]["max_lp_per_mm"])
+    assert (score["window_mm"], score["camera"]["die_mm"], score["chosen"]["dots"]) == (
+        0.7,
+        0.7,
+        202,
+    )
+    assert score["irradiance"]["parameters"]["max_lp_per_mm"] == repr(
+        score["chosen"]["max_lp_per_mm"]
+    )
 
 
-# --- No visible difference ------------------------------------------------------------------------------------------------
+# --- No visible difference
+# ------------------------------------------------------------------------------------------------
 
 
 def curve_through(pitch_um: np.ndarray, mean: np.ndarray, scatter: float) -> Curve:
     delta_e = mean[:, None] + scatter * np.array([-1.0, 0.0, 1.0])
-    return Curve("none", 0.35, pitch_um, np.ones(pitch_um.size), {"mean_delta_e": delta_e}, fit_curve(pitch_um, delta_e))
+    return Curve(
+        "none",
+        0.35,
+        pitch_um,
+        np.ones(pitch_um.size),
+        {"mean_delta_e": delta_e},
+        fit_curve(pitch_um, delta_e),
+    )
 
 
 WIDE_UM = np.geomspace(1.0, 16.0, 9)
@@ -275,29 +394,41 @@ EVEN = 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5])
 
 
 def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
-    """An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within 0.05, and 0.04 + 0.014 not."""
+    """An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within
+    0.05, and 0.04 + 0.014 not.
+    """
     wider = np.where(EVEN == 0.23, 0.24, EVEN)
     for mean, scatter, ends in ((EVEN, 1e-6, [2, 6]), (wider, 1e-6, [2, 6]), (wider, 0.02, [3, 6])):
         assert curve_through(WIDE_UM, mean, scatter).no_difference_um == tuple(WIDE_UM[ends])
-    assert curve_through(WIDE_UM, EVEN, 0.2).no_difference_um is None, "nothing is known to be alike"
+    assert curve_through(WIDE_UM, EVEN, 0.2).no_difference_um is None, (
+        "nothing is known to be alike"
+    )
 
 
 OF_A_LENS_UM = np.array([0.4715, 0.7729, 1.267, 2.0771, 3.4049, 5.5818, 9.1502, 15.0])
 
 
 def test_fit_beside_a_steep_flank() -> None:
-    """The phone's lens in the light of a lamp: the fit is least among the sizes that look alike, which its interval contains."""
-    steep = curve_through(OF_A_LENS_UM, np.array([8.031, 0.957, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    """The phone's lens in the light of a lamp: the fit is least among the sizes that look alike,
+    which its interval contains.
+    """
+    steep = curve_through(
+        OF_A_LENS_UM, np.array([8.031, 0.957, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4
+    )
     assert steep.no_difference_um == (1.267, 5.5818)
     assert not steep.fit_swings
     low, high = steep.optimum.interval_um
     assert 0.7729 < low < 2.0771 < 3.4049 < high < 5.5818
-    assert steep.optimum.mean_delta_e == pytest.approx(0.745, abs=0.01)  # 0.75 and 0.751 at the two best sizes
+    assert steep.optimum.mean_delta_e == pytest.approx(
+        0.745, abs=0.01
+    )  # 0.75 and 0.751 at the two best sizes
 
 
 def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() -> None:
     """Beside a corner, the fit swings below all sizes tried."""
-    steep = curve_through(OF_A_LENS_UM, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    steep = curve_through(
+        OF_A_LENS_UM, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4
+    )
     low, high = steep.no_difference_um
     assert not steep.fit.logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
@@ -327,14 +458,22 @@ def test_study_line_says_that_sizes_look_alike() -> None:
     assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
 
 
-# --- Dry run and cost ---------------------------------------------------------------------------------------------------
+# --- Dry run and cost
+# ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "line",
-    ["run csf", pytest.param("study pixel-size --quick", marks=pytest.mark.slow), "study chen2000", "run macbeth --window 1"],
+    [
+        "run csf",
+        pytest.param("study pixel-size --quick", marks=pytest.mark.slow),
+        "study chen2000",
+        "run macbeth --window 1",
+    ],
 )
-def test_dry_run_renders_and_writes_nothing(line: str, unrendered: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dry_run_renders_and_writes_nothing(
+    line: str, unrendered: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     sheet = "" if "chen" in line else f"--config {sheet_toml(tmp_path)}"
     before = sorted(tmp_path.rglob("*"))
@@ -361,13 +500,16 @@ def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     made_of = [row["dots"] for row in rows(tmp_path / "out")]
     stated = str(done.study.display.dots)
     assert made_of.count(stated) == len(sensor["pitch_um"]) * sensor["sensors"]
-    assert len(made_of) - made_of.count(stated) == len(sensor["pitch_um"]) * 2 * 2, "two sensors of each size on two displays"
+    assert len(made_of) - made_of.count(stated) == len(sensor["pitch_um"]) * 2 * 2, (
+        "two sensors of each size on two displays"
+    )
     assert done.study.display.dots == outline["display"]["dots"]
     assert done.irradiance.shape == tuple(outline["film"]["samples"])
 
 
 @pytest.mark.parametrize(
-    ("scene", "parameters"), [("siemens_star", {"resolution": 128}), ("macbeth", {"resolution": 64}), ("flat", {})]
+    ("scene", "parameters"),
+    [("siemens_star", {"resolution": 128}), ("macbeth", {"resolution": 64}), ("flat", {})],
 )
 def test_dry_run_states_rays_of_the_film_that_is_rendered(
     scene: str, parameters: dict[str, int], monkeypatch: pytest.MonkeyPatch
@@ -383,16 +525,25 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
     die = {"die_mm": 0.6}
     over = {"camera": die, "pitch": {"values_um": [6, 8, 12, 16, 20]}}
     study = Study.model_validate(
-        {"name": "own", "scene": {"file": scene, "parameters": parameters}, "display": {"dots": 128}, **over}
+        {
+            "name": "own",
+            "scene": {"file": scene, "parameters": parameters},
+            "display": {"dots": 128},
+            **over,
+        }
     )
     film = study_outline(prepare(study))["film"]
     with pytest.raises(InterruptedError):
         render_for(prepare(study).cases[0])
     assert rendered == [(film["samples"], film["spp"], film["passes"])]
-    run = Run.model_validate({"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}})
+    run = Run.model_validate(
+        {"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}}
+    )
     assert run_outline(prepare_run(scene, run))["film"] == film
     scene_file = make_render_plan(pixsim.load_scene(scene, **parameters))
-    assert (0 < film["spp"] < scene_file.samples.spp) if scene == "macbeth" else film["spp"] == 0, "cells of a chart are computed"
+    assert (0 < film["spp"] < scene_file.samples.spp) if scene == "macbeth" else film["spp"] == 0, (
+        "cells of a chart are computed"
+    )
     assert film["samples"][1] > 128 or scene == "flat"
 
 
@@ -405,10 +556,13 @@ def plan() -> Plan:
 
 
 def test_study_cost_holds_one_light_and_takes_one_report(plan: Plan) -> None:
-    """Twice as many lights take their renders and evaluations more, and no more memory than a limit allows."""
+    """Twice as many lights take their renders and evaluations more, and no more memory than a limit
+    allows.
+    """
     prepared = prepare(sheet_study(2.4))
     one, two, few, many = (
-        study_cost([(prepared.complete, prepared.camera)] * count, count, plan, SAMPLES, jobs=2) for count in (1, 2, 20, 40)
+        study_cost([(prepared.complete, prepared.camera)] * count, count, plan, SAMPLES, jobs=2)
+        for count in (1, 2, 20, 40)
     )
     assert (many.renders, many.evaluations) == (40, 40 * one.evaluations)
     assert few.memory_bytes == many.memory_bytes <= one.memory_bytes + SCENE_CACHE_BYTES
@@ -418,9 +572,14 @@ def test_study_cost_holds_one_light_and_takes_one_report(plan: Plan) -> None:
 
 
 def test_cost_is_text_with_a_rough_time() -> None:
-    words = "1 render, 240 evaluations on 4 processes; about 60 s, to a factor of 3; 1.3 GB of memory"
+    words = (
+        "1 render, 240 evaluations on 4 processes; about 60 s, to a factor of 3; 1.3 GB of memory"
+    )
     assert str(Cost(1, 240, 61.7, 1.26e9, 4)) == words
-    assert str(Cost(2, 1, 754.0, 1e9, 1)) == "2 renders, 1 evaluation; about 13 min, to a factor of 3; 1 GB of memory"
+    assert (
+        str(Cost(2, 1, 754.0, 1e9, 1))
+        == "2 renders, 1 evaluation; about 13 min, to a factor of 3; 1 GB of memory"
+    )
 
 
 def test_study_of_scene_without_white_estimates_it(tmp_path: Path) -> None:
@@ -428,8 +587,13 @@ def test_study_of_scene_without_white_estimates_it(tmp_path: Path) -> None:
     scenes = packaged_scenes()["macbeth"].parent
     shutil.copytree(scenes / "spectra", tmp_path / "spectra")
     own, text = tmp_path / "own.xml", (scenes / "macbeth.xml").read_text(encoding="utf-8")
-    own.write_text("\n".join(line for line in text.splitlines() if "white_cd_per_m2" not in line), encoding="utf-8")
-    study = tiny(scene={"file": str(own), "parameters": {}}, pitch={"values_um": [20, 24, 28, 32, 40]}).model_dump(mode="json")
+    own.write_text(
+        "\n".join(line for line in text.splitlines() if "white_cd_per_m2" not in line),
+        encoding="utf-8",
+    )
+    study = tiny(
+        scene={"file": str(own), "parameters": {}}, pitch={"values_um": [20, 24, 28, 32, 40]}
+    ).model_dump(mode="json")
     study["resolution"], study["scene"]["parameters"] = 48, {"spp": 4}
     with pytest.warns(UserWarning, match="does not define its white"):
         result = pixsim.study(Study.model_validate(study), tmp_path / "out", jobs=1)

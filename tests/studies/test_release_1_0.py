@@ -1,4 +1,6 @@
-"""Results that release 1.0.0 wrote: they are read, or named with what becomes of them (docs/migration.md)."""
+"""Results that release 1.0.0 wrote: they are read, or named with what becomes of them
+(docs/migration.md).
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ def study(tmp_path: Path) -> Path:
 def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
     results, before = Store(study / "results.csv"), (study / "results.csv").read_bytes()
     said = (
-        r"the rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results.csv.old., and they are computed again; only"
+        r"the rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results.csv.old.,"
+        r" and they are computed again; only"
     )
     with pytest.warns(UserWarning, match=said):
         assert not results.resume(lambda _: False)
@@ -41,20 +44,27 @@ def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
 def test_rows_of_an_interrupted_study_are_named_without_a_release(study: Path) -> None:
     """Its folder has no provenance.json yet."""
     (study / "provenance.json").unlink()
-    with pytest.warns(UserWarning, match=r"are of other settings, or of another version of pixsim\. The file is kept as"):
+    with pytest.warns(
+        UserWarning,
+        match=r"are of other settings, or of another version of pixsim\. The file is kept as",
+    ):
         Store(study / "results.csv").resume(lambda _: False)
 
 
 def test_rows_of_this_version_under_other_settings_need_no_words(study: Path) -> None:
     text = (study / "provenance.json").read_text(encoding="utf-8")
-    (study / "provenance.json").write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{pixsim.__version__}"'), encoding="utf-8")
+    (study / "provenance.json").write_text(
+        text.replace('"pixsim": "1.0.0"', f'"pixsim": "{pixsim.__version__}"'), encoding="utf-8"
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not Store(study / "results.csv").resume(lambda _: False)
 
 
 def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:
-    """Rates of electrons are the same; a repeat now has a place of its own on the die, which moves its mean a little."""
+    """Rates of electrons are the same; a repeat now has a place of its own on the die, which moves
+    its mean a little.
+    """
     before = rows(study)
     with pytest.warns(UserWarning, match=r"pixsim 1\.0\.0"):
         pixsim.study(study / "settings.toml", study, jobs=1)
@@ -63,7 +73,8 @@ def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:
     for name in ("pitch_um", "repeat", "fill_factor", "full_well_e"):
         assert [row[name] for row in now] == [row[name] for row in before]
     both = (np.array([float(row["mean_electrons_e"]) for row in table]) for table in (now, before))
-    # At most one of 90 pixels a side comes in for another, on light that differs by some tenths: below 1e-3 of the mean.
+    # At most one of 90 pixels a side comes in for another, on light that differs by some tenths:
+    # below 1e-3 of the mean.
     np.testing.assert_allclose(*both, rtol=1e-3)
 
 
@@ -78,15 +89,24 @@ def entries(content: object, above: str = "") -> set[str]:
     """Dotted names of all entries of JSON; those of a list together."""
     match content:
         case dict():
-            return {name for key, value in content.items() for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}}
+            return {
+                name
+                for key, value in content.items()
+                for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}
+            }
         case list() | tuple():
             return {name for value in content for name in entries(value, f"{above}[]")}
     return set()
 
 
 def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
-    """Light, sensor, noise and S-CIELAB of one frame are those of 1.0.0: only renders, films and registrations have changed."""
-    light, stated = pixsim.read_irradiance(DATA / "run/irradiance.exr"), json.loads((DATA / "run/score.json").read_bytes())
+    """Light, sensor, noise and S-CIELAB of one frame are those of 1.0.0: only renders, films and
+    registrations have changed.
+    """
+    light, stated = (
+        pixsim.read_irradiance(DATA / "run/irradiance.exr"),
+        json.loads((DATA / "run/score.json").read_bytes()),
+    )
     assert (stated["schema"], SCHEMA) == (1, 2)
     camera = pixsim.Camera.model_validate(light.header["camera"])
     settings = run_settings([DATA / "run/settings.toml"], {})
@@ -98,7 +118,10 @@ def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
 
 def test_settings_of_the_scene_beside_its_kept_light_are_named() -> None:
     named = (
-        r"^--resolution \(resolution\), --window \(window_mm\): got '.*irradiance.exr', a picture; allowed: a Mitsuba scene, or "
+        r"^--resolution \(resolution\), --window \(window_mm\): got '.*irradiance.exr', a picture;"
+        r" allowed: a Mitsuba scene, or "
     )
-    with pytest.raises(pixsim.PixsimError, match=named + r"none of these\. Take them out of a settings file"):
+    with pytest.raises(
+        pixsim.PixsimError, match=named + r"none of these\. Take them out of a settings file"
+    ):
         pixsim.run(DATA / "run/irradiance.exr", config=DATA / "run/settings.toml")

@@ -29,16 +29,28 @@ def score() -> Score:
     nm = np.arange(400.0, 701.0, 10.0)
     at = (np.arange(128) + 0.5) / 128
     factors = d65(nm)[None] * 2e-6, np.asarray(csf_value(at, at[:, None]), np.float32)[None]
-    image = pixsim.SpectralImage(nm, 10.0, 2713.6 / 128, factors=factors, header={"luminance_cd_per_m2": 1000.0})
-    return pixsim.evaluate(image, pixsim.Camera(), pixsim.Pixel(pitch_um=21.2), display=pixsim.Display(dots=128))
+    image = pixsim.SpectralImage(
+        nm, 10.0, 2713.6 / 128, factors=factors, header={"luminance_cd_per_m2": 1000.0}
+    )
+    return pixsim.evaluate(
+        image, pixsim.Camera(), pixsim.Pixel(pitch_um=21.2), display=pixsim.Display(dots=128)
+    )
 
 
 @pytest.fixture(scope="module")
 def result(tiny_result: StudyResult) -> StudyResult:
     """With words that look like markup, and a second technology that has no optimum."""
     (curve,) = tiny_result.curves
-    other = replace(curve, technology="0.25um", fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False)))
-    return replace(tiny_result, study=tiny_result.study.model_copy(update={"title": MARKUP}), curves=(curve, other))
+    other = replace(
+        curve,
+        technology="0.25um",
+        fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False)),
+    )
+    return replace(
+        tiny_result,
+        study=tiny_result.study.model_copy(update={"title": MARKUP}),
+        curves=(curve, other),
+    )
 
 
 def image_of(cell: str) -> str:
@@ -61,7 +73,12 @@ def test_score_repr_html_shows_statistics(score: Score) -> None:
 
 
 def test_score_plot_scale_ends_at_99th_percentile(score: Score) -> None:
-    (shown,) = [image for axes in score.plot().axes for image in axes.images if axes.get_title().startswith("S-CIELAB")]
+    (shown,) = [
+        image
+        for axes in score.plot().axes
+        for image in axes.images
+        if axes.get_title().startswith("S-CIELAB")
+    ]
     assert shown.get_clim() == (0.0, scale_end(score.statistics()["p99_delta_e"]))
     np.testing.assert_array_equal(shown.get_array(), score.delta_e)
 
@@ -80,7 +97,9 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     assert image_of(cell).startswith("<?xml")
     axes = result.plot().axes[0]
     assert axes.get_xlabel() == "pixel size (µm)"
-    assert tuple(result.curves[0].pitch_um) in {tuple(np.round(line.get_xdata(), 6)) for line in axes.lines}
+    assert tuple(result.curves[0].pitch_um) in {
+        tuple(np.round(line.get_xdata(), 6)) for line in axes.lines
+    }
 
 
 def test_to_csv_round_trips(score: Score, result: StudyResult, tmp_path: Path) -> None:
@@ -92,5 +111,7 @@ def test_to_csv_round_trips(score: Score, result: StudyResult, tmp_path: Path) -
     assert len(rows) == 6 * 2
     for curve in result.curves[:1]:
         own = [row for row in rows if row["technology"] == curve.technology]
-        np.testing.assert_array_equal([float(row["mean_delta_e"]) for row in own], curve.delta_e.ravel())
+        np.testing.assert_array_equal(
+            [float(row["mean_delta_e"]) for row in own], curve.delta_e.ravel()
+        )
         assert [float(row["pitch_um"]) for row in own] == np.repeat(curve.pitch_um, 2).tolist()

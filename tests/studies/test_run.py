@@ -26,8 +26,16 @@ from pixsim.show.render import text as text_of
 from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.run import RunResult
 
-SMALL: dict[str, Any] = {"pixel": {"pitch_um": 21.2}, "resolution": 64, "display": {"dots": 64}, "seed": 3}
-LINE = "run csf --variant scalar_spectral --pixel.pitch-um 21.2 --resolution 64 --display.dots 64 --seed 3"
+SMALL: dict[str, Any] = {
+    "pixel": {"pitch_um": 21.2},
+    "resolution": 64,
+    "display": {"dots": 64},
+    "seed": 3,
+}
+LINE = (
+    "run csf --variant scalar_spectral --pixel.pitch-um 21.2 --resolution 64 --display.dots 64"
+    " --seed 3"
+)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +50,11 @@ def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> 
     with command_line():  # its page names settings as options
         assert made.write(tmp_path / "python") == tmp_path / "python/report.html"
     by_command, by_python = (
-        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir() if path.name != LIST}
+        {
+            path.name: path.read_bytes()
+            for path in (tmp_path / folder).iterdir()
+            if path.name != LIST
+        }
         for folder in ("command", "python")
     )
     assert by_python == by_command
@@ -50,7 +62,9 @@ def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> 
 
 
 def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
-    """A file with the sensor, whose bits are overridden; half of the light gives half of the electrons."""
+    """A file with the sensor, whose bits are overridden; half of the light gives half of the
+    electrons.
+    """
     table = "[pixel]\npitch_um = 42.4\nbits = 8\n[exposure]\nintegration_s = 1e-3\n"
     (tmp_path / "sensor.toml").write_text(table, encoding="utf-8")
     settings: dict[str, Any] = {"config": tmp_path / "sensor.toml", "pixel": {"bits": 12}}
@@ -58,7 +72,10 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
     results = []
     for factor in (1.0, 0.5):
         data = factor * np.full((64, 64, 3), 1e-3)
-        pixsim.write_npz(tmp_path / "light.npz", pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 42.4, data=data))
+        pixsim.write_npz(
+            tmp_path / "light.npz",
+            pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 42.4, data=data),
+        )
         with pytest.warns(UserWarning, match="bands of up to 100 nm"):
             results.append(pixsim.run(tmp_path / "light.npz", **settings, display=display))
     full, half = (result.score.frame.mean_e.mean() for result in results)
@@ -69,7 +86,10 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
 
 
 def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path) -> None:
-    assert repr(made) == f"<RunResult csf: delta_e {estimate(made.mean_delta_e)}, 21.2 µm pixels, 1 sensors>"
+    assert (
+        repr(made)
+        == f"<RunResult csf: delta_e {estimate(made.mean_delta_e)}, 21.2 µm pixels, 1 sensors>"
+    )
     page = made._repr_html_()
     assert shown_mean_of(made) in page
     assert all(note.partition(":")[0] in page for note in made.notes)
@@ -88,7 +108,12 @@ MANY = 400
 def many() -> RunResult:
     """Many sensors of a few pixels at one registration, which take a millisecond each."""
     pixel = {"pitch_um": 40.0, "registration": [0.0, 0.0]}
-    settings = {"camera": {"die_mm": 0.64}, "pixel": pixel, "resolution": 32, "display": {"dots": 16}}
+    settings = {
+        "camera": {"die_mm": 0.64},
+        "pixel": pixel,
+        "resolution": 32,
+        "display": {"dots": 16},
+    }
     return pixsim.run("flat", variant="scalar_spectral", repeats=MANY, **settings)
 
 
@@ -102,29 +127,50 @@ def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(made: Run
 
 # An even number of pixels has a border at the centre of the die, an odd one the middle of a pixel.
 @pytest.mark.parametrize(("pitch_um", "first"), [(21.2, 0.0), (21.3, 0.5)])
-def test_registrations_of_repeats_are_spread_from_the_centred_one(pitch_um: float, first: float) -> None:
-    """As of a study, but for the shift: each repeat is that of a run which states its registration."""
+def test_registrations_of_repeats_are_spread_from_the_centred_one(
+    pitch_um: float, first: float
+) -> None:
+    """As of a study, but for the shift: each repeat is that of a run which states its
+    registration.
+    """
     pixel = {"pitch_um": pitch_um}
     several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **(SMALL | {"pixel": pixel}))
     assert several.score.frame.pixels == ((128, 128) if first == 0.0 else (127, 127))
     for number in range(3):
         x, y = ((part + first) % 1.0 for part in spread_registration(number))
-        stated = pixsim.run("csf", variant="scalar_spectral", **(SMALL | {"pixel": pixel | {"registration": [x, y]}}))
+        stated = pixsim.run(
+            "csf",
+            variant="scalar_spectral",
+            **(SMALL | {"pixel": pixel | {"registration": [x, y]}}),
+        )
         key = ("evaluate", 3, number) if number else ("evaluate", 3)
-        assert stated.chain.simulate(*key).mean_delta_e == pytest.approx(several.delta_e[number], rel=1e-12)
+        assert stated.chain.simulate(*key).mean_delta_e == pytest.approx(
+            several.delta_e[number], rel=1e-12
+        )
 
 
 @pytest.mark.parametrize(
-    ("pixel", "display"), [({"registration": [0.2, 0.7]}, {}), ({}, {"raster": "one_to_one"})], ids=["stated", "one to one"]
+    ("pixel", "display"),
+    [({"registration": [0.2, 0.7]}, {}), ({}, {"raster": "one_to_one"})],
+    ids=["stated", "one to one"],
 )
-def test_repeats_of_one_registration_are_those_of_one_chain(pixel: dict[str, Any], display: dict[str, Any]) -> None:
-    """Where the pixels of all repeats lie at one place, the answer says so, since its interval holds for that one."""
+def test_repeats_of_one_registration_are_those_of_one_chain(
+    pixel: dict[str, Any], display: dict[str, Any]
+) -> None:
+    """Where the pixels of all repeats lie at one place, the answer says so, since its interval
+    holds for that one.
+    """
     settings = SMALL | {"pixel": SMALL["pixel"] | pixel, "display": SMALL["display"] | display}
     several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **settings)
-    alone = [several.score.mean_delta_e, *(several.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
+    alone = [
+        several.score.mean_delta_e,
+        *(several.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2)),
+    ]
     np.testing.assert_array_equal(several.delta_e, alone)
     assert not several.is_spread
-    (line,) = [text for text in text_of(run_document(several)).splitlines() if text.startswith("3 sensors")]
+    (line,) = [
+        text for text in text_of(run_document(several)).splitlines() if text.startswith("3 sensors")
+    ]
     assert line.startswith("3 sensors at one registration")
 
 
@@ -136,21 +182,33 @@ def test_interval_is_that_of_student(many: RunResult) -> None:
 
 
 def test_intervals_of_few_sensors_cover_the_mean_of_many(many: RunResult) -> None:
-    """Of 100 groups of 4 sensors 95 contain it; 88 to 100 are within 3.2 σ, and half of their width would leave 79."""
-    groups = [replace(many, table=many.table.take(np.arange(first, first + 4))).interval_delta_e for first in range(0, MANY, 4)]
+    """Of 100 groups of 4 sensors 95 contain it; 88 to 100 are within 3.2 σ, and half of their width
+    would leave 79.
+    """
+    groups = [
+        replace(many, table=many.table.take(np.arange(first, first + 4))).interval_delta_e
+        for first in range(0, MANY, 4)
+    ]
     covered = sum(low <= many.mean_delta_e <= high for low, high in filter(None, groups))
     assert 88 <= covered <= 100
     mean = many.mean_delta_e
-    halves = sum(abs(low + high - 2 * mean) <= (high - low) / 2 for low, high in filter(None, groups))
+    halves = sum(
+        abs(low + high - 2 * mean) <= (high - low) / 2 for low, high in filter(None, groups)
+    )
     assert halves < 88
 
 
 def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
-    code, out, err = command(f"{LINE} --repeats 3 --frames 2 --raw npz --json --out {tmp_path / 'out'}")
+    code, out, err = command(
+        f"{LINE} --repeats 3 --frames 2 --raw npz --json --out {tmp_path / 'out'}"
+    )
     assert code == 0, err
     score = json.loads(out)
     before = made.as_dict()
-    assert all(score[name] == before[name] for name in ("mean_delta_e", "max_delta_e", "integration_s", "frames"))
+    assert all(
+        score[name] == before[name]
+        for name in ("mean_delta_e", "max_delta_e", "integration_s", "frames")
+    )
     assert not {"repeats", "delta_e", "interval_delta_e"} & before.keys()
     low, high = score["interval_delta_e"]
     assert score["repeats"] == len(score["delta_e"]) == 3
@@ -161,16 +219,26 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
     settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
     assert "--repeats 3 --frames 2" in settings.splitlines()[1]
-    lines = command(f"{LINE} --repeats 3 --frames 2 --raw npz --out {tmp_path / 'out'}")[1].splitlines()
+    lines = command(f"{LINE} --repeats 3 --frames 2 --raw npz --out {tmp_path / 'out'}")[
+        1
+    ].splitlines()
     assert "(95 % and film), not converged" in lines[0]
     assert any(line in each for each in lines)
     assert ", 3 sensors of each" in command(f"{LINE} --repeats 3 --dry-run")[1]
 
 
 @pytest.mark.parametrize(("tolerance_delta_e", "across"), [(1.0, 256), (1e-4, 512)])
-def test_the_film_doubles_until_its_error_is_tolerated(tolerance_delta_e: float, across: int) -> None:
-    """It begins with a quarter of the samples across that a run takes, 1024; no more sensors are taken."""
-    options: dict[str, Any] = {"pixel": {"pitch_um": 42.4}, "display": {"dots": 16}, "camera": {"die_mm": 1.0}}
+def test_the_film_doubles_until_its_error_is_tolerated(
+    tolerance_delta_e: float, across: int
+) -> None:
+    """It begins with a quarter of the samples across that a run takes, 1024; no more sensors are
+    taken.
+    """
+    options: dict[str, Any] = {
+        "pixel": {"pitch_um": 42.4},
+        "display": {"dots": 16},
+        "camera": {"die_mm": 1.0},
+    }
     result = pixsim.run("csf", tolerance_delta_e=tolerance_delta_e, **options)
     film = result.as_dict()["film"]
     assert film["met"]
@@ -193,11 +261,15 @@ TRIALS = 400
 
 @pytest.mark.parametrize("count", [4, 5, 8])
 @pytest.mark.parametrize(("wave", "noise"), [(0.0, 1.0), (1.0, 1.0), (20.0, 1.0)])
-def test_interval_of_spread_registrations_holds_the_mean_and_is_not_long(count: int, wave: float, noise: float) -> None:
-    """A number that waves with the registration, whose mean is 0 in closed form, and scatters from sensor to sensor.
+def test_interval_of_spread_registrations_holds_the_mean_and_is_not_long(
+    count: int, wave: float, noise: float
+) -> None:
+    """A number that waves with the registration, whose mean is 0 in closed form, and scatters from
+    sensor to sensor.
 
-    The amplitudes of its harmonics fall as 1/k², as those of a kink do. With 400 trials, 95 % is found as 93 % or more but once
-    in 30, and these intervals are safer. At 20 times the noise, the interval of Student's t is more than four times too long.
+    The amplitudes of its harmonics fall as 1/k², as those of a kink do. With 400 trials, 95 % is
+    found as 93 % or more but once in 30, and these intervals are safer. At 20 times the noise, the
+    interval of Student's t is more than four times too long.
     """
     rng = np.random.default_rng(1)
     net = np.array([spread_registration(number) for number in range(count)])
@@ -223,13 +295,16 @@ def test_interval_of_spread_registrations_holds_the_mean_and_is_not_long(count: 
 
 
 def test_interval_of_pixels_that_beat_with_the_dots_holds_the_mean() -> None:
-    """A sample of tests/benchmarks/repeats_interval.py: pixels of 6 µm, whose mean ΔE the registration moves by several per cent.
+    """A sample of tests/benchmarks/repeats_interval.py: pixels of 6 µm, whose mean ΔE the
+    registration moves by several per cent.
 
     Of 30 intervals of 95 %, fewer than 25 hold the mean once in 300 tests.
     """
     with warnings.catch_warnings(action="ignore"):
         pixel = {"technology": "4t-bsi", "pitch_um": 6.0}
-        result = pixsim.run("csf", pixel=pixel, camera={"die_mm": 0.3}, display={"dots": 64}, resolution=256)
+        result = pixsim.run(
+            "csf", pixel=pixel, camera={"die_mm": 0.3}, display={"dots": 64}, resolution=256
+        )
     sensors, rng = Trials(result), np.random.default_rng(1)
     truth = sensors.delta_e(shifted(64, np.zeros(2)), "truth").mean()
     errors, halves, held = [], [], 0

@@ -1,4 +1,6 @@
-"""What a study takes, a comparison and a sweep take too: each option changes what is made, or a message names it."""
+"""What a study takes, a comparison and a sweep take too: each option changes what is made, or a
+message names it.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,13 @@ ARGUMENTS: dict[str, Any] = {
     "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
     "without": LIGHT,
 }  # fmt: skip
-STUDY_ONLY_WHERE = {"jobs", "scheduler", "progress", "agreed", "variant"}  # they decide how and where, and change no number
+STUDY_ONLY_WHERE = {
+    "jobs",
+    "scheduler",
+    "progress",
+    "agreed",
+    "variant",
+}  # they decide how and where, and change no number
 VALUES = {name: value for name, (value, _) in CHANGES.items()} | ARGUMENTS
 # In light that is given, axes and conditions vary the sensor and what follows it.
 OF_SWEEP: dict[str, Any] = {
@@ -47,19 +55,36 @@ OF_SWEEP: dict[str, Any] = {
 REFUSED = {
     "compare": {"smaller_than_um", "paper", "light", "without"},
     # A sweep has light that is given: it refuses what `study(…, light=…)` refuses.
-    "sweep": {"smaller_than_um", "paper", "noise_budget", "scene", "parameters", "variant", "window_mm", "tolerance_delta_e"},
+    "sweep": {
+        "smaller_than_um",
+        "paper",
+        "noise_budget",
+        "scene",
+        "parameters",
+        "variant",
+        "window_mm",
+        "tolerance_delta_e",
+    },
 }
 SUBJECTS, FOLDER = {"plan", "settings"}, {"out"}  # of `study`: what it varies, and where it writes
 
 
 def test_values_are_those_of_all_arguments_and_settings() -> None:
-    assert VALUES.keys() == (inspect.signature(pixsim.study).parameters.keys() - SUBJECTS - FOLDER) | Study.model_fields.keys()
+    assert (
+        VALUES.keys()
+        == (inspect.signature(pixsim.study).parameters.keys() - SUBJECTS - FOLDER)
+        | Study.model_fields.keys()
+    )
 
 
 def test_options_of_the_command_line_are_those_of_a_study() -> None:
     """All of `pixsim study` are options of `pixsim compare`."""
     study, compare = (
-        {name for argument in app[command].assemble_argument_collection() for name in argument.names}
+        {
+            name
+            for argument in app[command].assemble_argument_collection()
+            for name in argument.names
+        }
         for command in ("study", "compare")
     )
     assert study <= compare
@@ -77,10 +102,17 @@ def said() -> Iterator[list[str]]:
 
 def made_by_compare(options: dict[str, Any], folder: Path) -> object:
     """What a comparison would make: its cases."""
-    unsure = "[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n" if options.keys() & {"uncertainty", "sobol"} else ""
+    unsure = (
+        "[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n"
+        if options.keys() & {"uncertainty", "sobol"}
+        else ""
+    )
     files = [sheet(folder / "a.toml", more=unsure), sheet(folder / "b.toml", 12.0)]
     job = pixsim.compare(files, **{"resolution": 48, "display": {"dots": 48}} | options)
-    cases = [(case.settings, case.camera, case.imaging, case.sizes, case.labels, case.header) for case in job.cases]
+    cases = [
+        (case.settings, case.camera, case.imaging, case.sizes, case.labels, case.header)
+        for case in job.cases
+    ]
     return repr((cases, job.types, job.study and (job.study.name, job.study.detail)))
 
 
@@ -118,7 +150,11 @@ def test_option_of_a_study_acts_is_named_or_is_refused(
         assert str(error.value).count("\n") == 0
         return
 
-    beside = {"metrics": ["delta_e", "detectability"]} if command == "sweep" and name == "without" else {}
+    beside = (
+        {"metrics": ["delta_e", "detectability"]}
+        if command == "sweep" and name == "without"
+        else {}
+    )
     beside |= {"metrics": ["delta_e", "information"]} if name == "metric" else {}
     before = make(beside | ({"metrics": ["delta_e"]} if name == "without" else {}), tmp_path)
     with said() as texts:
@@ -128,7 +164,9 @@ def test_option_of_a_study_acts_is_named_or_is_refused(
         assert (before == after, is_named) == (True, False)
     else:
         assert before != after or is_named, texts
-        assert command == "compare" or before == after or not is_named, "a row differs by what is said to change nothing"
+        assert command == "compare" or before == after or not is_named, (
+            "a row differs by what is said to change nothing"
+        )
 
 
 def test_refusals_stand_in_one_table() -> None:

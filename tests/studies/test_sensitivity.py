@@ -1,4 +1,6 @@
-"""Sensitivity analysis: a study with another over it, whose axes are moved alone, and what they do to the paper's statements."""
+"""Sensitivity analysis: a study with another over it, whose axes are moved alone, and what they do
+to the paper's statements.
+"""
 
 from __future__ import annotations
 
@@ -86,41 +88,66 @@ def done(desk: Path) -> tuple[StudyResult, Path]:
 
 
 def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
-    (part,) = [part for part in result.parts if part.curves[0].alone == axis and part.curves[0].at[axis] == value]
+    (part,) = [
+        part
+        for part in result.parts
+        if part.curves[0].alone == axis and part.curves[0].at[axis] == value
+    ]
     return part
 
 
-# --- a study over another ---------------------------------------------------------------------------------------------
+# --- a study over another
+# ---------------------------------------------------------------------------------------------
 
 
 def test_study_over_another_has_its_values_and_streams(desk: Path) -> None:
     base, own = load_study("tiny.toml"), load_study("tiny.toml", "sensitivity.toml")
     assert (own.name, own.stream_name, base.stream_name) == ("tiny-sensitivity", "tiny", "tiny")
     assert (own.repeats, base.repeats) == (2, 4)
-    same = base.model_copy(update={name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")})
+    same = base.model_copy(
+        update={
+            name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")
+        }
+    )
     assert same == own
 
 
-# --- numbers of the technologies over their ranges --------------------------------------------------------------------
+# --- numbers of the technologies over their ranges
+# --------------------------------------------------------------------
 
 
 def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
-    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
+    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its
+    upper end is 0.37.
+    """
     study = with_range_ends(load_study("tiny.toml", "sensitivity.toml"))
-    labels = {axis.name: [point.label for point in axis.points] for axis in study.axis if axis.name in ("dark current", "peak")}
+    labels = {
+        axis.name: [point.label for point in axis.points]
+        for axis in study.axis
+        if axis.name in ("dark current", "peak")
+    }
     assert labels == {
         "dark current": ["all low", "0.35um 0.333", "0.25um 1", "all high", "0.35um 3", "0.25um 9"],
         "peak": ["0.25um 0.2", "0.25um 0.37"],
     }
     (high,) = [case for case in cases_of(study) if case.words == "dark current: all high"]
-    assert high.settings.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
+    assert high.settings.process == {
+        "0.35um": {"dark_current_na_per_cm2": 3.0},
+        "0.25um": {"dark_current_na_per_cm2": 9.0},
+    }
     assert {case.alone for case in cases_of(study)} == {"", "PRNU", "light", "dark current", "peak"}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"range_of": "dark_current"}, "axis dark current: range_of: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"),
+        (
+            {"range_of": "dark_current"},
+            (
+                "axis dark current: range_of: got 'dark_current'; allowed: .*Did you mean"
+                " 'dark_current_na"
+            ),
+        ),
         ({"values": [1]}, "range_of and values both state the values"),
         ({"set": "pixel.dsnu"}, "range_of and set both state the values"),
         ({"alone": False}, "range_of without alone = true"),
@@ -135,22 +162,35 @@ def test_range_of_leaves_out_what_has_no_range_and_keeps_what_the_study_has_set_
     """The peak of 0.35 µm is measured."""
 
     def axes(number: str, **process: object) -> tuple[Axis, ...]:
-        return with_range_ends(tiny(process={"0.35um": process}, axis=[{"name": "d", "range_of": number, "alone": True}])).axis
+        return with_range_ends(
+            tiny(
+                process={"0.35um": process}, axis=[{"name": "d", "range_of": number, "alone": True}]
+            )
+        ).axis
 
-    with pytest.warns(UserWarning, match="axis d is not used: no technology of the study has a range"):
+    with pytest.warns(
+        UserWarning, match="axis d is not used: no technology of the study has a range"
+    ):
         assert axes("peak_quantum_efficiency") == ()
     low, high = load_technology("0.35um").ranges["dsnu"]
     (axis,) = axes("dsnu", dsnu=low)
     assert [point.label for point in axis.points] == [f"0.35um {high:g}"]
 
 
-# --- a result ---------------------------------------------------------------------------------------------------------
+# --- a result
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_base_case_equals_the_base_study(done: tuple[StudyResult, Path], desk: Path) -> None:
-    """Same rows as the base run alone with these pitches and sensors: the random streams are its own."""
+    """Same rows as the base run alone with these pitches and sensors: the random streams are its
+    own.
+    """
     base = load_study("tiny.toml").model_dump(mode="json", exclude_unset=True)
-    alone = pixsim.study(pixsim.Study.model_validate(base | {"repeats": 2, "pitch": {"values_um": PITCHES_UM}}), desk / "a", jobs=1)
+    alone = pixsim.study(
+        pixsim.Study.model_validate(base | {"repeats": 2, "pitch": {"values_um": PITCHES_UM}}),
+        desk / "a",
+        jobs=1,
+    )
     for mine, theirs in zip(done[0].parts[0].curves, alone.curves, strict=True):
         np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
     own = {row["key"] for row in rows(desk / "a")}
@@ -168,7 +208,9 @@ def test_setting_of_the_base_changes_nothing(done: tuple[StudyResult, Path]) -> 
 
 
 def test_unchanged_technology_is_computed_once(done: tuple[StudyResult, Path]) -> None:
-    """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a technology each."""
+    """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a
+    technology each.
+    """
     result, folder = done
     assert result.counts is not None
     assert result.counts.cases == 12
@@ -183,19 +225,28 @@ def test_unchanged_technology_is_computed_once(done: tuple[StudyResult, Path]) -
 
 
 @pytest.mark.parametrize("value", ["all high", "0.35um 0.333"])
-def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tuple[StudyResult, Path], desk: Path) -> None:
+def test_statements_of_a_case_are_those_of_the_study_alone(
+    value: str, done: tuple[StudyResult, Path], desk: Path
+) -> None:
     """The rows of the paper's process are shared between cases that do not change it."""
     result, _ = done
     part = case(result, "dark current", value)
-    whole = pixsim.study(part.study.model_copy(update={"streams": "tiny"}), desk / f"whole {value}", jobs=1)
+    whole = pixsim.study(
+        part.study.model_copy(update={"streams": "tiny"}), desk / f"whole {value}", jobs=1
+    )
     own = result.findings[result.parts.index(part)]
     assert list(own) == findings(Evidence(whole, {item.technology: item for item in whole.curves}))
     assert len(own) == 17, "every statement of the paper"
-    assert result.findings[result.parts.index(case(result, "dark current", "0.25um 9"))][:-3] == result.findings[0][:-3]
+    assert (
+        result.findings[result.parts.index(case(result, "dark current", "0.25um 9"))][:-3]
+        == result.findings[0][:-3]
+    )
 
 
 @pytest.mark.slow
-def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path], desk: Path) -> None:
+def test_sensitivity_command_two_workers_same_result(
+    done: tuple[StudyResult, Path], desk: Path
+) -> None:
     code, message, _ = command("study tiny.toml --config sensitivity.toml --out command --jobs 2")
     assert code == 0
     out, lines = desk / "command", message.splitlines()
@@ -216,7 +267,8 @@ def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Pa
         assert_prints(out / "report.html", here, range(1, 9), ["f/2.8"], ["Optima"])
 
 
-# --- verdicts ---------------------------------------------------------------------------------------------------------
+# --- verdicts
+# ---------------------------------------------------------------------------------------------------------
 
 
 def curve(feature_um: float, optimum_um: float, best: float) -> Curve:
@@ -224,7 +276,14 @@ def curve(feature_um: float, optimum_um: float, best: float) -> Curve:
     delta_e = np.repeat((best + 0.5 * np.log(pitch_um / optimum_um) ** 2)[:, None], 2, axis=1)
     fill_factor = np.linspace(0.1, 0.7, 14)
     statistics = {"mean_delta_e": delta_e, "integration_s": np.full(delta_e.shape, 0.03)}
-    return Curve(f"{feature_um}um", feature_um, pitch_um, fill_factor, statistics, fit_curve(pitch_um, delta_e))
+    return Curve(
+        f"{feature_um}um",
+        feature_um,
+        pitch_um,
+        fill_factor,
+        statistics,
+        fit_curve(pitch_um, delta_e),
+    )
 
 
 FEATURE_UM = (0.35, 0.25, 0.18)
@@ -235,7 +294,13 @@ PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
 
 def synthetic() -> StudyResult:
     """Optima of the first technology 6.5 (base); narrow 6.4 and 12; wide 6 and 8; one-sided 7."""
-    moved = [("", "base", 6.5), ("narrow", "a", 6.4), ("narrow", "e", 12.0), ("wide", "b", 6.0), ("wide", "d", 8.0)]
+    moved = [
+        ("", "base", 6.5),
+        ("narrow", "a", 6.4),
+        ("narrow", "e", 12.0),
+        ("wide", "b", 6.0),
+        ("wide", "d", 8.0),
+    ]
     moved += [("one-sided", "c", 7.0)]
     image = pixsim.SpectralImage([550.0], 10.0, 5.3, data=np.ones((2, 2, 1)))
     light = Light(image, pixsim.Camera())
@@ -245,14 +310,20 @@ def synthetic() -> StudyResult:
     for axis, value, size_um in moved:
         at: dict[str, Any] = dict.fromkeys(names, "base") | ({axis: value} if axis else {})
         own = map(curve, FEATURE_UM, [size_um, *PAPER[0][1:]], PAPER[1])
-        parts.append(StudyResult(study, tuple(replace(each, case=CaseLabels(at, alone=axis)) for each in own), light))
+        parts.append(
+            StudyResult(
+                study, tuple(replace(each, case=CaseLabels(at, alone=axis)) for each in own), light
+            )
+        )
     curves = tuple(part.curves[place] for place in range(3) for part in parts)
     rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)
     return CasesResult(study, curves, light, parts=tuple(parts), findings=rows)
 
 
 def test_verdicts_list_the_cases_that_turn_them() -> None:
-    """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
+    """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8
+    follow. At 12 µm neither.
+    """
     found = {each.finding.statement: each for each in verdicts(synthetic())}
     words = {name: verdict_words(verdict) for name, verdict in found.items()}
     assert words == {SHRINKS: "", SLOWER: "narrow: e; wide: d", WORSE: ""}
@@ -261,26 +332,44 @@ def test_verdicts_list_the_cases_that_turn_them() -> None:
 
 
 def test_paper_table_of_synthetic_result() -> None:
-    """`tests/benchmarks/paper_table.py`: against the verdicts of the study, which may differ from the first case's."""
+    """`tests/benchmarks/paper_table.py`: against the verdicts of the study, which may differ from
+    the first case's.
+    """
     result = synthetic()
     cases = [
-        {"alone": part.curves[0].alone, "at": part.curves[0].at, "agrees": {row.statement: row.agrees for row in own}}
+        {
+            "alone": part.curves[0].alone,
+            "at": part.curves[0].at,
+            "agrees": {row.statement: row.agrees for row in own},
+        }
         for part, own in zip(result.parts, result.findings, strict=True)
     ]
-    rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees} for agrees in (True, False)]
+    rows = [
+        {"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees}
+        for agrees in (True, False)
+    ]
     yes, no = claims_table(rows[:1], cases)[-1], claims_table(rows[1:], cases)[-1]
     assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: narrow (e); wide (d) |"
-    assert no == f"| {SLOWER} | g | f | **does not agree** | 3 of 5: narrow (a); wide (b); one-sided (c) |"
+    assert (
+        no == f"| {SLOWER} | g | f | **does not agree** | 3 of 5: narrow (a); wide (b); one-sided"
+        " (c) |"
+    )
     head = ["| the paper says | given | pixsim finds | agrees |", "|---|---|---|---|"]
     assert claims_table(rows[:1], []) == [*head, f"| {SLOWER} | g | f | yes |"]
-    curves = [{"technology": each.technology, "alone": each.alone, "optimum": each.optimum.as_dict()} for each in result.curves]
+    curves = [
+        {"technology": each.technology, "alone": each.alone, "optimum": each.optimum.as_dict()}
+        for each in result.curves
+    ]
     lines = ["".join(line.split("|")[1:3]) for line in tornado_table(curves)[2:]]
     assert lines == [" narrow  6.40 to 12.00 ", " wide  6.00 to 8.00 ", " one-sided  6.50 to 7.00 "]
-    *_, every = counts([{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], cases)
+    *_, every = counts(
+        [{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], cases
+    )
     assert every == "3 of 5 have every verdict of the table"
 
 
-# --- the packaged analysis --------------------------------------------------------------------------------------------
+# --- the packaged analysis
+# --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -290,21 +379,28 @@ def shipped() -> list[Case[pixsim.Study]]:
 
 
 def test_packaged_cases_are_valid_and_distinct(shipped: list[Case[pixsim.Study]]) -> None:
-    """All 89 settings of the table in docs/paper.md, each for all four technologies; the base is chen2000, as its verdicts."""
+    """All 89 settings of the table in docs/paper.md, each for all four technologies; the base is
+    chen2000, as its verdicts.
+    """
     base, *moved = shipped
     assert len(moved) == 89
     for case in moved:
         check_pitches(case.settings)
-        assert (case.settings.seed, case.settings.stream_name) == (2000, "chen2000"), "its random streams are others"
+        assert (case.settings.seed, case.settings.stream_name) == (2000, "chen2000"), (
+            "its random streams are others"
+        )
         assert case.settings.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({case.folder for case in moved}) == len(moved), "labels read alike"
-    assert len({case.settings.content_hash for case in shipped}) == len(shipped), "two cases are the same"
+    assert len({case.settings.content_hash for case in shipped}) == len(shipped), (
+        "two cases are the same"
+    )
     own, chen2000 = (study.model_dump() for study in (base.settings, load_study("chen2000")))
     assert own | {"name": "chen2000", "streams": None, "title": chen2000["title"]} == chen2000
     assert load_study("chen2000-sensitivity", quick=True).technologies == ("0.35um",)
 
 
-# Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
+# Assumptions that the paper does not state, with their plausible range; None: any value other than
+# the base's.
 ASSUMED = {
     "camera.f_number": (2.8, 8.0), "pixel.response": None, "pixel.quantum_efficiency": None, "pixel.offset_fpn": (0.001, 0.01),
     "pixel.prnu": None, "pixel.bits": (8, 12), "display.samples_per_deg": (15.0, 45.0), "display.raster": None,
@@ -334,7 +430,9 @@ def test_packaged_ranges_cover_every_process() -> None:
         *("dark_current_na_per_cm2", "dsnu", "column_fpn"),
         *("peak_quantum_efficiency", "node_capacitance_ff", "voltage_swing_v"),
     }
-    assert len(moves) == 2 * (6 * 2 * 4 - 2), "all together and alone, but the measured peak at 0.35 µm"
+    assert len(moves) == 2 * (6 * 2 * 4 - 2), (
+        "all together and alone, but the measured peak at 0.35 µm"
+    )
     for number, value, technology, label in moves:
         assert value in load_technology(technology).ranges[number]
         assert label in ("all low", "all high", f"{technology} {value:g}")
@@ -351,7 +449,9 @@ def test_packaged_modern_study_has_pinned_photodiodes() -> None:
         assert (technology.junction, technology.reset_noise_factor) == (None, 0.0)
         assert technology.full_well_e_per_um2 > 0
         pitches_um = study_pitches_um(study, name)
-        pixels = [pixsim.derive(pixsim.Pixel(technology=name, pitch_um=pitch)) for pitch in pitches_um]
+        pixels = [
+            pixsim.derive(pixsim.Pixel(technology=name, pitch_um=pitch)) for pitch in pitches_um
+        ]
         # A given well grows with the photodiode; no kTC noise at any size.
         wells = [pixel.full_well_e / pixel.photodiode_area_um2 for pixel in pixels]
         assert wells == pytest.approx([technology.full_well_e_per_um2] * len(wells))

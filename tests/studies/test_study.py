@@ -26,7 +26,13 @@ from pixsim.studies.result import StudyResult
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
-SHEET = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
+SHEET = {
+    "full_well_e": 1e4,
+    "read_noise_e": 2,
+    "dark_current_e_per_s": 1,
+    "quantum_efficiency": 0.5,
+    "data_sheet_pitch_um": 3,
+}
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
 
 
@@ -44,15 +50,23 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
 def test_study_has_row_per_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
     result, folder = done
     table = rows(folder)
-    assert [(float(r["pitch_um"]), int(r["repeat"])) for r in table] == [(p, r) for p in PITCHES_UM for r in range(3)]
+    assert [(float(r["pitch_um"]), int(r["repeat"])) for r in table] == [
+        (p, r) for p in PITCHES_UM for r in range(3)
+    ]
     assert len(set(keys(folder))) == 18
     curve = result.curves[0]
     np.testing.assert_array_equal(curve.delta_e.ravel(), [float(r["mean_delta_e"]) for r in table])
     assert len(np.unique(curve.delta_e)) == 18, "no two sensors are the same"
     best = curve.optimum
     assert best.inside
-    assert best.within_2_percent_um[0] <= best.within_1_percent_um[0] < best.pitch_um < best.within_1_percent_um[1]
-    # The fitted minimum can lie below the lowest point, not above its mean by more than the fit smooths.
+    assert (
+        best.within_2_percent_um[0]
+        <= best.within_1_percent_um[0]
+        < best.pitch_um
+        < best.within_1_percent_um[1]
+    )
+    # The fitted minimum can lie below the lowest point, not above its mean by more than the fit
+    # smooths.
     assert best.mean_delta_e == pytest.approx(curve.delta_e.mean(axis=1).min(), rel=0.06)
 
 
@@ -68,14 +82,18 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
+def test_study_command_writes_files_and_prints_optimum(
+    by_command: Path, done: tuple[StudyResult, Path]
+) -> None:
     out = by_command / "out"
     assert {path.name for path in out.iterdir()} == {
         *("results.csv", "settings.toml", "summary.json", "report.html", "pixsim.json", "figures")
     }
     figures = {path.name for path in (out / "figures").iterdir()}
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
-    assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
+    assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {
+        "contact_sheet_0.35um.png"
+    }
     assert {f"figures/{name}" for name in figures} <= report_files(done[0].study)
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     message = (by_command / "stdout").read_text(encoding="utf-8")
@@ -98,28 +116,41 @@ def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
     assert "of the ideal image is brighter than display white" in bright
     assert "the interval is open" in is_open
     assert "the black level of 0 DN clips dark noise" in dark
-    assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
+    assert (
+        json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"]
+        == summary["notes"]
+    )
     page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
     assert all(note in page for note in texts)
     assert f"warning: {bright}" in err
     # Each speaks to its caller.
-    expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in texts]
+    expected = [
+        note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in texts
+    ]
     for folder in ("python", "out"):
         with pytest.warns(UserWarning, match="brighter than display white"):
             notes = pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).as_dict()["notes"]
         assert [note["text"] for note in notes] == expected
 
 
-# 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
+# 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an
+# earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [0, 4, 60, 2000])
 def test_study_truncated_file_is_completed(
-    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame], monkeypatch: pytest.MonkeyPatch
+    cut_bytes: int,
+    done: tuple[StudyResult, Path],
+    tmp_path: Path,
+    evaluations: list[Frame],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
     kept = whole[: len(whole) - cut_bytes]
     (tmp_path / "results.csv").write_bytes(kept)
     if not cut_bytes:
-        monkeypatch.setattr("pixsim.viewer.scene_light.ideal_facts", lambda *_: pytest.fail("an ideal image was computed"))
+        monkeypatch.setattr(
+            "pixsim.viewer.scene_light.ideal_facts",
+            lambda *_: pytest.fail("an ideal image was computed"),
+        )
     again = pixsim.study(tiny(), tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_bytes() == whole
     assert len(evaluations) == 18 - (kept.count(b"\n") - 1)
@@ -135,7 +166,9 @@ NUMBERS = {
 
 @pytest.mark.slow
 def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
-    """Bit for bit, from the pitches to the pictures of the report: a technology of the same name has the same random streams."""
+    """Bit for bit, from the pitches to the pictures of the report: a technology of the same name
+    has the same random streams.
+    """
     table = read_toml(packaged("data/technologies")["0.35um"])
     lines = ['name = "0.35um"']
     for name, entry in table.items():
@@ -144,16 +177,22 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
             lines += [f"[{name}]", f"value = {value}", 'confidence = "D"', 'source = "here"']
     (tmp_path / "own.toml").write_text("\n".join(lines), encoding="utf-8")
     few = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
-    by_file = pixsim.study(tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1)
+    by_file = pixsim.study(
+        tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1
+    )
     study = tiny(**few, process={"0.35um": NUMBERS})
     by_study = pixsim.study(study, tmp_path / "study", jobs=1)
     # All but the key, the path of the technology and the check of the row.
-    mine, theirs = ([list(row.values())[2:-1] for row in rows(tmp_path / name)] for name in ("study", "file"))
+    mine, theirs = (
+        [list(row.values())[2:-1] for row in rows(tmp_path / name)] for name in ("study", "file")
+    )
     assert mine == theirs
     one, other = by_file.curves[0], by_study.curves[0]
     assert one.feature_size_um == other.feature_size_um == 0.34
     pitch_um = float(one.pitch_um[2])
-    mine, theirs = (r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one)))
+    mine, theirs = (
+        r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one))
+    )
     np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
     assert light_against_detail(by_study, other).csv == light_against_detail(by_file, one).csv
     imaging = imaging_of(study, by_study.camera, "0.35um", pitch_um)
@@ -176,7 +215,8 @@ def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
     assert (quick.technologies, quick.process) == (("0.25um",), {})
 
 
-# --- Fields of the pixel as options ------------------------------------------------------------------------------------
+# --- Fields of the pixel as options
+# ------------------------------------------------------------------------------------
 
 
 def test_load_study_pixel_options_take_precedence(tmp_path: Path) -> None:
@@ -186,28 +226,51 @@ def test_load_study_pixel_options_take_precedence(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     (tmp_path / "own.quick.toml").write_text("pixel = { bits = 9 }\n", encoding="utf-8")
     (tmp_path / "sensor.toml").write_text("[pixel]\nbits = 11\nprnu = 0.02\n", encoding="utf-8")
-    study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}, quick=True)
+    study = load_study(
+        tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}, quick=True
+    )
     assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
     plain, scaled = tmp_path / "plain.toml", tmp_path / "scaled.toml"
     plain.write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
-    scaled.write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
-    assert load_study(plain) != load_study(scaled) == load_study(plain, pixel={"response": "scaled", "prnu": "0.01"})
+    scaled.write_text(
+        TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8"
+    )
+    assert (
+        load_study(plain)
+        != load_study(scaled)
+        == load_study(plain, pixel={"response": "scaled", "prnu": "0.01"})
+    )
 
 
 def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
     """As with `pixsim run`."""
-    text = "[pixel]\npitch_um = 4\nfull_well_e = 12000\ndark_current_e_per_s = 1\nquantum_efficiency = 0.6\n"
+    text = (
+        "[pixel]\npitch_um = 4\nfull_well_e = 12000\ndark_current_e_per_s = 1\nquantum_efficiency ="
+        " 0.6\n"
+    )
     (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
     study = load_study("pixel-size", tmp_path / "sensor.toml", pixel={"read_noise_e": 2.0})
-    assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (("none",), 2.0, 4.0)
-    with pytest.warns(UserWarning, match="not read_noise_e, which come from the study's technology 4t-bsi"):
+    assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (
+        ("none",),
+        2.0,
+        4.0,
+    )
+    with pytest.warns(
+        UserWarning, match="not read_noise_e, which come from the study's technology 4t-bsi"
+    ):
         assert load_study("pixel-size", tmp_path / "sensor.toml").technologies == ("4t-bsi",)
 
 
 @pytest.mark.parametrize(
     ("pixel", "message"),
     [
-        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: the pitch of a data sheet.*pitch\.values_um"),
+        (
+            {"pitch_um": 3.0},
+            (
+                r"pixel\.pitch_um: got '3\.0' for a study; allowed: the pitch of a data"
+                r" sheet.*pitch\.values_um"
+            ),
+        ),
         ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],
@@ -234,7 +297,9 @@ def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[F
     assert len(rows(tmp_path / "out")) == 10, "rows of the old texture are gone"
 
 
-def test_study_extension_computes_difference_only(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
+def test_study_extension_computes_difference_only(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(repeats=4, technologies=("0.35um", "0.25um")), tmp_path, jobs=1)
     assert len(evaluations) == 6 * 1 + 6 * 4  # one more sensor of the old process, four of the new
@@ -245,15 +310,29 @@ FLICKER = {"frames": 4, "flicker_hz": 100.0, "flicker_depth": 0.9, "integration_
 COLOUR = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 FRAMES = {
     "grey": {"exposure": {"integration_s": 1.0}},
-    "burst": {"exposure": FLICKER, "pixel": {"colour": COLOUR, "full_well_e": 700}, "technologies": ("4t-bsi",)},
+    "burst": {
+        "exposure": FLICKER,
+        "pixel": {"colour": COLOUR, "full_well_e": 700},
+        "technologies": ("4t-bsi",),
+    },
 }
 
 
 @pytest.mark.parametrize("kind", FRAMES)
-def test_study_cached_frames_same_bytes(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Overexposed, so that some pixels are saturated: they are stored with the frame, since its DN do not show them."""
+def test_study_cached_frames_same_bytes(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Overexposed, so that some pixels are saturated: they are stored with the frame, since its DN
+    do not show them.
+    """
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, resolution=128, **WHOLE_CHART, **FRAMES[kind])
+    study = tiny(
+        repeats=2,
+        pitch={"values_um": PITCHES_UM[1:]},
+        resolution=128,
+        **WHOLE_CHART,
+        **FRAMES[kind],
+    )
     results = tmp_path / "out/results.csv"
 
     def evaluated() -> bytes:
@@ -262,25 +341,36 @@ def test_study_cached_frames_same_bytes(kind: str, tmp_path: Path, monkeypatch: 
         return results.read_bytes()
 
     def frames() -> dict[str, dict[str, Any]]:
-        return {path.stem: cache.arrays("frames", path.stem) or {} for path in (tmp_path / "cache/frames").iterdir()}
+        return {
+            path.stem: cache.arrays("frames", path.stem) or {}
+            for path in (tmp_path / "cache/frames").iterdir()
+        }
 
     cold = evaluated()
     assert all(0.3 < float(row["saturated_fraction"]) < 0.999 for row in rows(results.parent))
-    with monkeypatch.context() as patch:  # neither frames nor the light behind them are computed again
+    with (
+        monkeypatch.context() as patch
+    ):  # neither frames nor the light behind them are computed again
         patch.setattr(rows_module, "chain_of", lambda *_: pytest.fail("light on the pixels"))
         assert evaluated() == cold
     whole = frames()
     for name, kept in whole.items():
-        cache.store_arrays("frames", name, {part: item for part, item in kept.items() if item.ndim == 2})  # without fractions
+        cache.store_arrays(
+            "frames", name, {part: item for part, item in kept.items() if item.ndim == 2}
+        )  # without fractions
     assert evaluated() == cold
-    assert {name: set(kept) for name, kept in frames().items()} == {name: set(kept) for name, kept in whole.items()}
+    assert {name: set(kept) for name, kept in frames().items()} == {
+        name: set(kept) for name, kept in whole.items()
+    }
 
 
 def test_stream_depends_on_key_only() -> None:
     count = 100_000
     first = stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count)
     np.random.default_rng().normal(size=7)
-    np.testing.assert_array_equal(first, stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count))
+    np.testing.assert_array_equal(
+        first, stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count)
+    )
     others = [
         ("study", 1, "0.35um", 6.5, 1, "frame"),
         ("study", 1, "0.35um", 6.5, 0, "sensor"),
@@ -289,7 +379,9 @@ def test_stream_depends_on_key_only() -> None:
         ("study", "1", "0.35um", 6.5, 0, "frame"),
     ]
     for key in others:  # the correlation of independent streams has a standard deviation of 1/√n
-        assert abs(np.corrcoef(first, stream(*key).normal(size=count))[0, 1]) < 5 / np.sqrt(count), key
+        assert abs(np.corrcoef(first, stream(*key).normal(size=count))[0, 1]) < 5 / np.sqrt(
+            count
+        ), key
 
 
 @pytest.mark.parametrize(
@@ -319,11 +411,26 @@ def test_study_row_depends_on_its_sensor_only(
         ({"pitch": {"values_um": [6, 7, 8, 9, 1357]}}, r"1357.*1356\.8 µm"),
         ({"technologies": ("0.35um", "0.3um")}, r"0\.3um"),
         ({"technologies": ("0.35um", "0.35um")}, r"0\.35um"),
-        ({"process": {"0.25um": {"dsnu": 0.1}}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
-        ({"process": {"0.35um": {"dsn": 0.1}}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
-        ({"process": {"0.35um": {"dsnu": -0.1}}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
-        ({"process": {"0.35um": {"voltage_swing_v": 9.0}}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
-        ({"process": {"0.35um": {"fill_factor_zero_pitch_features": 16.0}}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
+        (
+            {"process": {"0.25um": {"dsnu": 0.1}}},
+            r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um",
+        ),
+        (
+            {"process": {"0.35um": {"dsn": 0.1}}},
+            r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'",
+        ),
+        (
+            {"process": {"0.35um": {"dsnu": -0.1}}},
+            r"process\.0\.35um: dsnu: got -0\.1; allowed: greater",
+        ),
+        (
+            {"process": {"0.35um": {"voltage_swing_v": 9.0}}},
+            r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2",
+        ),
+        (
+            {"process": {"0.35um": {"fill_factor_zero_pitch_features": 16.0}}},
+            r"pitch_um: got 5\.3; allowed: above 5\.6",
+        ),
         ({"process": {"0.35um": {"dsnu": float("nan")}}}, r"(?s)process.*dsnu.*finite"),
         (
             {"target_ci_um": 0.01, "max_evaluations": 17},
@@ -341,9 +448,18 @@ def test_study_invalid_input_raises_before_render(over: dict[str, object], messa
 
 
 def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
-    """In bright light small pixels are not yet short of photons; in the dark only the largest will do."""
-    for luminance, end_um, values in ((1e4, 8.0, [8, 9, 10, 11, 12]), (1.0, 7.0, [5.2, 5.5, 6, 6.5, 7])):
-        study = tiny(repeats=2, scene={"parameters": {"luminance_cd_per_m2": luminance}}, pitch={"values_um": values})
+    """In bright light small pixels are not yet short of photons; in the dark only the largest will
+    do.
+    """
+    for luminance, end_um, values in (
+        (1e4, 8.0, [8, 9, 10, 11, 12]),
+        (1.0, 7.0, [5.2, 5.5, 6, 6.5, 7]),
+    ):
+        study = tiny(
+            repeats=2,
+            scene={"parameters": {"luminance_cd_per_m2": luminance}},
+            pitch={"values_um": values},
+        )
         best = pixsim.study(study, tmp_path / str(end_um), jobs=1).curves[0].optimum
         assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
 

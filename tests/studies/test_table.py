@@ -29,9 +29,16 @@ def table(**more: Any) -> Table:
 
 def test_a_table_iterates_dicts_in_the_order_of_the_file() -> None:
     rows = list(table())
-    assert [list(row) for row in rows] == [["technology", "pitch_um", "repeat", "light", *COLUMNS[4:]]] * 4
+    assert [list(row) for row in rows] == [
+        ["technology", "pitch_um", "repeat", "light", *COLUMNS[4:]]
+    ] * 4
     assert rows[2] == table()[2] == table()[-2]
-    assert (rows[2]["technology"], rows[2]["pitch_um"], rows[2]["repeat"], rows[2]["light"]) == ("b", 7.5, 0, 20.0)
+    assert (rows[2]["technology"], rows[2]["pitch_um"], rows[2]["repeat"], rows[2]["light"]) == (
+        "b",
+        7.5,
+        0,
+        20.0,
+    )
     assert [type(rows[0][name]) for name in ("pitch_um", "repeat")] == [float, int]
     assert table()[1:3] == rows[1:3]
 
@@ -41,7 +48,10 @@ def test_an_impossible_point_is_a_row_with_its_reason() -> None:
     assert [row[REASON] for row in with_reason] == ["", "", "its colours are alike", ""]
     assert [row["repeat"] for row in with_reason.possible] == [0, 1, 1]
     assert REASON not in next(iter(with_reason.possible))
-    assert [row[REASON] for row in with_reason.where(technology="b")] == ["its colours are alike", ""]
+    assert [row[REASON] for row in with_reason.where(technology="b")] == [
+        "its colours are alike",
+        "",
+    ]
 
 
 def test_rows_are_chosen_by_labels_and_columns() -> None:
@@ -59,7 +69,9 @@ def test_csv_and_dataframe_have_all_rows(tmp_path: Path) -> None:
 
 
 def test_a_row_takes_little_memory() -> None:
-    """A million rows take a sixth of a GiB: eleven numbers of 8 bytes, a key of 16 characters, and its place."""
+    """A million rows take a sixth of a GiB: eleven numbers of 8 bytes, a key of 16 characters, and
+    its place.
+    """
     store = Store(None)
     tracemalloc.start()
     try:
@@ -76,14 +88,21 @@ ROW = dict.fromkeys(Store(None).columns, "1")
 
 
 def test_a_row_with_any_changed_byte_is_computed_again_with_a_note(tmp_path: Path) -> None:
-    """A CRC-32 tells any change of up to 32 neighbouring bits; a row without its check is not believed."""
+    """A CRC-32 tells any change of up to 32 neighbouring bits; a row without its check is not
+    believed.
+    """
     results = Store(tmp_path / "results.csv")
     results.write((ROW | {"key": key}).values() for key in ("changed", "right"))
     head, line, right = results.path.read_bytes().splitlines(keepends=True)
-    changed = [line[:place] + bytes([byte ^ 4]) + line[place + 1 :] for place, byte in enumerate(line.rstrip())]
+    changed = [
+        line[:place] + bytes([byte ^ 4]) + line[place + 1 :]
+        for place, byte in enumerate(line.rstrip())
+    ]
     for other in (*changed, line[: line.rindex(b",")] + b"\r\n"):
         results.path.write_bytes(head + other + right)
-        with pytest.warns(UserWarning, match=r"kept as 'results.csv.old.*', and what changed is computed again"):
+        with pytest.warns(
+            UserWarning, match=r"kept as 'results.csv.old.*', and what changed is computed again"
+        ):
             assert Store(results.path).resume(lambda _: True) == ["right"]
         assert results.path.read_bytes() == head + right
 
@@ -96,7 +115,9 @@ def test_an_edited_row_of_a_study_is_computed_again_with_a_note(tmp_path: Path) 
     path.write_text(edited, encoding="utf-8")
     with pytest.warns(UserWarning, match="1 row of .* changed after pixsim wrote"):
         again = pixsim.study(tiny(), tmp_path, jobs=1)
-    assert [row.optimum.pitch_um for row in again.curves] == [row.optimum.pitch_um for row in study.curves]
+    assert [row.optimum.pitch_um for row in again.curves] == [
+        row.optimum.pitch_um for row in study.curves
+    ]
 
 
 def test_rows_below_changed_names_of_columns_are_not_believed(tmp_path: Path) -> None:

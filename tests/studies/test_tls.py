@@ -1,4 +1,6 @@
-"""A cluster whose connections are encrypted and known by a certificate, as docs/safety.md says how to set it up."""
+"""A cluster whose connections are encrypted and known by a certificate, as docs/safety.md says how
+to set it up.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from pixsim.base.errors import PixsimError
 from pixsim.studies.engine import results_of, workers_for
 
 OPENSSL = shutil.which("openssl")
-MAKE = "req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=pixsim -keyout key.pem -out cert.pem"  # as in docs/safety.md
+# as in docs/safety.md
+MAKE = "req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=pixsim -keyout key.pem -out cert.pem"
 
 
 def double(task: int, _: None) -> int:
@@ -21,7 +24,9 @@ def double(task: int, _: None) -> int:
 
 @pytest.mark.skipif(OPENSSL is None, reason="no openssl, which makes the certificate")
 def test_a_study_talks_to_its_cluster_by_tls_alone(tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    distributed = pytest.importorskip(
+        "distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')"
+    )
     import dask
 
     subprocess.run([str(OPENSSL), *MAKE.split()], cwd=tmp_path, check=True, capture_output=True)
@@ -30,11 +35,22 @@ def test_a_study_talks_to_its_cluster_by_tls_alone(tmp_path: Path) -> None:
         settings |= {f"tls.{end}.{name}": str(tmp_path / f"{name}.pem") for name in ("cert", "key")}
     with dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()}):
         security = distributed.Security()
-        own = {"n_workers": 1, "processes": False, "dashboard_address": None, "host": "tls://127.0.0.1", "security": security}
+        own = {
+            "n_workers": 1,
+            "processes": False,
+            "dashboard_address": None,
+            "host": "tls://127.0.0.1",
+            "security": security,
+        }
         with distributed.LocalCluster(**own) as cluster:
             address = cluster.scheduler_address
             assert address.startswith("tls://127.0.0.1:")
             with workers_for(scheduler=address) as workers:
-                assert sorted(results_of(double, [(task, lambda: None) for task in (1, 2, 3)], workers)) == [2, 4, 6]
-            with pytest.raises(PixsimError, match="--scheduler"), workers_for(scheduler=address.replace("tls", "tcp")):
+                assert sorted(
+                    results_of(double, [(task, lambda: None) for task in (1, 2, 3)], workers)
+                ) == [2, 4, 6]
+            with (
+                pytest.raises(PixsimError, match="--scheduler"),
+                workers_for(scheduler=address.replace("tls", "tcp")),
+            ):
                 pass

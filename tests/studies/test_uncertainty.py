@@ -1,4 +1,6 @@
-"""Distributions of an optimum over sensor types, against closed forms: a synthetic sensor whose optimum is known."""
+"""Distributions of an optimum over sensor types, against closed forms: a synthetic sensor whose
+optimum is known.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
-from pixsim.report.uncertainty import distribution_plate, input_labels, shares_table, uncertainty_blocks
+from pixsim.report.uncertainty import (
+    distribution_plate,
+    input_labels,
+    shares_table,
+    uncertainty_blocks,
+)
 from pixsim.sensor.diffusion import absorption_per_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -61,16 +68,28 @@ def propagate(
     scatter_um: float = 0.0,
     total: bool = False,
 ) -> UncertaintyResult:
-    """Sensor types of a known optimum, with a known error of it, and its interval; the least ΔE is a tenth of the optimum."""
+    """Sensor types of a known optimum, with a known error of it, and its interval; the least ΔE is
+    a tenth of the optimum.
+    """
     sample = (sobol_points if total else sample_types)(unknowns, n, seed)
     errors_um = scatter_um * np.random.default_rng(seed).standard_normal(len(sample.draws))
     best_um = np.array([optimum_um(draw) for draw in sample.draws]) + errors_um
     inside = (tried_um[0] < best_um) & (best_um < tried_um[1])
     clipped_um = np.clip(best_um, *tried_um)
     half_um = np.where(inside, NORMAL_95 * scatter_um, np.nan)
-    table = {"optimum_um": clipped_um, "interval_low_um": clipped_um - half_um, "interval_high_um": clipped_um + half_um}
-    table |= {"mean_delta_e": clipped_um / 10, "mean_delta_e_low": clipped_um / 10, "mean_delta_e_high": clipped_um / 10}
-    return UncertaintyResult(sample, table | {"inside": inside}, {"smaller than 3 µm": best_um < 3}, n, seed, total=total)
+    table = {
+        "optimum_um": clipped_um,
+        "interval_low_um": clipped_um - half_um,
+        "interval_high_um": clipped_um + half_um,
+    }
+    table |= {
+        "mean_delta_e": clipped_um / 10,
+        "mean_delta_e_low": clipped_um / 10,
+        "mean_delta_e_high": clipped_um / 10,
+    }
+    return UncertaintyResult(
+        sample, table | {"inside": inside}, {"smaller than 3 µm": best_um < 3}, n, seed, total=total
+    )
 
 
 NORMAL = [
@@ -94,10 +113,16 @@ def quantiles(distribution: ResultDistribution) -> np.ndarray:
 def errors_of_shares(result: UncertaintyResult, kind: str, known: dict[str, float]) -> np.ndarray:
     """Errors of the shares of the optimum in their standard errors."""
     shares = {name: kinds[kind] for name, kinds in result.shares["optimum_um"].items()}
-    return np.array([(shares[name].share - value) / shares[name].standard_error for name, value in known.items()])
+    return np.array(
+        [
+            (shares[name].share - value) / shares[name].standard_error
+            for name, value in known.items()
+        ]
+    )
 
 
-# --- Closed forms ------------------------------------------------------------------------------------------------------
+# --- Closed forms
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -113,15 +138,23 @@ def test_linear_optimum_of_normal_inputs(seed: int) -> None:
 
 @pytest.mark.parametrize(("draws", "seed"), [(64, 0), (64, 1), (256, 0), (512, 0)])
 def test_shares_of_linear_optimum_with_scatter(draws: int, seed: int) -> None:
-    """Variances of 0.09 and 0.16 of the inputs and 0.09 of the evaluations; of 500 seeds none is beyond 3 standard errors."""
+    """Variances of 0.09 and 0.16 of the inputs and 0.09 of the evaluations; of 500 seeds none is
+    beyond 3 standard errors.
+    """
     result = propagate(NORMAL, linear, draws, seed, scatter_um=0.3)
-    known = {"read_noise_e": 0.09 / 0.34, "full_well_e": 0.16 / 0.34, "dsnu": 0.0, SCATTER: 0.09 / 0.34}
+    known = {
+        "read_noise_e": 0.09 / 0.34,
+        "full_well_e": 0.16 / 0.34,
+        "dsnu": 0.0,
+        SCATTER: 0.09 / 0.34,
+    }
     assert np.abs(errors_of_shares(result, "first", known)).max() < 3
     assert set(result.shares["mean_delta_e"]) == set(known)
 
 
 def test_total_shares_of_sobol_points() -> None:
-    """y = z + z' + z z' of standard normal inputs: first-order shares of 1/3, total ones of 2/3, within 3 standard errors.
+    """y = z + z' + z z' of standard normal inputs: first-order shares of 1/3, total ones of 2/3,
+    within 3 standard errors.
 
     Of 100 seeds, none of the shares is further away than 2.9.
     """
@@ -133,7 +166,14 @@ def test_total_shares_of_sobol_points() -> None:
     result = propagate(NORMAL[:2], product, 500, total=True)
     assert result.draws == 512 * (2 + 2)
     for kind, known in (("first", 1 / 3), ("total", 2 / 3)):
-        assert np.abs(errors_of_shares(result, kind, dict.fromkeys(("read_noise_e", "full_well_e"), known))).max() < 3
+        assert (
+            np.abs(
+                errors_of_shares(
+                    result, kind, dict.fromkeys(("read_noise_e", "full_well_e"), known)
+                )
+            ).max()
+            < 3
+        )
 
 
 @pytest.mark.parametrize(
@@ -141,11 +181,20 @@ def test_total_shares_of_sobol_points() -> None:
     [
         (Spread(sd=0.5), stats.norm(2, 0.5)),
         (Spread(range=(1.0, 4.0)), stats.uniform(1, 3)),
-        (Spread(range=(1.0, 4.0), distribution="normal"), stats.norm(2.5, 1.5 / stats.norm.ppf(0.95))),
-        (Spread(range=(1.0, 4.0), distribution="lognormal"), stats.lognorm(math.log(2) / stats.norm.ppf(0.95), scale=2)),
+        (
+            Spread(range=(1.0, 4.0), distribution="normal"),
+            stats.norm(2.5, 1.5 / stats.norm.ppf(0.95)),
+        ),
+        (
+            Spread(range=(1.0, 4.0), distribution="lognormal"),
+            stats.lognorm(math.log(2) / stats.norm.ppf(0.95), scale=2),
+        ),
         (Spread(sd=0.5, distribution="uniform"), stats.uniform(2 - 0.5 * 3**0.5, 3**0.5)),
         # Of a mean of 2 and a standard deviation of 0.8.
-        (Spread(sd=0.8, distribution="lognormal"), stats.lognorm(math.sqrt(math.log(1.16)), scale=2 / math.sqrt(1.16))),
+        (
+            Spread(sd=0.8, distribution="lognormal"),
+            stats.lognorm(math.sqrt(math.log(1.16)), scale=2 / math.sqrt(1.16)),
+        ),
     ],
 )
 def test_unknown_at_matches_scipy(spread: Spread, reference: Any) -> None:
@@ -160,9 +209,14 @@ def test_unknown_at_matches_scipy(spread: Spread, reference: Any) -> None:
     assert cut.cut == pytest.approx((low, high), rel=1e-9)
 
 
-@pytest.mark.parametrize("spread", [Spread(sd=0.5), Spread(range=(1.9, 4.0)), Spread(range=(1.9, 4.0), distribution="lognormal")])
+@pytest.mark.parametrize(
+    "spread",
+    [Spread(sd=0.5), Spread(range=(1.9, 4.0)), Spread(range=(1.9, 4.0), distribution="lognormal")],
+)
 def test_coordinate_of_unknown_is_uniform_or_normal(spread: Spread) -> None:
-    """Over all quantiles, values are a linear or exponential function of the coordinate, as a regression of few powers needs."""
+    """Over all quantiles, values are a linear or exponential function of the coordinate, as a
+    regression of few powers needs.
+    """
     unknown = Unknown("dsnu", 2.0, spread, allowed=(1.0, 3.9))
     quantile = np.linspace(0.01, 0.9, 50)
     values = unknown.at(quantile)
@@ -171,11 +225,14 @@ def test_coordinate_of_unknown_is_uniform_or_normal(spread: Spread) -> None:
     np.testing.assert_allclose(slopes, slopes[0], rtol=1e-9)
 
 
-# --- Ends of the sizes tried -------------------------------------------------------------------------------------------
+# --- Ends of the sizes tried
+# -------------------------------------------------------------------------------------------
 
 
 def test_optima_at_an_end_count_as_that_size() -> None:
-    """Below 2.6 µm, a standard deviation below the mean, are 15.9 % (over 40 seeds, within 1.4 %); their p05 is the end."""
+    """Below 2.6 µm, a standard deviation below the mean, are 15.9 % (over 40 seeds, within 1.4 %);
+    their p05 is the end.
+    """
     whole = propagate(NORMAL, linear, 256, 1)
     result = propagate(NORMAL, linear, 256, 1, tried_um=(2.6, 40.0))
     assert result.share_at_ends == pytest.approx(stats.norm.cdf(-1), abs=0.02)
@@ -187,7 +244,10 @@ def test_optima_at_an_end_count_as_that_size() -> None:
 def test_all_optima_at_an_end() -> None:
     """Then their shares are unknown, and those of the least ΔE too."""
     result = propagate(NORMAL, linear, 16, tried_um=(10.0, 20.0))
-    assert result.as_dict()["optimum_um"] == {"quantiles": dict.fromkeys(("p05", "p50", "p95"), 10.0), "share_at_ends": 1.0}
+    assert result.as_dict()["optimum_um"] == {
+        "quantiles": dict.fromkeys(("p05", "p50", "p95"), 10.0),
+        "share_at_ends": 1.0,
+    }
     json.dumps(result.as_dict(), allow_nan=False)
     assert {cell for row in shares_table(result).rows for cell in row[1:]} == {"unknown"}
     distribution_plate(result).drawn()
@@ -199,7 +259,8 @@ def test_quantiles_match_numpy() -> None:
     assert list(ResultDistribution(values).quantiles.values()) == pytest.approx(expected, rel=1e-12)
 
 
-# --- Verdicts ----------------------------------------------------------------------------------------------------------
+# --- Verdicts
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("holds", "draws"), [(0, 64), (1, 64), (32, 64), (64, 64), (250, 256)])
@@ -207,14 +268,19 @@ def test_probability_is_jeffreys_interval(holds: int, draws: int) -> None:
     found = Probability.of([True] * holds + [False] * (draws - holds))
     low, high = stats.beta.ppf([0.025, 0.975], holds + 0.5, draws - holds + 0.5)
     expected = (holds / draws, 0.0 if not holds else low, 1.0 if holds == draws else high, draws)
-    assert (found.probability, found.low, found.high, found.draws) == pytest.approx(expected, rel=1e-9)
+    assert (found.probability, found.low, found.high, found.draws) == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
-# --- Inputs ------------------------------------------------------------------------------------------------------------
+# --- Inputs
+# ------------------------------------------------------------------------------------------------------------
 
 
 def technologies(*names: str) -> list[Unknown]:
-    return [unknown for name in names for unknown in unknowns_of_technology(load_technology(name), name)]
+    return [
+        unknown for name in names for unknown in unknowns_of_technology(load_technology(name), name)
+    ]
 
 
 OF_LAYOUT = {"prnu_um", "a_vt_mv_um", "follower_area_um2"}
@@ -233,14 +299,21 @@ OF_LAYOUT = {"prnu_um", "a_vt_mv_um", "follower_area_um2"}
 def test_unknowns_of_study_leave_out_what_the_pixel_states_in_another_word(
     pixel: dict[str, float], left: set[str], tmp_path: Path
 ) -> None:
-    """A technology's mismatch of the layout is known where the pixel gives a plain number in its place."""
+    """A technology's mismatch of the layout is known where the pixel gives a plain number in its
+    place.
+    """
     parts = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8").split("\n\n")
     text = "\n\n".join(part for part in parts if not part.startswith(("[prnu]", "[offset_fpn]")))
     for name in sorted(OF_LAYOUT):
-        text += f'\n[{name}]\nvalue = 0.05\nrange = [0.04, 0.06]\nconfidence = "D"\nsource = "assumed here"\n'
+        text += (
+            f'\n[{name}]\nvalue = 0.05\nrange = [0.04, 0.06]\nconfidence = "D"\nsource = "assumed'
+            ' here"\n'
+        )
     path = tmp_path / "layout.toml"
     path.write_text(text, encoding="utf-8")
-    unknowns = unknowns_of_study(Study.model_validate({"name": "s", "technologies": [str(path)], "pixel": pixel}))
+    unknowns = unknowns_of_study(
+        Study.model_validate({"name": "s", "technologies": [str(path)], "pixel": pixel})
+    )
     assert {unknown.quantity for unknown in unknowns} & OF_LAYOUT == left
 
 
@@ -249,7 +322,11 @@ def test_shared_quantities_have_one_draw() -> None:
     sample = sample_types(unknowns, 8, seed=3)
     for quantity in ("dark_current_na_per_cm2", "dsnu", "offset_fpn", "column_fpn"):
         assert quantity in SHARED
-        assert [unknown.technology for unknown in sample.inputs[quantity]] == ["0.35um", "0.18um", "4t-bsi"]
+        assert [unknown.technology for unknown in sample.inputs[quantity]] == [
+            "0.35um",
+            "0.18um",
+            "4t-bsi",
+        ]
         places = []
         for unknown in sample.inputs[quantity]:  # all are uniform between the ends of their range
             low, high = unknown.spread.range
@@ -261,10 +338,14 @@ def test_shared_quantities_have_one_draw() -> None:
 
 
 def test_inputs_are_independent_and_even() -> None:
-    """Each input has one draw in each of n equal parts of its distribution, and no pair is correlated."""
+    """Each input has one draw in each of n equal parts of its distribution, and no pair is
+    correlated.
+    """
     sample = sample_types(technologies("0.35um", "4t-bsi"), 256, seed=5)
     cells = np.sort((sample.quantiles * 256).astype(int), axis=0)
-    np.testing.assert_array_equal(cells, np.tile(np.arange(256)[:, None], sample.quantiles.shape[1]))
+    np.testing.assert_array_equal(
+        cells, np.tile(np.arange(256)[:, None], sample.quantiles.shape[1])
+    )
     apart = np.corrcoef(sample.quantiles.T) - np.eye(len(sample.inputs))
     assert np.abs(apart).max() < 5 / 16, "five standard errors of 256 independent draws"
     assert ((sample.quantiles > 0) & (sample.quantiles < 1)).all()
@@ -281,7 +362,9 @@ def test_unknowns_of_technology_draw_valid_technologies(name: str, distribution:
     assert {unknown.spread.kind for unknown in unknowns} == {distribution}
     assert {unknown.name for unknown in unknowns} == {f"{name} {number}" for number in base.ranges}
     for draw in sample_types(unknowns, 64).draws:
-        drawn = technology.with_numbers({unknown.quantity: draw[unknown.name] for unknown in unknowns}, "here")
+        drawn = technology.with_numbers(
+            {unknown.quantity: draw[unknown.name] for unknown in unknowns}, "here"
+        )
         assert drawn.numbers != technology.numbers
     fewer = unknowns_of_technology(technology, name, known=["dsnu"])
     assert {unknown.quantity for unknown in fewer} == set(base.ranges) - {"dsnu"}
@@ -289,23 +372,39 @@ def test_unknowns_of_technology_draw_valid_technologies(name: str, distribution:
 
 @pytest.mark.parametrize("swing", [(0.9, 2.2), (0.9, 1.5)])
 @pytest.mark.parametrize("reset", [(1.2, 3.0), None])
-def test_unknowns_of_technology_keep_their_order(swing: tuple[float, float], reset: tuple[float, float] | None) -> None:
-    """A swing above the reset voltage is no pixel: ranges that meet are cut at the middle between both values."""
+def test_unknowns_of_technology_keep_their_order(
+    swing: tuple[float, float], reset: tuple[float, float] | None
+) -> None:
+    """A swing above the reset voltage is no pixel: ranges that meet are cut at the middle between
+    both values.
+    """
     base = load_technology("0.35um")
     ranges = {"voltage_swing_v": swing} | ({"reset_voltage_v": reset} if reset else {})
     kinds = dict.fromkeys(ranges, "normal")
-    technology = Technology.model_validate(base.model_dump() | {"ranges": ranges, "distributions": kinds})
+    technology = Technology.model_validate(
+        base.model_dump() | {"ranges": ranges, "distributions": kinds}
+    )
     unknowns = unknowns_of_technology(technology, "mine")
     sample = sample_types(unknowns, 64)
     for draw in sample.draws:
-        technology.with_numbers({unknown.quantity: draw[unknown.name] for unknown in unknowns}, "here")
+        technology.with_numbers(
+            {unknown.quantity: draw[unknown.name] for unknown in unknowns}, "here"
+        )
     if reset is not None:
         swing_and_reset = [unknown.allowed for unknown in unknowns]
-        assert swing_and_reset[0][1] == swing_and_reset[1][0] == (1.2 + 2.2) / 2, "the middle between both values"
+        assert swing_and_reset[0][1] == swing_and_reset[1][0] == (1.2 + 2.2) / 2, (
+            "the middle between both values"
+        )
         assert len(sobol_points(unknowns, 8).quantiles) == 8 * (2 + 2), "two inputs"
 
 
-SHEET = {"pitch_um": 3.75, "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.9}
+SHEET = {
+    "pitch_um": 3.75,
+    "full_well_e": 10500.0,
+    "read_noise_e": 2.3,
+    "dark_current_e_per_s": 3.0,
+    "quantum_efficiency": 0.9,
+}
 
 
 def test_unknowns_of_sheet_draw_valid_pixels() -> None:
@@ -323,7 +422,9 @@ def test_unknowns_of_sheet_draw_valid_pixels() -> None:
 
 
 def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs() -> None:
-    """0.9 at 600 nm: 5 µm of silicon absorb 0.876 of that light, too little for it, and 10 µm 0.985, where draws end."""
+    """0.9 at 600 nm: 5 µm of silicon absorb 0.876 of that light, too little for it, and 10 µm
+    0.985, where draws end.
+    """
     deep = Pixel(**SHEET, quantum_efficiency_nm=600, quantum_efficiency_depth_um=10)
     (unknown,) = unknowns_of_sheet(deep, {"quantum_efficiency": Spread(sd=0.05)})
     highest = float(unknown.at(np.array([1.0]))[0])
@@ -333,7 +434,9 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
 
 
 def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
-    """Technologies, data sheets among them, one with a technology of its own, numbers set by the study, and its own [pixel]."""
+    """Technologies, data sheets among them, one with a technology of its own, numbers set by the
+    study, and its own [pixel].
+    """
     sheet, mixed = tmp_path / "sheet.toml", tmp_path / "mixed.toml"
     of_technology = {"technology": "4t-bsi", "pitch_um": 1.4, "dsnu": 0.2, "prnu_percent": 1}
     for path, pixel in (
@@ -342,16 +445,35 @@ def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
     ):
         path.write_text(f"pixel = {toml_of(pixel)}\n", encoding="utf-8")
     names = ["0.35um", str(sheet), str(mixed)]
-    table = {"name": "a", "technologies": names, "process": {"0.35um": {"dsnu": 0.25}}, "pixel": {"read_noise_e": 3.0}}
+    table = {
+        "name": "a",
+        "technologies": names,
+        "process": {"0.35um": {"dsnu": 0.25}},
+        "pixel": {"read_noise_e": 3.0},
+    }
     study = checked(Study, with_data_sheets([Layer(table)], {}))
     unknowns = unknowns_of_study(study, {"": {"read_noise_e": Spread(sd=0.3)}})
-    quantities = {name: {unknown.quantity for unknown in unknowns if unknown.technology == name} for name in ["", *names]}
+    quantities = {
+        name: {unknown.quantity for unknown in unknowns if unknown.technology == name}
+        for name in ["", *names]
+    }
     assert quantities[""] == {"read_noise_e"}
-    assert quantities["0.35um"] == set(load_technology("0.35um").ranges) - {"dsnu"}, "the study sets it"
+    assert quantities["0.35um"] == set(load_technology("0.35um").ranges) - {"dsnu"}, (
+        "the study sets it"
+    )
     assert quantities[str(sheet)] == {"full_well_e"}
-    given = {"prnu_um", "read_noise_e", "read_noise_after_gain_e"}  # by the data sheet's PRNU, and by [pixel]
-    assert quantities[str(mixed)] == set(load_technology("4t-bsi").ranges) - given, "DSNU by its own uncertainty"
-    for stack, known in (({"enabled": False}, {"height_um", "index", "crosstalk"}), ({"height_um": 3.0}, {"height_um"})):
+    given = {
+        "prnu_um",
+        "read_noise_e",
+        "read_noise_after_gain_e",
+    }  # by the data sheet's PRNU, and by [pixel]
+    assert quantities[str(mixed)] == set(load_technology("4t-bsi").ranges) - given, (
+        "DSNU by its own uncertainty"
+    )
+    for stack, known in (
+        ({"enabled": False}, {"height_um", "index", "crosstalk"}),
+        ({"height_um": 3.0}, {"height_um"}),
+    ):
         own = Study(name="b", technologies=["4t-bsi"], pixel={"stack": stack})
         left = set(load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in known}
         assert {unknown.quantity for unknown in unknowns_of_study(own)} == left
@@ -363,12 +485,17 @@ def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
         assert drawn.sensors[str(mixed)].dsnu == draw[f"{mixed} dsnu"]
         for name in ("0.35um", str(mixed)):
             numbers, varied = technology_of(drawn, name).numbers, quantities[name] - {"dsnu"}
-            assert {key: numbers[key] for key in varied} == {key: draw[f"{name} {key}"] for key in varied}
+            assert {key: numbers[key] for key in varied} == {
+                key: draw[f"{name} {key}"] for key in varied
+            }
         assert technology_of(drawn, "0.35um").numbers["dsnu"] == 0.25
-        assert (drawn.name, drawn.technologies) == (study.name, study.technologies), "the random streams depend on them"
+        assert (drawn.name, drawn.technologies) == (study.name, study.technologies), (
+            "the random streams depend on them"
+        )
 
 
-# --- Files, figures, repetition ----------------------------------------------------------------------------------------
+# --- Files, figures, repetition
+# ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -391,7 +518,9 @@ def test_as_dict_and_csv(result: UncertaintyResult) -> None:
         {"name": "full_well_e", "value": 1e4, "distribution": "normal", "range": [9e3, 11e3]}
     ]
     share = result.shares["optimum_um"]["full_well_e"]["first"]
-    assert summary["shares"]["optimum_um"]["full_well_e"]["first"]["share"] == pytest.approx(share.share, abs=5e-5)
+    assert summary["shares"]["optimum_um"]["full_well_e"]["first"]["share"] == pytest.approx(
+        share.share, abs=5e-5
+    )
     rows = list(csv.DictReader(io.StringIO(result.to_csv())))
     assert [int(row["draw"]) for row in rows] == list(range(1, 65))
     assert any(row["interval_low_um"] == "" for row in rows), "an optimum at the smallest size"
@@ -410,8 +539,12 @@ def test_figure_and_table_have_the_numbers(result: UncertaintyResult) -> None:
     assert len(plate.csv.splitlines()) == 1 + 64
     rows = list(shares_table(result).rows)
     assert [row[0] for row in rows] == ["read_noise_e", "full_well_e", "dsnu", SCATTER]
-    shares = [result.shares[output]["full_well_e"]["first"] for output in ("optimum_um", "mean_delta_e")]
-    assert rows[1][1:] == tuple(f"{share.share:.2f} ± {share.standard_error:.2f}" for share in shares)
+    shares = [
+        result.shares[output]["full_well_e"]["first"] for output in ("optimum_um", "mean_delta_e")
+    ]
+    assert rows[1][1:] == tuple(
+        f"{share.share:.2f} ± {share.standard_error:.2f}" for share in shares
+    )
 
 
 def test_input_labels_are_short_and_unique() -> None:
@@ -423,20 +556,27 @@ def test_input_labels_are_short_and_unique() -> None:
     assert list(input_labels(sample_types([one, same], 8)).values()) == [one.name, same.name]
 
 
-# --- The pitches of each type ------------------------------------------------------------------------------------------
+# --- The pitches of each type
+# ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("optimum_um", "interval_um", "ends_um"),
     [
         (6.0, (5.8, 6.2), (3.0, 12.0)),  # at least a factor of two
-        (6.0, (4.5, 7.0), (6 / (6 / 4.5) ** 3, 6 * (6 / 4.5) ** 3)),  # three times the half interval
+        (
+            6.0,
+            (4.5, 7.0),
+            (6 / (6 / 4.5) ** 3, 6 * (6 / 4.5) ** 3),
+        ),  # three times the half interval
         (6.0, (5.8, None), (1.5, 18.0)),  # four times, within the range
         (1.0, (None, 1.1), (1.0, 4.0)),
         (18.0, (17.0, None), (4.5, 18.0)),
     ],
 )
-def test_few_pitches_um(optimum_um: float, interval_um: tuple[float | None, float | None], ends_um: tuple[float, float]) -> None:
+def test_few_pitches_um(
+    optimum_um: float, interval_um: tuple[float | None, float | None], ends_um: tuple[float, float]
+) -> None:
     few = few_pitches_um(optimum_um, interval_um, (1.0, 18.0))
     pitches = np.array(list(few))
     assert set(few.values()) == {2}
@@ -449,7 +589,9 @@ def test_few_pitches_um(optimum_um: float, interval_um: tuple[float | None, floa
 
 @pytest.mark.parametrize("shift", [0.75, 1.0, 1.4])
 def test_few_pitches_find_shifted_optimum(shift: float) -> None:
-    """Without noise: a type's optimum that is not the base's, on a parabola in the logarithm of the pitch."""
+    """Without noise: a type's optimum that is not the base's, on a parabola in the logarithm of the
+    pitch.
+    """
     few = few_pitches_um(6.0, (5.8, 6.2), (1.0, 18.0))
     pitches = np.array(list(few))
     delta_e = 0.5 + np.log(pitches / (6 * shift)) ** 2
@@ -458,7 +600,8 @@ def test_few_pitches_find_shifted_optimum(shift: float) -> None:
     assert optimum.inside
 
 
-# --- Invalid input -----------------------------------------------------------------------------------------------------
+# --- Invalid input
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,9 @@ def test_ladder_of_a_chart_climbs_to_the_film_of_a_run(tmp_path: Path) -> None:
     small = SMALL | {"display": {"dots": 64}, "parameters": {"resolution": 64}}
     accuracy = pixsim.accuracy("csf", variant=VARIANT, **small)
     run = pixsim.run("csf", **small)
-    assert [own.across for own in accuracy.rungs] == [run.irradiance.shape[1] // times for times in (4, 2, 1)]
+    assert [own.across for own in accuracy.rungs] == [
+        run.irradiance.shape[1] // times for times in (4, 2, 1)
+    ]
     assert accuracy.reference is not None
     assert accuracy.reference.across >= 2 * accuracy.rungs[-1].across
     errors = [own.error_delta_e for own in accuracy.rungs]
@@ -68,8 +70,9 @@ def check(accuracy: Accuracy, folder: Path) -> None:
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
     lines = text_of_document(accuracy_document(accuracy)).splitlines()
     assert lines[0].startswith("Default settings: ")
-    assert f"mean ΔE {estimate(accuracy.rungs[-1].mean_delta_e)}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(
-        accuracy
+    assert (
+        f"mean ΔE {estimate(accuracy.rungs[-1].mean_delta_e)}, error"
+        f" {number(accuracy.rungs[-1].error_delta_e)}" in repr(accuracy)
     )
     assert "1 of 2 extreme cases" in accuracy._repr_html_()
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
@@ -86,7 +89,9 @@ def test_reference_is_one_whose_own_error_is_below_a_third_of_the_smallest_shown
     own: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Films that err by 0.04, 0.02 and 0.01."""
-    request = ladder.light_request(ladder.Case(Run.model_validate(SMALL), resolved=scene_and_camera()))
+    request = ladder.light_request(
+        ladder.Case(Run.model_validate(SMALL), resolved=scene_and_camera())
+    )
 
     def measured(request: object, imaging: object, across: int, *_: object) -> tuple[Rung, object]:
         error = 0.0 if across > 256 else 2.56 / across
@@ -97,7 +102,15 @@ def test_reference_is_one_whose_own_error_is_below_a_third_of_the_smallest_shown
     assert (reference is not None) == is_sure
     errors = [each.error_delta_e for each in rungs]
     assert errors == pytest.approx([0.04, 0.02, 0.01] if is_sure else [math.nan] * 3, nan_ok=True)
-    known = Accuracy("csf", rungs, reference, tuple(CASES), {"scene": "csf", "scene_hash": "a", "variant": "b"}, Run(), 1.0)
+    known = Accuracy(
+        "csf",
+        rungs,
+        reference,
+        tuple(CASES),
+        {"scene": "csf", "scene_hash": "a", "variant": "b"},
+        Run(),
+        1.0,
+    )
     assert ("no reference" in reference_words(known)) == (not is_sure)
     check(known, tmp_path / "out")
 
@@ -109,7 +122,9 @@ def scene_and_camera() -> tuple[object, pixsim.Camera]:
 
 @pytest.mark.slow  # the chart above is not traced
 def test_ladder_of_a_lit_scene_has_less_noise_on_wider_films(tmp_path: Path) -> None:
-    accuracy = pixsim.accuracy("macbeth", quick=True, variant=VARIANT, parameters={"resolution": 16, "spp": 4}, **SMALL)
+    accuracy = pixsim.accuracy(
+        "macbeth", quick=True, variant=VARIANT, parameters={"resolution": 16, "spp": 4}, **SMALL
+    )
     assert [own.render_noise for own in accuracy.rungs] == [0.4, 0.2]
     assert all(own.light.noise_delta_e > 0 for own in accuracy.rungs)
     check(accuracy, tmp_path / "out")
@@ -119,14 +134,19 @@ def test_ladder_of_a_lit_scene_has_less_noise_on_wider_films(tmp_path: Path) -> 
     ("line", "message"),
     [
         ("run picture.exr --tolerance-delta-e 0.01", "a picture"),
-        *((f"run csf --tolerance-delta-e {wrong}", "tolerance_delta_e") for wrong in ("0", "-1", "nan", "much")),
+        *(
+            (f"run csf --tolerance-delta-e {wrong}", "tolerance_delta_e")
+            for wrong in ("0", "-1", "nan", "much")
+        ),
         ("accuracy no_such_scene --quick", "no_such_scene"),
         ("accuracy csf --pixel.pitch-um 1 --quick", "pitch"),
         ("accuracy csf --display.dots -3 --quick", "dots"),
         ("accuracy picture.exr", "picture.exr"),
     ],
 )
-def test_commands_invalid_input_print_one_message(line: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_invalid_input_print_one_message(
+    line: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     pixsim.write_chart("picture.exr", pixsim.make_chart("flat"))
     code, text, err = command(line)

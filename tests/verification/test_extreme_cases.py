@@ -1,4 +1,6 @@
-"""Every extreme case meets its known answer without a warning; its numbers are those of closed forms; wrong kernels fail."""
+"""Every extreme case meets its known answer without a warning; its numbers are those of closed
+forms; wrong kernels fail.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,12 @@ from helpers import closed_forms as exact
 from pixsim import optics
 from pixsim.light.spectral import SpectralImage, photons_per_joule, photopic_efficiency
 from pixsim.optics.stack import stack_collection
-from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate, pixel_count
+from pixsim.sensor.integration import (
+    electrons_per_joule,
+    integrate_pixels,
+    mean_signal_rate,
+    pixel_count,
+)
 from pixsim.sensor.photodiode import collected_charge_e, diode_of
 from pixsim.sensor.reading import Readout
 from pixsim.verification import extreme_cases
@@ -32,7 +39,9 @@ def checked(room: str) -> list[ExtremeCase]:
 def test_extreme_cases_pass(room: str) -> None:
     wrong = [case for case in checked(room) if not case.passed]
     assert not wrong, "\n".join(
-        f"{c.name}: expected {c.expected:.9g}, got {c.got:.9g}, {c.error:.2g} > {c.allowed:.2g} {c.warned}" for c in wrong
+        f"{c.name}: expected {c.expected:.9g}, got {c.got:.9g}, {c.error:.2g} > {c.allowed:.2g}"
+        f" {c.warned}"
+        for c in wrong
     )
 
 
@@ -59,16 +68,26 @@ def test_case_passes_within_its_tolerance(
 
 
 def test_case_names_its_worst_element_of_all_calls() -> None:
-    case = KnownAnswer("squares", lambda x: x * x, ANSWERS, 0.5, "", [(1.0, 1.0), (2.0, 5.0), (3.0, 9.0)]).check("room")
+    case = KnownAnswer(
+        "squares", lambda x: x * x, ANSWERS, 0.5, "", [(1.0, 1.0), (2.0, 5.0), (3.0, 9.0)]
+    ).check("room")
     assert (case.expected, case.got, case.error, case.room) == (5.0, 4.0, 0.2, "room")
     function = KnownAnswer(
-        "twice", lambda x, y: [x + y, x - y], lambda x, y: x, 0.0, "", [(1.0, 0.0), (1.0, 0.5)], scale=2.0
+        "twice",
+        lambda x, y: [x + y, x - y],
+        lambda x, y: x,
+        0.0,
+        "",
+        [(1.0, 0.0), (1.0, 0.5)],
+        scale=2.0,
     ).check()
     assert (function.error, function.passed) == (0.25, False)
 
 
 def test_case_with_a_warning_fails() -> None:
-    case = KnownAnswer("warns", lambda: warnings.warn("much", stacklevel=1) or 1.0, 1.0, 0.1, "").check()
+    case = KnownAnswer(
+        "warns", lambda: warnings.warn("much", stacklevel=1) or 1.0, 1.0, 0.1, ""
+    ).check()
     assert (case.error, case.warned, case.passed) == (0.0, "much", False)
 
 
@@ -77,8 +96,14 @@ def test_case_with_a_warning_fails() -> None:
 
 def line_numbers(centre_nm: float) -> list[float]:
     physics = extreme_cases.physics_of({"pitch_um": 10.0})
-    electrons = exact.response_to_line(centre_nm, lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm))
-    return [exact.power_in_range(centre_nm), electrons, 683.002 * exact.response_to_line(centre_nm, photopic_efficiency)]
+    electrons = exact.response_to_line(
+        centre_nm, lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
+    )
+    return [
+        exact.power_in_range(centre_nm),
+        electrons,
+        683.002 * exact.response_to_line(centre_nm, photopic_efficiency),
+    ]
 
 
 def junction_well_e(pitch_um: float) -> float:
@@ -86,11 +111,18 @@ def junction_well_e(pitch_um: float) -> float:
     side_um = pitch_um * math.sqrt(0.5)
     diode = diode_of(extreme_cases.physics_of({"fill_factor": 0.5}))
     swing_v = extreme_cases.physics_of({}).technology.junction.voltage_swing_v
-    return exact.charge_to_e(replace(diode, area_um2=side_um**2, perimeter_um=4 * side_um), diode.reset_voltage_v - swing_v)
+    return exact.charge_to_e(
+        replace(diode, area_um2=side_um**2, perimeter_um=4 * side_um),
+        diode.reset_voltage_v - swing_v,
+    )
 
 
 def saturated_share() -> float:
-    return exact.saturated_share(Readout.of(extreme_cases.physics_of({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0})))
+    return exact.saturated_share(
+        Readout.of(
+            extreme_cases.physics_of({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0})
+        )
+    )
 
 
 def green_e_per_s() -> float:
@@ -100,7 +132,9 @@ def green_e_per_s() -> float:
 
 
 def airy_tail() -> float:
-    """Over its rings, the Airy pattern decays as λN/(π³ r³); mirrored at the borders, strips of 80 µm repeat every 160 µm."""
+    """Over its rings, the Airy pattern decays as λN/(π³ r³); mirrored at the borders, strips of 80
+    µm repeat every 160 µm.
+    """
     near_um = np.add.outer([30, 50], 160 * np.arange(1000))
     n_w = extreme_cases.CAMERA.f_number * (1 + extreme_cases.CAMERA.magnification)
     return float(2e-3 * 555 * n_w / math.pi**3 * (1 / near_um - 1 / (near_um + 80)).sum())
@@ -116,19 +150,30 @@ def lit_rate() -> float:
     nm = extreme_cases.BANDS_NM[::2]
     physics = extreme_cases.physics_of({"pitch_um": 10.0})
     per_joule = nm * 1e-9 / (6.62607015e-34 * 299792458.0)
-    return math.fsum(0.2 * physics.quantum_efficiency(nm) * per_joule) * physics.photodiode_area_um2 * 1e-12
+    return (
+        math.fsum(0.2 * physics.quantum_efficiency(nm) * per_joule)
+        * physics.photodiode_area_um2
+        * 1e-12
+    )
 
 
 NAMED = {name: row for rows in ROOMS.values() for row in rows() for name in [row[0]]}
 CHARGES: dict[str, Callable[..., Any]] = {
     "closed form": exact.constant_diode_charge_e,
     "LSODA, an implicit solver, with a tolerance of 1e-13": exact.implicit_charge_e,
-    "∫C dV/q of SPICE's C(V) down to V_oc = -V_T ln(1 + i/I_s), by quadrature": exact.open_circuit_charge_e,
+    "∫C dV/q of SPICE's C(V) down to V_oc = -V_T ln(1 + i/I_s), by quadrature": (
+        exact.open_circuit_charge_e
+    ),
 }
-NUMBERS: dict[str, tuple[Any, Callable[[], Any], float]] = {  # of the table, of a closed form, relative tolerance
+NUMBERS: dict[
+    str, tuple[Any, Callable[[], Any], float]
+] = {  # of the table, of a closed form, relative tolerance
     "irradiance": (
         [row[-1] for row in extreme_cases.IRRADIANCES],
-        lambda: [exact.solid_angle_integral(0.5 / (n * (1 - m)), t) for n, t, m, _ in extreme_cases.IRRADIANCES],
+        lambda: [
+            exact.solid_angle_integral(0.5 / (n * (1 - m)), t)
+            for n, t, m, _ in extreme_cases.IRRADIANCES
+        ],
         1e-14,  # of the quadrature
     ),
     # Where a number is printed with all of its digits, 1e-9 is far below the tolerance of its case.
@@ -137,7 +182,11 @@ NUMBERS: dict[str, tuple[Any, Callable[[], Any], float]] = {  # of the table, of
         lambda: [exact.pupil_overlap(1 - share) for share, _ in extreme_cases.OTFS],
         1e-4,  # the last one, 1.2e-15, has five digits
     ),
-    "lines": ([row[1:] for row in extreme_cases.LINES], lambda: [line_numbers(row[0]) for row in extreme_cases.LINES], 1e-5),
+    "lines": (
+        [row[1:] for row in extreme_cases.LINES],
+        lambda: [line_numbers(row[0]) for row in extreme_cases.LINES],
+        1e-5,
+    ),
     "junction wells": (
         [well for _, well in extreme_cases.JUNCTION_WELLS_E],
         lambda: [junction_well_e(pitch_um) for pitch_um, _ in extreme_cases.JUNCTION_WELLS_E],
@@ -150,7 +199,11 @@ NUMBERS: dict[str, tuple[Any, Callable[[], Any], float]] = {  # of the table, of
         lambda: [1000 + (2**24 - 1001) / 2, 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12],
         1e-12,
     ),
-    "Airy tail": (NAMED["1e10 : 1 with diffraction: light 6 pixels inside the dark half"][2], airy_tail, 1e-6),
+    "Airy tail": (
+        NAMED["1e10 : 1 with diffraction: light 6 pixels inside the dark half"][2],
+        airy_tail,
+        1e-6,
+    ),
     "spots": (NAMED["diffraction of a microlens of 1 µm, 300 … 1200 nm"][2], spot_shares, 1e-9),
     "lit bands": (NAMED["electrons of every pixel, every second band dark"][2], lit_rate, 1e-12),
     "CIELAB": (
@@ -160,14 +213,18 @@ NUMBERS: dict[str, tuple[Any, Callable[[], Any], float]] = {  # of the table, of
     ),
     "gratings": (
         [lab for *_, lab in extreme_cases.GRATINGS],
-        lambda: [exact.blurred_grating_lab(density, order)[0] for density, order, _ in extreme_cases.GRATINGS],
+        lambda: [
+            exact.blurred_grating_lab(density, order)[0]
+            for density, order, _ in extreme_cases.GRATINGS
+        ],
         1e-12,
     ),
     **{
         source: (
             [answer[-1] for answer in answers],
             lambda answers=answers, source=source: [
-                CHARGES[source](i, t, diode_of(extreme_cases.pixel_at(process, kelvin))) for process, kelvin, i, t, _ in answers
+                CHARGES[source](i, t, diode_of(extreme_cases.pixel_at(process, kelvin)))
+                for process, kelvin, i, t, _ in answers
             ],
             1e-11,  # of LSODA; the table has 14 digits
         )
@@ -179,7 +236,9 @@ NUMBERS: dict[str, tuple[Any, Callable[[], Any], float]] = {  # of the table, of
 @pytest.mark.parametrize("name", NUMBERS)
 def test_numbers_of_the_table_are_those_of_closed_forms(name: str) -> None:
     number, closed_form, tolerance = NUMBERS[name]
-    np.testing.assert_allclose(np.asarray(number), np.asarray(closed_form(), float), rtol=tolerance, atol=1e-13)
+    np.testing.assert_allclose(
+        np.asarray(number), np.asarray(closed_form(), float), rtol=tolerance, atol=1e-13
+    )
 
 
 # --- Wrong kernels ---
@@ -202,26 +261,63 @@ def sampled(rate, sample_um, pitch_um, side_um):
 def at_the_middle(lamp, bands):
     """Lamps sampled at the centres of bands."""
     nm, header = bands.wavelength_nm, {"luminance_cd_per_m2": 1000.0}
-    return SpectralImage(nm, 10.0, 20.0, factors=(np.interp(nm, lamp.nodes_nm, lamp.values), np.ones((1, 6, 6))), header=header)
+    return SpectralImage(
+        nm,
+        10.0,
+        20.0,
+        factors=(np.interp(nm, lamp.nodes_nm, lamp.values), np.ones((1, 6, 6))),
+        header=header,
+    )
 
 
-LENS, OTF, PIXELS = ("optics", "irradiance_factor"), ("optics", "diffraction_otf"), ("integration", "integrate_pixels")
+LENS, OTF, PIXELS = (
+    ("optics", "irradiance_factor"),
+    ("optics", "diffraction_otf"),
+    ("integration", "integrate_pixels"),
+)
 WRONG = {
-    "cos⁴": (*LENS, lambda n, t, m: np.pi / (4 * np.square(n * (1 + np.abs(m))) * (1 + np.square(t)) ** 2)),
+    "cos⁴": (
+        *LENS,
+        lambda n, t, m: np.pi / (4 * np.square(n * (1 + np.abs(m))) * (1 + np.square(t)) ** 2),
+    ),
     "1/N² of the engraved f-number": (*LENS, lambda n, t, m: optics.irradiance_factor(n, t, 0 * m)),
-    "E/L in single precision": (*LENS, lambda n, t, m: np.float32(optics.irradiance_factor(n, t, m))),
+    "E/L in single precision": (
+        *LENS,
+        lambda n, t, m: np.float32(optics.irradiance_factor(n, t, m)),
+    ),
     "an error of 5e-15": (*LENS, lambda n, t, m: optics.irradiance_factor(n, t, m) * (1 + 5e-15)),
     "a linear OTF": (*OTF, lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0)),
-    "an OTF above 0 beyond the cut-off": (*OTF, lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300)),
+    "an OTF above 0 beyond the cut-off": (
+        *OTF,
+        lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300),
+    ),
     "0.01 % in N": (*OTF, lambda f, nm, n: optics.diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
     "black padding": ("optics", "diffract", padded),
-    "rates in single precision": (*PIXELS, lambda r, *lengths: integrate_pixels(r.astype(np.float32).astype(float), *lengths)),
-    "a gap of 1e-9 between photodiodes": (*PIXELS, lambda r, s, p, d: integrate_pixels(r, s, p, d * (1 - 1e-9))),
+    "rates in single precision": (
+        *PIXELS,
+        lambda r, *lengths: integrate_pixels(r.astype(np.float32).astype(float), *lengths),
+    ),
+    "a gap of 1e-9 between photodiodes": (
+        *PIXELS,
+        lambda r, s, p, d: integrate_pixels(r, s, p, d * (1 - 1e-9)),
+    ),
     "point sampling": (*PIXELS, sampled),
-    "0.1 % of QE": ("spectra", "electrons_per_joule", lambda physics, image: 1.001 * electrons_per_joule(physics, image)),
-    "a signal in the dark": ("spectra", "mean_signal_rate", lambda *arguments: 1e-300 + mean_signal_rate(*arguments)),
+    "0.1 % of QE": (
+        "spectra",
+        "electrons_per_joule",
+        lambda physics, image: 1.001 * electrons_per_joule(physics, image),
+    ),
+    "a signal in the dark": (
+        "spectra",
+        "mean_signal_rate",
+        lambda *arguments: 1e-300 + mean_signal_rate(*arguments),
+    ),
     "lamps sampled at the centres of bands": ("spectra", "image_of", at_the_middle),
-    "1e-7 of a diode's charge": ("photodiode", "collected_charge_e", lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d)),
+    "1e-7 of a diode's charge": (
+        "photodiode",
+        "collected_charge_e",
+        lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d),
+    ),
     # It collects more than étendue allows.
     "2 % in the f-number of a stack": (
         "stacks",
@@ -240,6 +336,8 @@ def test_cases_with_a_wrong_kernel_fail(monkeypatch: pytest.MonkeyPatch, name: s
 
 
 def test_cases_of_gain_with_noise_on_the_wrong_side_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    wrong = property(lambda readout: np.hypot(readout.read_noise_e, readout.read_noise_after_gain_e))
+    wrong = property(
+        lambda readout: np.hypot(readout.read_noise_e, readout.read_noise_after_gain_e)
+    )
     monkeypatch.setattr(Readout, "read_noise_at_gain_e", wrong)
     assert not all(case.passed for case in checked("sensor"))

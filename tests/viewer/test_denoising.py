@@ -1,4 +1,6 @@
-"""Anscombe's transform and its inverse, filters of planes, and the linear filter that none of its kind beats."""
+"""Anscombe's transform and its inverse, filters of planes, and the linear filter that none of its
+kind beats.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ READ_NOISE_E = (0.0, 0.3, 1.0, 3.0, 15.0)
 NAMED = ("nlm", "wavelet")
 
 
-def noisy(mean_e: float | np.ndarray, read_noise_e: float, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+def noisy(
+    mean_e: float | np.ndarray,
+    read_noise_e: float,
+    shape: tuple[int, ...],
+    rng: np.random.Generator,
+) -> np.ndarray:
     return rng.poisson(mean_e, shape) + read_noise_e * rng.standard_normal(shape)
 
 
@@ -42,16 +49,22 @@ DRAWS, DRAWN_E = 1_000_000, (0.5, 3.0, 20.0, 200.0, 1e4)
 
 @pytest.fixture(scope="module")
 def draws() -> tuple[np.ndarray, list[np.ndarray]]:
-    """Noise of variance one, and electrons of each mean; read noise of every size is a multiple of the first."""
+    """Noise of variance one, and electrons of each mean; read noise of every size is a multiple of
+    the first.
+    """
     rng = np.random.default_rng(SEED)
     return rng.standard_normal(DRAWS), [rng.poisson(mean_e, DRAWS) for mean_e in DRAWN_E]
 
 
 @pytest.mark.parametrize("read_noise_e", READ_NOISE_E)
-def test_moments_and_inverse_are_those_of_draws(read_noise_e: float, draws: tuple[np.ndarray, list[np.ndarray]]):
-    """Of 1e6 draws: of few electrons the mean within 4 standard errors, the variance within 0.5 %, which are 3.5.
+def test_moments_and_inverse_are_those_of_draws(
+    read_noise_e: float, draws: tuple[np.ndarray, list[np.ndarray]]
+):
+    """Of 1e6 draws: of few electrons the mean within 4 standard errors, the variance within 0.5 %,
+    which are 3.5.
 
-    The inverse of their mean is unbiased within 3. False alarms: 1 of 13 runs of other seeds, for all five.
+    The inverse of their mean is unbiased within 3. False alarms: 1 of 13 runs of other seeds, for
+    all five.
     """
     noise, electrons = draws
     for mean_e, drawn in zip(DRAWN_E, electrons, strict=True):
@@ -63,16 +76,23 @@ def test_moments_and_inverse_are_those_of_draws(read_noise_e: float, draws: tupl
             assert found == pytest.approx(float(mean), abs=4 * error)
             assert spread**2 == pytest.approx(float(variance), rel=0.005)
         step = 1e-3
-        below, inverse, above = anscombe.inverse(found + step * np.array([-1, 0, 1]), read_noise_e**2)
+        below, inverse, above = anscombe.inverse(
+            found + step * np.array([-1, 0, 1]), read_noise_e**2
+        )
         assert abs(inverse - mean_e) <= 3 * error * (above - below) / (2 * step)
 
 
 @pytest.mark.parametrize("read_noise_e", READ_NOISE_E[1:])
 def test_moments_are_integrals_over_the_density(read_noise_e: float):
-    """By a convolution on a fine grid of z: neither the closed forms for few electrons nor the series for many is in it."""
+    """By a convolution on a fine grid of z: neither the closed forms for few electrons nor the
+    series for many is in it.
+    """
     parts = 512  # of an electron
     reach = math.ceil(10 * read_noise_e)
-    blur = stats.norm.pdf(np.arange(-reach * parts, reach * parts + 1) / parts, scale=read_noise_e) / parts
+    blur = (
+        stats.norm.pdf(np.arange(-reach * parts, reach * parts + 1) / parts, scale=read_noise_e)
+        / parts
+    )
     for mean_e in (0.0, 0.5, 20.0, 240.0, 260.0):
         counts = np.arange(math.ceil(mean_e + 12 * math.sqrt(mean_e) + 30))
         shares = np.zeros(counts.size * parts)
@@ -82,8 +102,12 @@ def test_moments_are_integrals_over_the_density(read_noise_e: float):
         values = anscombe.forward(z, read_noise_e**2)
         expected = float((density * values).sum())
         mean, variance = anscombe.moments(mean_e, read_noise_e**2)
-        assert float(mean) == pytest.approx(expected, abs=1e-4)  # the root begins between two places of the grid
-        assert float(variance) == pytest.approx(float((density * (values - expected) ** 2).sum()), abs=1e-4)
+        assert float(mean) == pytest.approx(
+            expected, abs=1e-4
+        )  # the root begins between two places of the grid
+        assert float(variance) == pytest.approx(
+            float((density * (values - expected) ** 2).sum()), abs=1e-4
+        )
 
 
 @pytest.mark.parametrize("read_noise_e", [*READ_NOISE_E, 1e3])
@@ -122,11 +146,18 @@ def by_scikit_image(plane: np.ndarray, method: str, strength: float) -> np.ndarr
         sizes = {"patch_size": 5, "patch_distance": 6, "fast_mode": True}
         return denoise_nl_means(plane, h=0.8 * strength, sigma=strength, **sizes)
     settings = {"wavelet": "db2", "wavelet_levels": 4, "method": "BayesShrink", "mode": "soft"}
-    rows, columns = (np.r_[0, np.arange(size), size - 1] for size in plane.shape)  # half-sample reflection by a pixel
+    rows, columns = (
+        np.r_[0, np.arange(size), size - 1] for size in plane.shape
+    )  # half-sample reflection by a pixel
     total = 0.0
     for down, across in product((0, 1), repeat=2):
-        part = plane[rows[down : rows.size - 1 + down]][:, columns[across : columns.size - 1 + across]]
-        own = slice(1 - down, 1 - down + plane.shape[0]), slice(1 - across, 1 - across + plane.shape[1])
+        part = plane[rows[down : rows.size - 1 + down]][
+            :, columns[across : columns.size - 1 + across]
+        ]
+        own = (
+            slice(1 - down, 1 - down + plane.shape[0]),
+            slice(1 - across, 1 - across + plane.shape[1]),
+        )
         total = total + denoise_wavelet(part, sigma=strength, **settings)[own]
     return total / 4
 
@@ -155,11 +186,15 @@ def test_an_even_plane_keeps_its_mean(method: str, mean_e: float):
 
 @pytest.mark.parametrize("method", NAMED)
 def test_edges_keep_their_position(method: str):
-    """Within 0.05 pixels, at all phases of an edge on the pixels, and of pixels on the wavelets' grid."""
+    """Within 0.05 pixels, at all phases of an edge on the pixels, and of pixels on the wavelets'
+    grid.
+    """
     columns, rows = 64, 48
     offsets = []
     for place in 28 + np.arange(0, 4, 0.25):
-        lit = np.clip(np.arange(columns) + 1 - place, 0, 1)  # the share of each pixel that is right of the edge
+        lit = np.clip(
+            np.arange(columns) + 1 - place, 0, 1
+        )  # the share of each pixel that is right of the edge
         true = np.broadcast_to(40 + 160 * lit, (rows, columns))
         raw = noisy(true, 2.0, true.shape, np.random.default_rng(SEED))
         profile = denoised_plane(raw, 4.0, method)[:, 12:52].mean(axis=0)
@@ -182,7 +217,9 @@ def test_colour_noise_is_lower_if_planes_are_denoised_before_demosaicing():
     before = raw.copy()
     for row, column in product((0, 1), repeat=2):
         before[row::2, column::2] = clean(raw[row::2, column::2])
-    assert colour_noise_e(before) < 0.6 * colour_noise_e(raw, after=True) < 0.8 * colour_noise_e(raw)
+    assert (
+        colour_noise_e(before) < 0.6 * colour_noise_e(raw, after=True) < 0.8 * colour_noise_e(raw)
+    )
 
 
 def test_a_function_gets_white_noise_of_variance_one():
@@ -206,12 +243,30 @@ def test_strength_zero_leaves_the_plane():
 
 PLANE = np.full((24, 24), 10.0)
 WRONG = {
-    "small for patches": (partial(denoised_plane, PLANE[:16], 1.0, "nlm"), "a plane of 16 × 24 pixels; allowed: 17 pixels"),
-    "small for wavelets": (partial(denoised_plane, PLANE[:, :7], 1.0, "wavelet"), "a plane of 24 × 7 pixels; allowed: 8 pixels"),
-    "a function of another shape": (partial(denoised_plane, PLANE, 1.0, lambda plane, _: plane[1:]), r"of shape \(23, 24\)"),
-    "a function that is not a number": (partial(denoised_plane, PLANE, 1.0, lambda plane, _: plane * np.inf), "returns inf at"),
-    "a function that fails": (partial(denoised_plane, PLANE, 1.0, lambda _: 0), "one that fails .TypeError"),
-    "powers": (partial(wiener.response, PLANE, PLANE[1:]), r"signal and noise: got shapes \(24, 24\), \(23, 24\)"),
+    "small for patches": (
+        partial(denoised_plane, PLANE[:16], 1.0, "nlm"),
+        "a plane of 16 × 24 pixels; allowed: 17 pixels",
+    ),
+    "small for wavelets": (
+        partial(denoised_plane, PLANE[:, :7], 1.0, "wavelet"),
+        "a plane of 24 × 7 pixels; allowed: 8 pixels",
+    ),
+    "a function of another shape": (
+        partial(denoised_plane, PLANE, 1.0, lambda plane, _: plane[1:]),
+        r"of shape \(23, 24\)",
+    ),
+    "a function that is not a number": (
+        partial(denoised_plane, PLANE, 1.0, lambda plane, _: plane * np.inf),
+        "returns inf at",
+    ),
+    "a function that fails": (
+        partial(denoised_plane, PLANE, 1.0, lambda _: 0),
+        "one that fails .TypeError",
+    ),
+    "powers": (
+        partial(wiener.response, PLANE, PLANE[1:]),
+        r"signal and noise: got shapes \(24, 24\), \(23, 24\)",
+    ),
 }
 
 
@@ -224,7 +279,9 @@ def test_wrong_input_is_named(case: str):
 
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(filters, "find_spec", lambda name: None)
-    with pytest.raises(PixsimError, match=r"denoise 'wavelet' needs scikit-image.*pip install 'pixsim\[denoise\]'"):
+    with pytest.raises(
+        PixsimError, match=r"denoise 'wavelet' needs scikit-image.*pip install 'pixsim\[denoise\]'"
+    ):
         denoised_plane(PLANE, 1.0, "wavelet")
     assert denoised_plane(PLANE, 1.0, lambda plane, _: plane).shape == PLANE.shape
 
@@ -242,19 +299,29 @@ def test_powers_are_those_of_the_coefficients():
         covariance = dense_covariance(variance, columns, rows)
         transform = cosines(shape)
         expected = np.diag(transform @ covariance @ transform.T).reshape(shape)
-        assert wiener.noise_power(variance, column_variance=columns, row_variance=rows) == pytest.approx(expected)
+        assert wiener.noise_power(
+            variance, column_variance=columns, row_variance=rows
+        ) == pytest.approx(expected)
 
 
 @cache
 def cosines(shape: tuple[int, int]) -> np.ndarray:
     """The matrix of the orthonormal DCT-II, coefficients by pixels."""
     count = math.prod(shape)
-    return dctn(np.eye(count).reshape(count, *shape), axes=(1, 2), norm="ortho").reshape(count, count).T
+    return (
+        dctn(np.eye(count).reshape(count, *shape), axes=(1, 2), norm="ortho")
+        .reshape(count, count)
+        .T
+    )
 
 
 def dense_covariance(variance: np.ndarray, of_column: float, of_row: float) -> np.ndarray:
     row, column = np.divmod(np.arange(variance.size), variance.shape[1])
-    return np.diag(variance.ravel()) + of_column * (column[:, None] == column) + of_row * (row[:, None] == row)
+    return (
+        np.diag(variance.ravel())
+        + of_column * (column[:, None] == column)
+        + of_row * (row[:, None] == row)
+    )
 
 
 SHAPE = (128, 96)
@@ -279,12 +346,18 @@ def test_mean_square_error_is_the_integral():
     for _ in range(100):
         true = picture(signal)
         errors.append(((wiener.filtered(true + picture(noise), factors) - true) ** 2).mean())
-    assert np.mean(errors) == pytest.approx(float((signal * noise / (signal + noise)).mean()), rel=0.01)
-    assert wiener.mean_square_error(signal, noise) == pytest.approx(float((signal * noise / (signal + noise)).mean()))
+    assert np.mean(errors) == pytest.approx(
+        float((signal * noise / (signal + noise)).mean()), rel=0.01
+    )
+    assert wiener.mean_square_error(signal, noise) == pytest.approx(
+        float((signal * noise / (signal + noise)).mean())
+    )
 
 
 def test_no_other_linear_filter_beats_it():
-    """On one picture, with shot noise: 50 other spectra of picture and noise, blurs and sharpenings, over the same 20 frames."""
+    """On one picture, with shot noise: 50 other spectra of picture and noise, blurs and
+    sharpenings, over the same 20 frames.
+    """
     true = 5 + 100 * chart(SHAPE)
     rng = np.random.default_rng(SEED)
     frames = [noisy(true, 3.0, true.shape, rng) for _ in range(20)]
@@ -296,7 +369,10 @@ def test_no_other_linear_filter_beats_it():
     least = error(wiener.response(signal, noise))
     assert least == pytest.approx(wiener.mean_square_error(signal, noise), rel=0.02)
     assert least == pytest.approx(
-        float(np.mean([(wiener.wiener_plane(frame, true, true + 9) - true) ** 2 for frame in frames])), rel=1e-12
+        float(
+            np.mean([(wiener.wiener_plane(frame, true, true + 9) - true) ** 2 for frame in frames])
+        ),
+        rel=1e-12,
     )
     frequency = np.hypot(*np.meshgrid(*(np.arange(size) / size for size in SHAPE), indexing="ij"))
     others = []
@@ -312,7 +388,9 @@ def test_no_other_linear_filter_beats_it():
 
 
 def test_no_linear_step_makes_a_target_easier_to_detect():
-    """d′ of the ideal linear observer: as in the frame behind a filter that can be undone, and lower behind others."""
+    """d′ of the ideal linear observer: as in the frame behind a filter that can be undone, and
+    lower behind others.
+    """
     shape = (12, 10)
     rng = np.random.default_rng(SEED)
     target, variance = 3 * (chart(shape) > 0.6), rng.uniform(5, 20, shape)
@@ -322,7 +400,9 @@ def test_no_linear_step_makes_a_target_easier_to_detect():
 
     def behind(matrix: np.ndarray) -> float:
         difference = matrix @ target.ravel()
-        return math.sqrt(difference @ np.linalg.pinv(matrix @ covariance @ matrix.T, rcond=1e-10) @ difference)
+        return math.sqrt(
+            difference @ np.linalg.pinv(matrix @ covariance @ matrix.T, rcond=1e-10) @ difference
+        )
 
     factors = wiener.response(wiener.signal_power(10.0 + target), wiener.noise_power(variance))
     whole = transform.T @ (np.maximum(factors, 1e-3).ravel()[:, None] * transform)
@@ -345,7 +425,8 @@ def rings() -> np.ndarray:
 
 
 def percent_correct(pairs: np.ndarray, trained: int) -> float:
-    """Share of pairs (n, 2, pixels), without and with a target, that a Hotelling observer of rings tells apart.
+    """Share of pairs (n, 2, pixels), without and with a target, that a Hotelling observer of rings
+    tells apart.
 
     trained : the first pairs, from which the observer learns, and which are not judged
     """
@@ -361,8 +442,9 @@ def percent_correct(pairs: np.ndarray, trained: int) -> float:
 def test_no_filter_tells_an_observer_more_than_the_frame_had(method: str | None):
     """Percent correct ≤ Φ(d′/√2) + 3 standard errors. False alarms: 1 of 700 at equality.
 
-    Of 700 pairs, after 300 others, and of 300 after 100 behind the slow filters: an excess of 0.06 and 0.09 is found in 93 % of
-    seeds. The observer is good enough to tell: of frames without a filter it has nearly all.
+    Of 700 pairs, after 300 others, and of 300 after 100 behind the slow filters: an excess of 0.06
+    and 0.09 is found in 93 % of seeds. The observer is good enough to tell: of frames without a
+    filter it has nearly all.
     """
     trained, count = (100, 400) if method in NAMED else (300, 1000)
     rng, read_noise_e = np.random.default_rng(SEED), 2.0
@@ -376,7 +458,9 @@ def test_no_filter_tells_an_observer_more_than_the_frame_had(method: str | None)
         if method is None:
             return frame
         if method == "wiener":
-            return wiener.wiener_plane(frame, means.mean(axis=0), means.mean(axis=0) + read_noise_e**2)
+            return wiener.wiener_plane(
+                frame, means.mean(axis=0), means.mean(axis=0) + read_noise_e**2
+            )
         return denoised_plane(frame, read_noise_e**2, method)
 
     pictures = np.array([[picture(frame) for frame in pair] for pair in raw]).reshape(count, 2, -1)

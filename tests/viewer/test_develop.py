@@ -1,4 +1,6 @@
-"""Frames of colour sensors as pictures: exact for a Luther camera, the monochrome picture for equal channels, noise as stated."""
+"""Frames of colour sensors as pictures: exact for a Luther camera, the monochrome picture for equal
+channels, noise as stated.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,18 @@ from pixsim.viewer.screen import ideal_on_dots
 NM = np.arange(362.5, 830.0, 5.0)
 CAMERA = Camera(die_mm=0.1)
 QUIET: dict[str, Any] = {
-    **dict.fromkeys(("prnu", "dsnu", "read_noise_e", "reset_noise_factor", "dark_current_e_per_s", "offset_fpn", "column_fpn"), 0),
+    **dict.fromkeys(
+        (
+            "prnu",
+            "dsnu",
+            "read_noise_e",
+            "reset_noise_factor",
+            "dark_current_e_per_s",
+            "offset_fpn",
+            "column_fpn",
+        ),
+        0,
+    ),
     "technology": "4t-bsi",
     "pitch_um": 4.0,
     "stack": {"enabled": False},
@@ -44,12 +57,17 @@ TIME_S = 0.01
 
 
 def luther_curves() -> dict[str, Any]:
-    """Quantum efficiencies that are sums of the observer's functions over λ: responses to energy are a matrix times XYZ."""
+    """Quantum efficiencies that are sums of the observer's functions over λ: responses to energy
+    are a matrix times XYZ.
+    """
     nm = np.arange(360.0, 831.0)
     mixture = np.array([[0.6, 0.35, 0.05], [0.1, 0.8, 0.1], [0.02, 0.08, 0.9]])
     efficiency = colour_matching(nm) @ mixture.T / nm[:, None]
     efficiency *= 0.6 / efficiency.max()
-    return {letter: list(zip(nm.tolist(), efficiency[:, k].tolist(), strict=True)) for k, letter in enumerate("RGB")}
+    return {
+        letter: list(zip(nm.tolist(), efficiency[:, k].tolist(), strict=True))
+        for k, letter in enumerate("RGB")
+    }
 
 
 LUTHER = luther_curves()
@@ -58,15 +76,27 @@ LUTHER = luther_curves()
 def lamp_spectrum(lamp: str) -> np.ndarray:
     """On axis, from a white of 1000 cd/m² under the lamp."""
     lux = 1e3 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))
-    return illuminant(lamp, NM) * lux / (luminous_weight(NM, np.full(NM.size, 5.0)) * illuminant(lamp, NM)).sum()
+    return (
+        illuminant(lamp, NM)
+        * lux
+        / (luminous_weight(NM, np.full(NM.size, 5.0)) * illuminant(lamp, NM)).sum()
+    )
 
 
-def scene(reflectances: np.ndarray, pictures: np.ndarray, lamp: str = "D65", camera: Camera = CAMERA) -> SpectralImage:
+def scene(
+    reflectances: np.ndarray, pictures: np.ndarray, lamp: str = "D65", camera: Camera = CAMERA
+) -> SpectralImage:
     """Surfaces under a lamp, without diffraction: Σ reflectance × lamp × picture."""
     spectrum = lamp_spectrum(lamp)
     factors = reflectances * spectrum, np.asarray(pictures, np.float32)
     stated = {"diffraction": False, "lamp_w_per_m2_sr_nm": spectrum.tolist()}
-    return SpectralImage(NM, np.full(NM.size, 5.0), camera.die_um[1] / pictures.shape[2], factors=factors, header=stated)
+    return SpectralImage(
+        NM,
+        np.full(NM.size, 5.0),
+        camera.die_um[1] / pictures.shape[2],
+        factors=factors,
+        header=stated,
+    )
 
 
 def patch(number: int, lamp: str) -> SpectralImage:
@@ -80,22 +110,37 @@ def sensor(colour: dict[str, Any] | None, **fields: Any) -> Pixel:
 def noiseless(chain: ImagingChain, time_s: float = TIME_S) -> Frame:
     """The frame of the mean electrons, without rounding."""
     frame = make_frame(
-        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.readout, Exposure(integration_s=time_s)
+        np.zeros(chain.signal_e_per_s.shape, np.int32),
+        0.0,
+        chain.signal_e_per_s,
+        chain.readout,
+        Exposure(integration_s=time_s),
     )
     return replace(frame, corrected_e=chain.signal_e_per_s * time_s)
 
 
-def colour_error(image: SpectralImage, pixel: Pixel, develop: Develop, display: Display = DISPLAY) -> np.ndarray:
-    """ΔE of each dot before the display's codes, on a display that is as bright as the brightest primary."""
+def colour_error(
+    image: SpectralImage, pixel: Pixel, develop: Develop, display: Display = DISPLAY
+) -> np.ndarray:
+    """ΔE of each dot before the display's codes, on a display that is as bright as the brightest
+    primary.
+    """
     chain = imaging_chain(image, CAMERA, pixel, Exposure(), display, develop=develop)
-    _, ideal = ideal_on_dots(chain.imaging.changed(border_um=pixel.pitch_um), image, chain.rendition)
+    _, ideal = ideal_on_dots(
+        chain.imaging.changed(border_um=pixel.pitch_um), image, chain.rendition
+    )
     shown = chain.development.light(noiseless(chain))
     scale = 1 / ideal.max()
-    labs = [xyz_to_lab(rgb_to_xyz(np.moveaxis(scale * light, 0, -1)), WHITE_XYZ) for light in (shown, ideal)]
+    labs = [
+        xyz_to_lab(rgb_to_xyz(np.moveaxis(scale * light, 0, -1)), WHITE_XYZ)
+        for light in (shown, ideal)
+    ]
     return delta_e(*labs, "1976")
 
 
-PIXELS = DISPLAY.model_copy(update={"raster": "one_to_one"})  # dots are pixels, and none is left out
+PIXELS = DISPLAY.model_copy(
+    update={"raster": "one_to_one"}
+)  # dots are pixels, and none is left out
 
 
 PHASES_OF_LAMPS = list(zip(LAMPS, PHASES, strict=True))
@@ -103,24 +148,37 @@ PHASES_OF_LAMPS = list(zip(LAMPS, PHASES, strict=True))
 
 @pytest.mark.parametrize(
     ("lamp", "pattern"),
-    [PHASES_OF_LAMPS[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in PHASES_OF_LAMPS[1:]), ("FL11", "stacked")],
+    [
+        PHASES_OF_LAMPS[0],
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in PHASES_OF_LAMPS[1:]),
+        ("FL11", "stacked"),
+    ],
 )
 def test_luther_camera_has_no_colour_error(lamp: str, pattern: str) -> None:
-    """Each patch fills the frame: ΔE below 1e-3 at every pixel, the border included; curves at 1 nm are off by up to 6e-4."""
+    """Each patch fills the frame: ΔE below 1e-3 at every pixel, the border included; curves at 1 nm
+    are off by up to 6e-4.
+    """
     pixel = sensor({"pattern": pattern, "quantum_efficiencies": LUTHER})
     for number in range(24):
-        assert colour_error(patch(number, lamp), pixel, Develop(matrix="least_squares"), PIXELS).max() < 1e-3
+        assert (
+            colour_error(patch(number, lamp), pixel, Develop(matrix="least_squares"), PIXELS).max()
+            < 1e-3
+        )
 
 
 def test_luther_camera_with_crosstalk_has_no_colour_error() -> None:
-    """The matrix is fitted to what the pixels record: neighbours of other colours mix, and it takes that apart, at more noise."""
+    """The matrix is fitted to what the pixels record: neighbours of other colours mix, and it takes
+    that apart, at more noise.
+    """
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none", "crosstalk": 0.08}
     colour = {"pattern": "grbg", "quantum_efficiencies": LUTHER}
     mixed, alone = (sensor(colour, stack=given) for given in (stack, {"enabled": False}))
     # Off the axis the openings pass less light to neighbours.
     assert colour_error(patch(13, "A"), mixed, Develop(matrix="least_squares")).max() < 3e-3
     with_it, without = (
-        imaging_chain(patch(13, "A"), CAMERA, one, Exposure(), DISPLAY).development.colour_facts(1.0)["noise_gains"]
+        imaging_chain(patch(13, "A"), CAMERA, one, Exposure(), DISPLAY).development.colour_facts(
+            1.0
+        )["noise_gains"]
         for one in (mixed, alone)
     )
     assert min(np.array(with_it) / without) > 1.05
@@ -128,23 +186,36 @@ def test_luther_camera_with_crosstalk_has_no_colour_error() -> None:
 
 @pytest.mark.filterwarnings("ignore:pixel.stack")  # the Fresnel number of so small a microlens
 def test_pixels_whose_colours_mix_beyond_repair_are_refused_with_their_pitch() -> None:
-    """Half-micron pixels under a high microlens: most light reaches photodiodes of other colours."""
+    """Half-micron pixels under a high microlens: most light reaches photodiodes of other
+    colours.
+    """
     stack = {"height_um": 3.0, "index": 1.5, "microlens": "square"}
     colour = {"pattern": "rggb", "quantum_efficiencies": LUTHER}
     pixel = sensor(colour, stack=stack, pitch_um=0.5)
-    with pytest.raises(PixsimError, match=r"pixels of 0.5 µm: .*noise gains.*larger pixels mix the channels less"):
+    with pytest.raises(
+        PixsimError, match=r"pixels of 0.5 µm: .*noise gains.*larger pixels mix the channels less"
+    ):
         imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), DISPLAY).development.matrix  # noqa: B018
 
 
 @pytest.mark.parametrize(
     ("develop", "adaptation"),
-    [({"demosaic": "malvar2004"}, "cat02"), ({"demosaic": "menon2007"}, "none"), ({"matrix": "least_delta_e"}, "bradford")],
+    [
+        ({"demosaic": "malvar2004"}, "cat02"),
+        ({"demosaic": "menon2007"}, "none"),
+        ({"matrix": "least_delta_e"}, "bradford"),
+    ],
     ids=str,
 )
 def test_luther_camera_under_other_settings(develop: dict[str, Any], adaptation: str) -> None:
     pixel = sensor({"quantum_efficiencies": LUTHER})
     settings = Develop(**{"matrix": "least_squares"} | develop)
-    assert colour_error(patch(13, "A"), pixel, settings, DISPLAY.model_copy(update={"adaptation": adaptation})).max() < 1e-3
+    assert (
+        colour_error(
+            patch(13, "A"), pixel, settings, DISPLAY.model_copy(update={"adaptation": adaptation})
+        ).max()
+        < 1e-3
+    )
 
 
 def test_white_is_neutral_on_the_display_by_adaptation() -> None:
@@ -169,7 +240,9 @@ def grey_scene(pictures: np.ndarray) -> SpectralImage:
 
 @pytest.fixture
 def same_primaries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Balanced channels are the light of the display's primaries: channels that are equal say nothing of colour."""
+    """Balanced channels are the light of the display's primaries: channels that are equal say
+    nothing of colour.
+    """
     monkeypatch.setattr(Rendition, "matrix", lambda *_: np.eye(3))
     monkeypatch.setattr(develop_module, "check_told_apart", lambda *_: None)
 
@@ -188,7 +261,9 @@ SETTINGS = [
 ]
 
 
-def scores_of_equal_channels(image: SpectralImage, colour: dict[str, Any], display: Display) -> list[Score]:
+def scores_of_equal_channels(
+    image: SpectralImage, colour: dict[str, Any], display: Display
+) -> list[Score]:
     """Of a monochrome sensor, and of one whose channels are all like it; without noise."""
     pixels = sensor(None, quantum_efficiency=0.5), sensor(colour)
     chains = [imaging_chain(image, CAMERA, pixel, Exposure(), display) for pixel in pixels]
@@ -210,20 +285,31 @@ def test_stacked_sensor_of_equal_channels_is_the_monochrome_one(settings: dict[s
 @pytest.mark.usefixtures("same_primaries")
 @pytest.mark.parametrize("pattern", [*PHASES, "quad_rggb", "rccb"])
 @pytest.mark.parametrize("level", [0.1, 0.9])
-def test_mosaic_of_equal_channels_is_the_monochrome_one_on_a_flat_field(pattern: str, level: float) -> None:
+def test_mosaic_of_equal_channels_is_the_monochrome_one_on_a_flat_field(
+    pattern: str, level: float
+) -> None:
     """On all dots and, dots being pixels, at all pixels."""
-    colour = {"pattern": pattern, "quantum_efficiencies": dict.fromkeys("RCB" if pattern == "rccb" else "RGB", FLAT_CURVE)}
+    colour = {
+        "pattern": pattern,
+        "quantum_efficiencies": dict.fromkeys("RCB" if pattern == "rccb" else "RGB", FLAT_CURVE),
+    }
     for settings in SETTINGS[:2]:
-        grey, mosaic = scores_of_equal_channels(grey_scene(np.full((1, 32, 32), level)), colour, FINE.model_copy(update=settings))
+        grey, mosaic = scores_of_equal_channels(
+            grey_scene(np.full((1, 32, 32), level)), colour, FINE.model_copy(update=settings)
+        )
         assert mosaic.delta_e == pytest.approx(grey.delta_e, abs=1e-6)
         np.testing.assert_allclose(mosaic.image, grey.image[..., None] * np.ones(3), atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    "colour", [{"pattern": name} for name in (*PHASES, "quad_rggb", "stacked")] + [{"matrix": ["RGB"]}], ids=str
+    "colour",
+    [{"pattern": name} for name in (*PHASES, "quad_rggb", "stacked")] + [{"matrix": ["RGB"]}],
+    ids=str,
 )
 @pytest.mark.parametrize("columns", [25, 24])
-def test_red_stripe_on_the_left_is_red_and_on_the_left(colour: dict[str, Any], columns: int) -> None:
+def test_red_stripe_on_the_left_is_red_and_on_the_left(
+    colour: dict[str, Any], columns: int
+) -> None:
     """In the scene's picture and in the sensor's, for odd and even numbers of pixels."""
     stripe = np.zeros((2, 50, 50))
     stripe[0, :, :12], stripe[1, :, 12:] = 1, 1
@@ -242,22 +328,46 @@ def test_lamp_of_few_wavelengths_is_refused_by_name(lines: list[float], pattern:
     """Three channels of one or two wavelengths tell no three colours apart."""
     nm = np.arange(400.0, 701.0, 5.0)
     lamp = np.isin(nm, lines).astype(float)
-    image = SpectralImage(nm, np.full(nm.size, 5.0), 2.0, factors=([lamp], np.ones((1, 50, 50))), header={"diffraction": False})
-    with pytest.raises(PixsimError, match=rf"colour under the scene's lamp.*rank {len(lines)}.*more wavelengths"):
-        imaging_chain(image, CAMERA, sensor({"pattern": pattern, "quantum_efficiencies": LUTHER}), Exposure(), DISPLAY)
+    image = SpectralImage(
+        nm,
+        np.full(nm.size, 5.0),
+        2.0,
+        factors=([lamp], np.ones((1, 50, 50))),
+        header={"diffraction": False},
+    )
+    with pytest.raises(
+        PixsimError, match=rf"colour under the scene's lamp.*rank {len(lines)}.*more wavelengths"
+    ):
+        imaging_chain(
+            image,
+            CAMERA,
+            sensor({"pattern": pattern, "quantum_efficiencies": LUTHER}),
+            Exposure(),
+            DISPLAY,
+        )
 
 
 def test_lamp_too_saturated_for_adaptation_is_refused_by_name() -> None:
-    """Purple light, to which the second response of Bradford is below 0; without adaptation it is shown as it is."""
+    """Purple light, to which the second response of Bradford is below 0; without adaptation it is
+    shown as it is.
+    """
     nm = np.arange(400.0, 701.0, 5.0)
     lamp = np.select([abs(nm - 450) < 12, abs(nm - 640) < 12], [1.0, 0.5])
     image = SpectralImage(
-        nm, np.full(nm.size, 5.0), 2.0, factors=([lamp], np.full((1, 50, 50), 1e-3)), header={"diffraction": False}
+        nm,
+        np.full(nm.size, 5.0),
+        2.0,
+        factors=([lamp], np.full((1, 50, 50), 1e-3)),
+        header={"diffraction": False},
     )
     pixel = sensor({"quantum_efficiencies": LUTHER})
-    with pytest.raises(PixsimError, match=r"display.adaptation under the scene's lamp: .*Choose adaptation 'none'"):
+    with pytest.raises(
+        PixsimError, match=r"display.adaptation under the scene's lamp: .*Choose adaptation 'none'"
+    ):
         imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
-    imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY.model_copy(update={"adaptation": "none"}))
+    imaging_chain(
+        image, CAMERA, pixel, Exposure(), DISPLAY.model_copy(update={"adaptation": "none"})
+    )
 
 
 @pytest.mark.parametrize(
@@ -266,15 +376,24 @@ def test_lamp_too_saturated_for_adaptation_is_refused_by_name() -> None:
         (
             {},
             60.0,
-            r"pitch_um: got 60, which leaves 1 × 1 pixels on the die; allowed: at least the unit cell RG, GB of 2 × 2 pixels",
+            (
+                r"pitch_um: got 60, which leaves 1 × 1 pixels on the die; allowed: at least the"
+                r" unit cell RG, GB of 2 × 2 pixels"
+            ),
         ),
         ({"pattern": "quad_rggb"}, 26.0, "26, which leaves 3 × 3 pixels"),
-        ({"pattern": "quad_rggb", "binning": True}, 30.0, "30, which leaves 1 × 1 pixels on the die after binning of 2 × 2"),
+        (
+            {"pattern": "quad_rggb", "binning": True},
+            30.0,
+            "30, which leaves 1 × 1 pixels on the die after binning of 2 × 2",
+        ),
         ({"matrix": ["RGB"]}, 40.0, "2 × 2 pixels on the die; allowed: .* RGB of 1 × 3 pixels"),
     ],
     ids=str,
 )
-def test_die_without_a_whole_unit_cell_is_refused(colour: dict[str, Any], pitch_um: float, says: str) -> None:
+def test_die_without_a_whole_unit_cell_is_refused(
+    colour: dict[str, Any], pitch_um: float, says: str
+) -> None:
     pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=pitch_um)
     with pytest.raises(PixsimError, match=says):
         imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(), PIXELS)
@@ -291,7 +410,9 @@ def test_die_without_a_whole_unit_cell_is_refused(colour: dict[str, Any], pitch_
     ],
     ids=str,
 )
-def test_smallest_frames_and_odd_ones_have_right_colours(colour: dict[str, Any], pitch_um: float, shape: tuple[int, int]) -> None:
+def test_smallest_frames_and_odd_ones_have_right_colours(
+    colour: dict[str, Any], pitch_um: float, shape: tuple[int, int]
+) -> None:
     pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=pitch_um)
     chain = imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), PIXELS)
     assert noiseless(chain).dn.shape == shape
@@ -299,7 +420,9 @@ def test_smallest_frames_and_odd_ones_have_right_colours(colour: dict[str, Any],
 
 
 def test_matrix_that_amplifies_noise_is_refused_with_its_gains() -> None:
-    """Three filters that overlap almost wholly; the noise-aware fit trades colour for less noise."""
+    """Three filters that overlap almost wholly; the noise-aware fit trades colour for less
+    noise.
+    """
     nm = np.arange(380.0, 781.0, 10.0)
     curves = {
         k: [[x, 0.5 * float(np.exp(-(((x - centre) / 150) ** 2)))] for x in nm.tolist()]
@@ -308,16 +431,24 @@ def test_matrix_that_amplifies_noise_is_refused_with_its_gains() -> None:
     pixel = sensor({"quantum_efficiencies": curves}, read_noise_e=20.0)
     image = patch(13, "D65")
     with pytest.raises(
-        PixsimError, match=r"pixels of 4 µm: colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G, B.*up to 10"
+        PixsimError,
+        match=(
+            r"pixels of 4 µm: colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G,"
+            r" B.*up to 10"
+        ),
     ):
         imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY).development.matrix  # noqa: B018
     dim = Exposure(integration_s=1e-5)
-    gains = imaging_chain(image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")).development.colour_facts(1e-5)
+    gains = imaging_chain(
+        image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")
+    ).development.colour_facts(1e-5)
     assert max(gains["noise_gains"]) < 10
 
 
 def test_manual_white_balance() -> None:
-    """Gains that are those of the known white change nothing; twice the gain of red is twice the red channel."""
+    """Gains that are those of the known white change nothing; twice the gain of red is twice the
+    red channel.
+    """
     pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
     known = imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
     frame, whites = noiseless(known), np.array(known.whites_e_per_s)
@@ -330,7 +461,9 @@ def test_manual_white_balance() -> None:
 
 
 def test_saturated_pixels_are_white() -> None:
-    """All channels end at the level of the one that saturates first: no colour is left in high lights."""
+    """All channels end at the level of the one that saturates first: no colour is left in high
+    lights.
+    """
     pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
     chain = imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
     time_s = 20 * chain.readout.saturation_e / chain.signal_e_per_s.max()
@@ -341,7 +474,13 @@ def test_saturated_pixels_are_white() -> None:
 
 
 LARGE = Camera(die_mm=1.0)
-FIXED: dict[str, Any] = {"prnu": 0.02, "dsnu": 0.3, "dark_current_e_per_s": 2e4, "offset_fpn": 4e-4, "column_fpn": 1e-4}
+FIXED: dict[str, Any] = {
+    "prnu": 0.02,
+    "dsnu": 0.3,
+    "dark_current_e_per_s": 2e4,
+    "offset_fpn": 4e-4,
+    "column_fpn": 1e-4,
+}
 
 
 SHARP = {"sharpen_amount": 1.5, "sharpen_radius_px": 0.8}
@@ -357,10 +496,12 @@ SHARP = {"sharpen_amount": 1.5, "sharpen_radius_px": 0.8}
     ],
 )
 def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict[str, Any]) -> None:
-    """Closed form against frames of new sensors, of all linear steps: pixels, balance, interpolation, sharpening, dots, matrix.
+    """Closed form against frames of new sensors, of all linear steps: pixels, balance,
+    interpolation, sharpening, dots, matrix.
 
-    Each element within 1 % of the geometric mean of its variances. Twelve frames of 500 × 500 pixels, or four of three
-    layers, tell it to 0.24 %: a right formula fails in one of 18 elements for 0.1 % of all seeds. They are fixed.
+    Each element within 1 % of the geometric mean of its variances. Twelve frames of 500 × 500
+    pixels, or four of three layers, tell it to 0.24 %: a right formula fails in one of 18 elements
+    for 0.1 % of all seeds. They are fixed.
     """
     time_s = 1e-3
     fields = {"bits": 16, "black_level_dn": 2000, "read_noise_e": 5.0, "pitch_um": 2.0} | FIXED
@@ -373,10 +514,15 @@ def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict
     mean = chain.development.light(noiseless(chain, time_s))[inner].mean(axis=(1, 2))
     c = chain.development.developing(noiseless(chain, time_s), chain.development.matrix)
     kinds = [step.works_on for step in STEPS.values()]
-    expected = noise_covariance(c, np.linalg.solve(chain.development.matrix, mean)[None], chain.screen.dot_um, kinds)[0]
+    expected = noise_covariance(
+        c, np.linalg.solve(chain.development.matrix, mean)[None], chain.screen.dot_um, kinds
+    )[0]
     each = []
     for number in range(4 if pattern == "stacked" else 12):
-        noise = chain.development.light(chain.capture("covariance", number))[inner] - mean[:, None, None]
+        noise = (
+            chain.development.light(chain.capture("covariance", number))[inner]
+            - mean[:, None, None]
+        )
         each.append(np.einsum("cyx,dyx->cd", noise, noise) / noise[0].size)
     found = np.mean(each, axis=0)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -384,7 +530,8 @@ def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict
 
 
 def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
-    """Of a measured camera's patches in dim light, by frames: its ΔE is below that of both other matrices, by 3 standard errors.
+    """Of a measured camera's patches in dim light, by frames: its ΔE is below that of both other
+    matrices, by 3 standard errors.
 
     Differences are paired, 1.3 and 1.7 ΔE, and known to 0.1 ΔE from four frames of each patch.
     """
@@ -394,12 +541,19 @@ def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
     errors = np.zeros((len(methods), 4, 18))
     for number in range(18):
         one = imaging_chain(patch(number, "D65"), CAMERA, pixel, dim, PIXELS)
-        chains = [replace(one, imaging=one.imaging.changed(develop=Develop(matrix=method))) for method in methods]
-        truth = xyz_to_lab(rgb_to_xyz(one.rendition.to_display @ one.rendition.xyz[number]), WHITE_XYZ)
+        chains = [
+            replace(one, imaging=one.imaging.changed(develop=Develop(matrix=method)))
+            for method in methods
+        ]
+        truth = xyz_to_lab(
+            rgb_to_xyz(one.rendition.to_display @ one.rendition.xyz[number]), WHITE_XYZ
+        )
         for index in range(4):
             frame = one.capture("patch", number, index)
             for at, chain in enumerate(chains):
-                lab = xyz_to_lab(rgb_to_xyz(np.moveaxis(chain.development.light(frame), 0, -1)), WHITE_XYZ)
+                lab = xyz_to_lab(
+                    rgb_to_xyz(np.moveaxis(chain.development.light(frame), 0, -1)), WHITE_XYZ
+                )
                 errors[at, index, number] = delta_e(np.broadcast_to(truth, lab.shape), lab).mean()
     aware, *others = errors.mean(axis=2)
     for other in others:
@@ -409,25 +563,39 @@ def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
 
 def test_noise_aware_matrix_of_much_light_is_the_second_one() -> None:
     """The noise of the pixel vanishes next to 10⁹ electrons of white."""
-    pixel = sensor({"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.6}, full_well_e=1e12, bits=24)
+    pixel = sensor(
+        {"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.6}, full_well_e=1e12, bits=24
+    )
     chain = imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(integration_s=2e3), DISPLAY)
     aware, least = (
-        replace(chain, imaging=chain.imaging.changed(develop=Develop(matrix=method))).development.matrix
+        replace(
+            chain, imaging=chain.imaging.changed(develop=Develop(matrix=method))
+        ).development.matrix
         for method in ("noise_aware", "least_delta_e")
     )
     assert min(chain.whites_e_per_s) * 2e3 > 1e9
     assert aware == pytest.approx(least, abs=1e-3)
 
 
-FLICKER = Exposure(integration_s=TIME_S, frames=8, flicker_hz=100.0, flicker_depth=0.6, flicker_phase_deg=0.0)
+FLICKER = Exposure(
+    integration_s=TIME_S, frames=8, flicker_hz=100.0, flicker_depth=0.6, flicker_phase_deg=0.0
+)
 
 
 def grey_burst(fullest: float, exposure: Exposure = FLICKER) -> tuple[ImagingChain, Frame]:
-    """Return a burst of a grey field whose green fills a share of all wells, red and blue half of it, with shot noise alone."""
-    curves = {letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]] for letter in "RGB"}
+    """Return a burst of a grey field whose green fills a share of all wells, red and blue half of
+    it, with shot noise alone.
+    """
+    curves = {
+        letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]]
+        for letter in "RGB"
+    }
     pixel, image = sensor({"quantum_efficiencies": curves}), patch(18, "D65")
     chain = imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
-    physics = replace(chain.readout.physics, full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest)
+    physics = replace(
+        chain.readout.physics,
+        full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest,
+    )
     chain = replace(chain, readout=Readout.of(physics, exposure))
     return chain, chain.capture("grey burst")
 
@@ -439,15 +607,20 @@ def chroma(light: np.ndarray) -> float:
 
 
 def test_burst_that_is_saturated_in_part_is_neutral() -> None:
-    """Green fills some exposures, and the sum of all is not full: what is interpolated from it is as bright as blue or red."""
+    """Green fills some exposures, and the sum of all is not full: what is interpolated from it is
+    as bright as blue or red.
+    """
     chain, frame = grey_burst(0.9)
     assert frame.saturated is not None
     assert frame.layout is not None
-    np.testing.assert_array_equal(frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G"))
+    np.testing.assert_array_equal(
+        frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G")
+    )
     assert frame.estimate_e.max() < 0.99 * chain.readout.saturation_e
     light = chain.development.light(frame)
     assert np.ptp(light, axis=0).max() < 1e-6 * light.max()
-    # Red and blue are not full: the field keeps its luminance, within the shot noise of the brighter of two channels.
+    # Red and blue are not full: the field keeps its luminance, within the shot noise of the
+    # brighter of two channels.
     expected = chain.development.light(noiseless(chain)).mean()
     assert light.mean() == pytest.approx(expected, rel=0.02)
     # The sums alone tell a colour.
@@ -458,11 +631,15 @@ def test_colour_of_a_burst_below_its_wells_is_that_of_its_sums() -> None:
     chain, frame = grey_burst(0.5)
     assert frame.saturated is not None
     assert not frame.saturated.any()
-    np.testing.assert_array_equal(chain.development.light(frame), chain.development.light(replace(frame, saturated=None)))
+    np.testing.assert_array_equal(
+        chain.development.light(frame), chain.development.light(replace(frame, saturated=None))
+    )
 
 
 def test_one_exposure_is_judged_by_its_electrons() -> None:
     chain, frame = grey_burst(0.99, Exposure(integration_s=TIME_S))
     assert frame.saturated is not None
     assert frame.saturated.any()
-    np.testing.assert_array_equal(chain.development.light(frame), chain.development.light(replace(frame, saturated=None)))
+    np.testing.assert_array_equal(
+        chain.development.light(frame), chain.development.light(replace(frame, saturated=None))
+    )

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage, evaluate, score_pictures, study
+from pixsim import (
+    Camera,
+    Display,
+    Pixel,
+    PixsimError,
+    SpectralImage,
+    evaluate,
+    score_pictures,
+    study,
+)
 from pixsim.viewer import shown_metrics
 from pixsim.viewer.display import shown_luminance
 
@@ -18,13 +27,17 @@ def pair(*channels):
 
 def srgb(light):
     """Codes of light, 0 to 1; IEC 61966-2-1."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055).astype(np.float32)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055).astype(
+        np.float32
+    )
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_flip_of_shown_pictures_is_that_of_the_package_for_their_srgb_codes(channels):
     """Single precision of the codes: 1e-5 of the mean."""
-    flip = pytest.importorskip("flip_evaluator", reason="flip-evaluator is not installed (pip install 'pixsim[flip]')")
+    flip = pytest.importorskip(
+        "flip_evaluator", reason="flip-evaluator is not installed (pip install 'pixsim[flip]')"
+    )
     ideal, image = pair(*channels)
     score = score_pictures(ideal, image, DISPLAY, metrics=["flip", "delta_e"])
     codes = [srgb(shown_luminance(light, DISPLAY)) for light in (ideal, image)]
@@ -36,10 +49,23 @@ def test_flip_of_shown_pictures_is_that_of_the_package_for_their_srgb_codes(chan
 
 
 def test_flip_of_a_frame_is_that_of_its_pictures():
-    pytest.importorskip("flip_evaluator", reason="flip-evaluator is not installed (pip install 'pixsim[flip]')")
-    light = SpectralImage([550.0], 10.0, 10.0, data=np.full((48, 48, 1), 1e-3), header={"diffraction": False})
-    score = evaluate(light, Camera(die_mm=0.48), Pixel(), display=Display(dots=48, white_cd_per_m2=1000), metrics=["flip"])
-    assert score_pictures(score.ideal, score.image, score.display, metrics=["flip"]).metrics == score.metrics
+    pytest.importorskip(
+        "flip_evaluator", reason="flip-evaluator is not installed (pip install 'pixsim[flip]')"
+    )
+    light = SpectralImage(
+        [550.0], 10.0, 10.0, data=np.full((48, 48, 1), 1e-3), header={"diffraction": False}
+    )
+    score = evaluate(
+        light,
+        Camera(die_mm=0.48),
+        Pixel(),
+        display=Display(dots=48, white_cd_per_m2=1000),
+        metrics=["flip"],
+    )
+    assert (
+        score_pictures(score.ideal, score.image, score.display, metrics=["flip"]).metrics
+        == score.metrics
+    )
 
 
 def test_flip_without_its_package_says_what_to_install(monkeypatch, tmp_path):

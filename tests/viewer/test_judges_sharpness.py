@@ -20,7 +20,8 @@ def csf(frequency: float) -> float:
 
 @pytest.mark.parametrize("mtf", [
     lambda f: np.exp(-((np.asarray(f) / 12.0) ** 2)),
-    lambda f: diffraction_otf(np.asarray(f) * 10, 550.0, 8.0),  # cut-off 22.7 cy/deg at 10 cy/mm for each
+    # cut-off 22.7 cy/deg at 10 cy/mm for each
+    lambda f: diffraction_otf(np.asarray(f) * 10, 550.0, 8.0),
 ], ids=["Gaussian", "diffraction"])  # fmt: skip
 @pytest.mark.parametrize("nyquist", [11.5, 40.0])
 def test_acutance_equals_quadrature(mtf, nyquist):
@@ -45,7 +46,9 @@ def test_curve_that_does_not_begin_at_0_is_1_there():
 
 
 def edge(spread: np.ndarray, angle_deg: float, size: int = 96) -> np.ndarray:
-    """Levels of an edge spread function, of the distance, at pixels; clockwise with row 0 on top."""
+    """Levels of an edge spread function, of the distance, at pixels; clockwise with row 0 on
+    top.
+    """
     angle, at = math.radians(angle_deg), np.arange(size) - (size - 1) / 2
     return 0.2 + 0.7 * spread(math.cos(angle) * at + math.sin(angle) * at[:, None])
 
@@ -66,7 +69,12 @@ def test_edge_mtf_of_square_pixels():
 
     def spread(d: np.ndarray) -> np.ndarray:
         ramp = lambda x: np.maximum(x, 0.0) ** 2 / 2  # noqa: E731
-        return (ramp(d + (a + b) / 2) - ramp(d + (a - b) / 2) - ramp(d - (a - b) / 2) + ramp(d - (a + b) / 2)) / (a * b)
+        return (
+            ramp(d + (a + b) / 2)
+            - ramp(d + (a - b) / 2)
+            - ramp(d - (a - b) / 2)
+            + ramp(d - (a + b) / 2)
+        ) / (a * b)
 
     frequency = np.linspace(0.0, 0.9, 10)
     found = metrics.edge_mtf(edge(spread, 5.0), 5.0, frequency)
@@ -114,7 +122,9 @@ def test_niirs_rises_with_sharpness_and_snr_and_falls_with_distance():
     edges, ratios = np.linspace(0.05, 1.0, 20), np.geomspace(1.0, 1e3, 20)
     assert (np.diff([metrics.niirs(edge, 0.5, 50.0) for edge in edges]) > 0).all()
     assert (np.diff([metrics.niirs(0.35, 0.5, snr) for snr in ratios]) > 0).all()
-    assert metrics.niirs(0.5, 0.25, 30.0) - metrics.niirs(0.5, 0.5, 30.0) == pytest.approx(3.32 * math.log10(2), rel=1e-12)
+    assert metrics.niirs(0.5, 0.25, 30.0) - metrics.niirs(0.5, 0.5, 30.0) == pytest.approx(
+        3.32 * math.log10(2), rel=1e-12
+    )
 
 
 def test_relative_edge_response_of_a_gaussian_blur():

@@ -43,16 +43,30 @@ ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("unit_slip", {"pixel": {"prnu": 0.2}}, {"pixel": {"prnu": 0.002}}),
     ("other_camera", {"camera": Camera(die_mm=0.32, f_number=2.0)}, {"camera": CAMERA}),
     ("assumed", {"display": {}}, {"display": WHITE}),
-    ("white_clipped", {"display": {"white_w_per_m2_sr": 1e-4}}, {"display": {"white_w_per_m2_sr": 200.0}}),
-    ("spectral_range", {"pixel": {"quantum_efficiency": TABLE}}, {"pixel": {"quantum_efficiency": [*TABLE, [660.0, 0.0]]}}),
+    (
+        "white_clipped",
+        {"display": {"white_w_per_m2_sr": 1e-4}},
+        {"display": {"white_w_per_m2_sr": 200.0}},
+    ),
+    (
+        "spectral_range",
+        {"pixel": {"quantum_efficiency": TABLE}},
+        {"pixel": {"quantum_efficiency": [*TABLE, [660.0, 0.0]]}},
+    ),
     ("no_effect", {"display": WHITE | {"adaptation": "cat02"}}, {}),
     ("cause", {"evaluate": {"exposure": Exposure(integration_s=1e4)}}, {}),
-    ("focus", {"light": {"depths_m": [0.02, 0.02, 0.02]}}, {"light": {"depths_m": [0.02, CAMERA.object_distance_m, None]}}),
+    (
+        "focus",
+        {"light": {"depths_m": [0.02, 0.02, 0.02]}},
+        {"light": {"depths_m": [0.02, CAMERA.object_distance_m, None]}},
+    ),
 ]
 
 
 @pytest.mark.parametrize(("kind", "causing", "other"), ROWS, ids=[row[0] for row in ROWS])
-def test_settings_cause_their_note(kind: str, causing: dict[str, Any], other: dict[str, Any]) -> None:
+def test_settings_cause_their_note(
+    kind: str, causing: dict[str, Any], other: dict[str, Any]
+) -> None:
     assert kind in NOTES
     assert kind in notes_of(causing)
     assert kind not in notes_of(other)

@@ -36,7 +36,9 @@ def chart(n: int, header: bool = True) -> SpectralImage:
     at = (np.arange(n, dtype=np.float32) + 0.5) / n
     picture = csf_value(at, at[:, None]).astype(np.float32)
     message = {"luminance_cd_per_m2": 1000.0} if header else {}
-    return SpectralImage(NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=message)
+    return SpectralImage(
+        NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=message
+    )
 
 
 # --- What calls share ---
@@ -45,13 +47,18 @@ def chart(n: int, header: bool = True) -> SpectralImage:
 def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
     prepared = []
     chain_of = evaluating.make_chain
-    monkeypatch.setattr(evaluating, "make_chain", lambda *given: prepared.append(given) or chain_of(*given))
+    monkeypatch.setattr(
+        evaluating, "make_chain", lambda *given: prepared.append(given) or chain_of(*given)
+    )
     evaluating._recent_chains.clear()
     light, pixel = chart(96), Pixel(pitch_um=28.0)
     settings = CAMERA, pixel, Exposure(), Display(dots=96)
     first = evaluating.evaluate(light, *settings, seed=1)
     first.ideal[:] = 0.0  # of the caller
-    again, other = evaluating.evaluate(chart(96), *settings, seed=1), evaluating.evaluate(light, *settings, seed=2)
+    again, other = (
+        evaluating.evaluate(chart(96), *settings, seed=1),
+        evaluating.evaluate(light, *settings, seed=2),
+    )
     assert len(prepared) == 1, "equal light in another object is the same light"
     assert again.mean_delta_e == first.mean_delta_e != other.mean_delta_e
     assert again.ideal.max() > 0.5
@@ -59,9 +66,15 @@ def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
     flipped = evaluating.evaluate(light, *settings, seed=1)
     assert len(prepared) == 2
     evaluating._recent_chains.clear()
-    assert evaluating.evaluate(light, *settings, seed=1).mean_delta_e == flipped.mean_delta_e != first.mean_delta_e
+    assert (
+        evaluating.evaluate(light, *settings, seed=1).mean_delta_e
+        == flipped.mean_delta_e
+        != first.mean_delta_e
+    )
     for number in range(2 * evaluating.MAX_CHAINS):
-        evaluating.evaluate(light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96))
+        evaluating.evaluate(
+            light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96)
+        )
     assert len(evaluating._recent_chains) == evaluating.MAX_CHAINS
 
 
@@ -87,7 +100,9 @@ def test_percentiles_match_numpy(values):
     assert percentiles(values, percent, largest=float(values.max())) == found
     if values.max() < 1e30:
         single = values.astype(np.float32)
-        np.testing.assert_allclose(percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14)
+        np.testing.assert_allclose(
+            percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14
+        )
 
 
 # --- One way and another ---
@@ -98,8 +113,12 @@ def test_evaluate_matches_filtered_colour_images():
     display = Display(dots=128)
     actual = evaluating.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
     view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
-    ideal, image = (filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image))
-    np.testing.assert_allclose(actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
+    ideal, image = (
+        filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image)
+    )
+    np.testing.assert_allclose(
+        actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10
+    )
     np.testing.assert_allclose(actual.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
 
 
@@ -119,20 +138,26 @@ def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
 def test_weighted_strips_match_whole(monkeypatch, bands):
     image = chart(40)
     if bands:
-        image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
+        image = SpectralImage(
+            NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands))
+        )
     monkeypatch.setattr("pixsim.light.spectral.STRIP_VALUES", 100)
     weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
     exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
     actual = image.weighted(weight)
     # The bands of a factored image are rounded to float32 where they are asked for.
-    np.testing.assert_allclose(actual, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max())
+    np.testing.assert_allclose(
+        actual, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max()
+    )
 
 
 # --- Memory ---
 
 
 def peak_planes(work, samples: int) -> float:
-    """Memory that work takes at its peak, what it returns included, over that of a float64 picture."""
+    """Memory that work takes at its peak, what it returns included, over that of a float64
+    picture.
+    """
     tracemalloc.start()
     try:
         work()
@@ -142,7 +167,8 @@ def peak_planes(work, samples: int) -> float:
 
 
 def test_memory_of_large_film_is_bounded(monkeypatch):
-    """2048² and more must not need 2.5 planes besides the float32 picture; the result counts as one of them, or less.
+    """2048² and more must not need 2.5 planes besides the float32 picture; the result counts as one
+    of them, or less.
 
     On one thread: each other one works on a strip of its own.
     """
@@ -163,7 +189,9 @@ def test_memory_of_large_film_is_bounded(monkeypatch):
     }
     with pytest.warns(UserWarning, match="does not define its white"):
         actual = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
-    wrong = {name: item for name, item in actual.items() if not works[name][1] <= item <= works[name][2]}
+    wrong = {
+        name: item for name, item in actual.items() if not works[name][1] <= item <= works[name][2]
+    }
     assert not wrong, actual
 
 
@@ -173,5 +201,7 @@ def test_memory_of_many_bands_is_two_planes():
     image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
     physics = derive(Pixel())
     # Two planes, tables of 32768 frequencies and strips of an eighth of this plane.
-    diffracted_rate(image, CAMERA, physics)  # fills the caches, whose tables count beside planes of this size
+    diffracted_rate(
+        image, CAMERA, physics
+    )  # fills the caches, whose tables count beside planes of this size
     assert 2.0 < peak_planes(lambda: diffracted_rate(image, CAMERA, physics), n * n) < 3.0

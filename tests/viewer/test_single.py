@@ -41,7 +41,9 @@ def pictures(kind: str) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("filters", ["published", "zhang1996"])
 @pytest.mark.parametrize("kind", ["dark", "bright", "black", "ramp", "bars"])
 def test_single_precision_stays_within_its_bound(kind, filters):
-    """Also of dark pictures, whose ΔE is linear in the light, and of a pair that differs by the noise of a few dots."""
+    """Also of dark pictures, whose ΔE is linear in the light, and of a pair that differs by the
+    noise of a few dots.
+    """
     reference, seen = pictures(kind)
     view = VIEW | {"filters": filters}
     maps = []
@@ -49,7 +51,9 @@ def test_single_precision_stays_within_its_bound(kind, filters):
         lab = scielab.filtered_grey_lab(reference, **view, single=single)
         assert lab.dtype == (np.float32 if single else np.float64)
         maps.append(scielab.grey_delta_e_map(lab, seen, **view, single=single))
-        assert not scielab.grey_delta_e_map(lab, reference, **view, single=single).any(), "a picture differs from itself"
+        assert not scielab.grey_delta_e_map(lab, reference, **view, single=single).any(), (
+            "a picture differs from itself"
+        )
     exact, single_map = maps
     assert single_map.dtype == np.float32
     assert 0 < abs(single_map.mean() - exact.mean()) < MEASURED < scielab.SINGLE_DELTA_E
@@ -69,18 +73,29 @@ def test_single_precision_in_colour(kind):
 
 @pytest.mark.parametrize("constants", [scielab.CIE_LAB, scielab.ZHANG1996_LAB])
 def test_single_f_is_that_of_cielab(constants):
-    """Over all that float32 holds, where light is below 0, and beside the threshold and the borders of octaves."""
+    """Over all that float32 holds, where light is below 0, and beside the threshold and the borders
+    of octaves.
+    """
     threshold, slope, _ = constants
     powers = 2.0 ** np.arange(-126, 128)
-    values = np.concatenate([np.geomspace(1e-30, 3e38, 200_001), [0.0, 1e-45, 1e-40, np.finfo(np.float32).max], powers])
-    values = np.concatenate([values, -values[values < 1e37], threshold * (1 + np.linspace(-1e-3, 1e-3, 2001))]).astype(np.float32)
+    values = np.concatenate(
+        [np.geomspace(1e-30, 3e38, 200_001), [0.0, 1e-45, 1e-40, np.finfo(np.float32).max], powers]
+    )
+    values = np.concatenate(
+        [values, -values[values < 1e37], threshold * (1 + np.linspace(-1e-3, 1e-3, 2001))]
+    ).astype(np.float32)
     values = np.concatenate([values, np.nextafter(values, np.float32(0))])
     found = np.empty_like(values)
     scielab._single_f(values, threshold, slope, found)
     exact = values.astype(float)
-    expected = np.where(exact > threshold, np.cbrt(np.maximum(exact, 0.0)), slope * exact + 16 / 116)
-    # Four roundings of 6e-8 and half of the chord's 6e-8. The constants of 1996 do not meet: their f has a step of 8e-7 in one bin.
-    np.testing.assert_allclose(found, expected, rtol=2e-7, atol=3e-8 if constants == scielab.CIE_LAB else 1e-6)
+    expected = np.where(
+        exact > threshold, np.cbrt(np.maximum(exact, 0.0)), slope * exact + 16 / 116
+    )
+    # Four roundings of 6e-8 and half of the chord's 6e-8. The constants of 1996 do not meet: their
+    # f has a step of 8e-7 in one bin.
+    np.testing.assert_allclose(
+        found, expected, rtol=2e-7, atol=3e-8 if constants == scielab.CIE_LAB else 1e-6
+    )
 
 
 def test_single_f_of_what_is_not_finite():
@@ -92,7 +107,13 @@ def test_single_f_of_what_is_not_finite():
 
 def image() -> SpectralImage:
     ramp = np.linspace(1e-4, 1e-3, 32)
-    return SpectralImage([550.0], 10.0, 84.8, data=np.outer(ramp, ramp)[..., None] / 1e-3, header={"diffraction": False})
+    return SpectralImage(
+        [550.0],
+        10.0,
+        84.8,
+        data=np.outer(ramp, ramp)[..., None] / 1e-3,
+        header={"diffraction": False},
+    )
 
 
 def test_a_tolerance_below_the_bound_takes_float64():
@@ -114,11 +135,17 @@ def test_a_tolerance_below_the_bound_takes_float64():
 
 def test_a_single_frame_takes_float64():
     """`evaluate` and a run score one frame, which saves nothing worth an error."""
-    pixel, display = pixsim.Pixel(pitch_um=84.8, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
+    pixel, display = (
+        pixsim.Pixel(pitch_um=84.8, infrared_cut_nm=700),
+        Display(white_cd_per_m2=1000, dots=32),
+    )
     chain = imaging_chain(image(), pixsim.Camera(), pixel, pixsim.Exposure(), display)
     assert not chain.screen.single
     assert chain.screen.ideal_lab.dtype == np.float64
-    screens = [scene_of(image(), pixsim.Camera(), pixel, display, full=full, single=True).screen for full in (False, True)]
+    screens = [
+        scene_of(image(), pixsim.Camera(), pixel, display, full=full, single=True).screen
+        for full in (False, True)
+    ]
     assert [screen.single for screen in screens] == [True, False]
     assert [screen.ideal_lab.dtype == np.float32 for screen in screens] == [True, False]
 
@@ -126,24 +153,43 @@ def test_a_single_frame_takes_float64():
 BAYER = {
     "technology": "4t-bsi",
     "stack": {"enabled": False},
-    "colour": {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65},
+    "colour": {
+        "pattern": "rggb",
+        "sensitivities": "Sony_ILCE-7M4",
+        "peak_quantum_efficiency": 0.65,
+    },
 }
 CHAINS = {
     "grey": ({}, DEVELOP),
     "quiet": ({"prnu": 0, "dsnu": 0}, DEVELOP),
-    "stack": ({"technology": "4t-fsi", "stack": {"height_um": 9.0, "index": 1.5, "microlens": "square"}}, DEVELOP),
+    "stack": (
+        {"technology": "4t-fsi", "stack": {"height_um": 9.0, "index": 1.5, "microlens": "square"}},
+        DEVELOP,
+    ),
     **{name: (BAYER, Develop(demosaic=name)) for name in ("bilinear", "malvar2004", "menon2007")},
 }
-CODE = 1.0  # ΔE of a dot whose luminance lies on the border of two codes of 8 bits; the largest error seen is 0.8
-OTHER_CODE = 1e-3  # most dots that may do so. Of 256 borders, 6e-8 apart from either side, 3e-5 of even light
+# ΔE of a dot whose luminance lies on the border of two codes of 8 bits; the largest error seen is
+# 0.8
+CODE = 1.0
+# most dots that may do so. Of 256 borders, 6e-8 apart from either side, 3e-5 of even light
+OTHER_CODE = 1e-3
 
 
 def lit(kind: str) -> SpectralImage:
     """A picture of 128² on the die, under light of one hue."""
     at = (np.arange(128) + 0.5) / 128
-    picture = {"ramp": np.outer(at, at), "bars": np.where(np.add.outer(np.arange(128), np.arange(128)) // 8 % 2, 1.0, 0.0)}[kind]
+    picture = {
+        "ramp": np.outer(at, at),
+        "bars": np.where(np.add.outer(np.arange(128), np.arange(128)) // 8 % 2, 1.0, 0.0),
+    }[kind]
     nm = np.arange(400.0, 701.0, 50.0)
-    return SpectralImage(nm, 50.0, 21.2, factors=(1e-4 * (1 + nm / 700), picture.astype(np.float32)[None]), header={"white": 1.0})
+    return SpectralImage(
+        nm,
+        50.0,
+        21.2,
+        factors=(1e-4 * (1 + nm / 700), picture.astype(np.float32)[None]),
+        header={"white": 1.0},
+    )
 
 
 @pytest.mark.parametrize("name", CHAINS)
@@ -153,14 +199,18 @@ def test_single_precision_of_frame_to_score(kind, name):
     sensor = pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel)
     frames = []
     for single in (False, True):
-        chain = imaging_chain(lit(kind), pixsim.Camera(), sensor, display=display, single=single, develop=develop)
+        chain = imaging_chain(
+            lit(kind), pixsim.Camera(), sensor, display=display, single=single, develop=develop
+        )
         frame = chain.capture(5)
         shown_light = chain.development.light(frame)
         assert shown_light.dtype == (np.float32 if single and name != "menon2007" else np.float64)
         frames.append((shown_light, chain.development.score(frame)))
     (exact_light, exact), (single_light, found) = frames
     np.testing.assert_array_equal(found.frame.dn, exact.frame.dn)
-    np.testing.assert_allclose(single_light, exact_light, rtol=1e-5, atol=2e-6)  # a matrix has terms of both signs
+    np.testing.assert_allclose(
+        single_light, exact_light, rtol=1e-5, atol=2e-6
+    )  # a matrix has terms of both signs
     assert abs(found.mean_delta_e - exact.mean_delta_e) < MEASURED
     difference = np.abs(found.delta_e - exact.delta_e)
     assert difference.max() < CODE
@@ -182,12 +232,16 @@ def test_grey_of_float32_is_within_the_gamut():
 
 @pytest.mark.parametrize("name", ["grey", "bilinear"])
 def test_light_beyond_float32_takes_float64(name):
-    """The noise of a picture whose white has 1e-60 electrons is 1e60 times white: as float32, infinite beside minus infinite."""
+    """The noise of a picture whose white has 1e-60 electrons is 1e60 times white: as float32,
+    infinite beside minus infinite.
+    """
     display, (pixel, develop) = Display(white_cd_per_m2=1000, dots=128), CHAINS[name]
     sensor = pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel)
     shown_light = []
     for single in (False, True):
-        chain = imaging_chain(lit("ramp"), pixsim.Camera(), sensor, display=display, single=single, develop=develop)
+        chain = imaging_chain(
+            lit("ramp"), pixsim.Camera(), sensor, display=display, single=single, develop=develop
+        )
         whites = tuple(1e-60 * white for white in chain.whites_e_per_s)
         dark = replace(chain, whites_e_per_s=whites)
         frame = chain.capture(5)

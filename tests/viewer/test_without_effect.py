@@ -51,16 +51,32 @@ DIE_MM = 1e-3 * SIDE * SAMPLE_UM
 
 
 def picture(wavelength_nm: np.ndarray) -> SpectralImage:
-    """Coloured detail, as bright as a sunlit scene: exposures are short, so that no limit of time decides."""
+    """Coloured detail, as bright as a sunlit scene: exposures are short, so that no limit of time
+    decides.
+    """
     rng = np.random.default_rng(5)
     grey, is_blue = 0.1 + 0.9 * rng.random((SIDE, SIDE)), rng.random((SIDE, SIDE)) < 0.5
-    spectra, pictures = 3e-2 * np.stack([600 / wavelength_nm, wavelength_nm / 600]), grey * np.stack([is_blue, ~is_blue])
-    return SpectralImage(wavelength_nm, WIDTH_NM, SAMPLE_UM, factors=(spectra, pictures), header={"luminance_cd_per_m2": 1.5e5})
+    spectra, pictures = (
+        3e-2 * np.stack([600 / wavelength_nm, wavelength_nm / 600]),
+        grey * np.stack([is_blue, ~is_blue]),
+    )
+    return SpectralImage(
+        wavelength_nm,
+        WIDTH_NM,
+        SAMPLE_UM,
+        factors=(spectra, pictures),
+        header={"luminance_cd_per_m2": 1.5e5},
+    )
 
 
 LIGHT = picture(np.arange(420.0, 820.0, WIDTH_NM))
-BEHIND_LENS = picture(np.array([450.0, 550.0, 650.0]))  # few bands: the lens's blur is traced for each
-BASE: dict[str, Any] = {"camera": {"die_mm": DIE_MM, "focal_length_mm": 0.12}, "display": {"dots": SIDE}}
+BEHIND_LENS = picture(
+    np.array([450.0, 550.0, 650.0])
+)  # few bands: the lens's blur is traced for each
+BASE: dict[str, Any] = {
+    "camera": {"die_mm": DIE_MM, "focal_length_mm": 0.12},
+    "display": {"dots": SIDE},
+}
 BASE["exposure"] = {"max_integration_s": 10.0}
 RANGE_NM = np.arange(400.0, 701.0, 20.0)
 
@@ -68,21 +84,35 @@ RANGE_NM = np.arange(400.0, 701.0, 20.0)
 def bells(height: float) -> dict[str, list[list[float]]]:
     """Responses of three channels."""
     peaks = {"R": 600.0, "G": 540.0, "B": 460.0}
-    curves = {name: 0.01 + height * np.exp(-(((RANGE_NM - peak) / 50) ** 2)) for name, peak in peaks.items()}
+    curves = {
+        name: 0.01 + height * np.exp(-(((RANGE_NM - peak) / 50) ** 2))
+        for name, peak in peaks.items()
+    }
     return {name: np.stack([RANGE_NM, curve], axis=1).tolist() for name, curve in curves.items()}
 
 
-SHEET = {"pitch_um": 5.0, "full_well_e": 8000, "read_noise_e": 3.0, "dark_current_e_per_s": 2e7, "quantum_efficiency": 0.6}
+SHEET = {
+    "pitch_um": 5.0,
+    "full_well_e": 8000,
+    "read_noise_e": 3.0,
+    "dark_current_e_per_s": 2e7,
+    "quantum_efficiency": 0.6,
+}
 SHEET |= {"prnu": 0.01, "dsnu": 0.3, "bits": 12, "black_level_dn": 60}
 AT_20_C = {name: value for name, value in SHEET.items() if name != "dark_current_e_per_s"}
 AT_20_C |= {"dark_current": {"e_per_s": 2e7, "at_c": 20.0}}
-# Shifted nowhere and high, so that the corners have a few per cent less charge: some codes differ where that is corrected.
+# Shifted nowhere and high, so that the corners have a few per cent less charge: some codes differ
+# where that is corrected.
 STACK = {"height_um": 7.5, "index": 1.5, "microlens": "square", "shift": "none"}
 COLOUR = {"quantum_efficiencies": bells(0.5)}
-QUICK_FIT = {"develop": {"matrix": "least_squares"}}  # of the colour matrix: the default one takes a quarter of a second
+QUICK_FIT = {
+    "develop": {"matrix": "least_squares"}
+}  # of the colour matrix: the default one takes a quarter of a second
 
 
-FAINT = SHEET | {"dark_current_e_per_s": 5.0}  # so that dark charge does not hide what else there is
+FAINT = SHEET | {
+    "dark_current_e_per_s": 5.0
+}  # so that dark charge does not hide what else there is
 
 
 def of(technology: str, **pixel: Any) -> dict[str, Any]:
@@ -95,38 +125,54 @@ def coloured(colour: dict[str, Any], **pixel: Any) -> dict[str, Any]:
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "3T": of("0.35um"),
-    "3T, stack": of("0.35um", stack={"height_um": 6.0, "index": 1.5, "depletion_um": 1.0, "diffusion_length_um": 10.0}),
+    "3T, stack": of(
+        "0.35um",
+        stack={"height_um": 6.0, "index": 1.5, "depletion_um": 1.0, "diffusion_length_um": 10.0},
+    ),
     "4T": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7),
     "data sheet": {"pixel": SHEET},
     "data sheet, stack": {"pixel": {**SHEET, "stack": STACK}},
-    "colour by sensitivities": coloured({"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}),
+    "colour by sensitivities": coloured(
+        {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
+    ),
     "colour by quantum efficiencies": coloured(COLOUR),
     "colour by transmittances": of("0.35um", colour={"transmittances": bells(0.8)}) | QUICK_FIT,
     "one dot a pixel": {"pixel": SHEET, "display": {"raster": "one_to_one"}},
 }
-# Without and with a stack, in colour, and with dots of pixels. The others are other ways to state such pixels: only what states
-# them is moved there.
+# Without and with a stack, in colour, and with dots of pixels. The others are other ways to state
+# such pixels: only what states them is moved there.
 WHOLE = ("3T", "4T", "colour by quantum efficiencies", "one dot a pixel")
 SLOW: dict[str, dict[str, Any]] = {  # the same rules with other values of what they look at
     "3T, forward bias": of("0.35um", well_limit="diode", conversion="junction"),
     "3T, capacitance of the paper": of("0.35um", capacitance="paper"),
     "3T, numbers of its own": of("0.35um", **AT_20_C, fill_factor=0.5, reset_noise_factor=0.0),
     "4T, stack off": of("4t-bsi", pitch_um=2.0, stack={"enabled": False}),
-    "4T, front-lit, colour": of("4t-fsi", pitch_um=2.0, dark_current_e_per_s=1e7, colour=COLOUR) | QUICK_FIT,
+    "4T, front-lit, colour": (
+        of("4t-fsi", pitch_um=2.0, dark_current_e_per_s=1e7, colour=COLOUR) | QUICK_FIT
+    ),
     "data sheet, no dark current": {"pixel": {**SHEET, "dark_current_e_per_s": 0.0}},
     "data sheet, dark current at 20 °C": {"pixel": AT_20_C},
-    "data sheet, opening": {"pixel": {**SHEET, "stack": {**STACK, "microlens": "none"}, "fill_factor": 0.5}},
+    "data sheet, opening": {
+        "pixel": {**SHEET, "stack": {**STACK, "microlens": "none"}, "fill_factor": 0.5}
+    },
     "stacked channels": coloured({**COLOUR, "pattern": "stacked"}),
     "binning": coloured({**COLOUR, "pattern": "quad_rggb", "binning": True}, pitch_um=4.0),
     "colour, one dot a pixel": coloured(COLOUR) | {"display": {"raster": "one_to_one"}},
     "manual exposure": of("0.35um") | {"exposure": {"integration_s": 2e-4}},
-    "flat frames": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e6) | {"correction": {"flat_frames": 2, "dark_frames": 2}},
+    "flat frames": (
+        of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e6)
+        | {"correction": {"flat_frames": 2, "dark_frames": 2}}
+    ),
     # At 25° the shading, 2e-4, is below the steps of the display.
-    "chief rays": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7) | {"camera": {"chief_ray_angle": [[0, 0], [0.07, 35]]}},
+    "chief rays": (
+        of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7)
+        | {"camera": {"chief_ray_angle": [[0, 0], [0.07, 35]]}}
+    ),
     "real lens": of("0.35um") | {"lens": {"file": "phone", "focal_length_mm": 1.0}},
 }
 
-# Every setting of a frame, moved; a tuple has alternatives, of which one is another value in any configuration.
+# Every setting of a frame, moved; a tuple has alternatives, of which one is another value in any
+# configuration.
 MOVES: dict[str, Any] = {
     "camera.focal_length_mm": 0.15, "camera.f_number": 2.8, "camera.die_mm": 0.08, "camera.die_height_mm": (0.08, 0.2),
     "camera.object_distance_m": 0.02, "camera.transmittance": 0.5,
@@ -182,8 +228,11 @@ MOVES: dict[str, Any] = {
 AT_20 = {"e_per_s": 1e6, "at_c": 20.0}
 FLICKERS = {"flicker_hz": 50.0, "flicker_depth": 0.9, "flicker_phase_deg": 0.0}
 HOT = {"hot_pixel_fraction": 0.05, "hot_pixel_median": 90.0}
-MOVES |= {  # numbers that need no value of their own here; a plausible one may be lost beside others
-    f"pixel.{name}": (number.example, 100 * number.example) for name, number in NUMBERS.items() if f"pixel.{name}" not in MOVES
+# numbers that need no value of their own here; a plausible one may be lost beside others
+MOVES |= {
+    f"pixel.{name}": (number.example, 100 * number.example)
+    for name, number in NUMBERS.items()
+    if f"pixel.{name}" not in MOVES
 }
 BESIDE: dict[str, dict[str, Any]] = {
     "lens.veiling_glare_outside": {"lens": {"veiling_glare": 0.2}},
@@ -193,10 +242,19 @@ BESIDE: dict[str, dict[str, Any]] = {
     "pixel.hot_pixel_spread": {"pixel": HOT},
     "pixel.a_vt_mv_um": {"pixel": {"follower_area_um2": 0.5}},
     "pixel.follower_area_um2": {"pixel": {"a_vt_mv_um": 4.0}},
-    **{f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}} for name in DarkCurrent.model_fields},
+    **{
+        f"pixel.dark_current.{name}": {"pixel": {"dark_current": AT_20}}
+        for name in DarkCurrent.model_fields
+    },
     "pixel.colour": QUICK_FIT,
-    "exposure.shutter": {"exposure": {"line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
-    "exposure.line_time_us": {"exposure": {"shutter": "rolling", "line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
+    "exposure.shutter": {
+        "exposure": {"line_time_us": 1e5},
+        "motion": {"image_um_per_s": [1.0, 0.5]},
+    },
+    "exposure.line_time_us": {
+        "exposure": {"shutter": "rolling", "line_time_us": 1e5},
+        "motion": {"image_um_per_s": [1.0, 0.5]},
+    },
     "exposure.flicker_hz": {"exposure": FLICKERS},
     "exposure.flicker_depth": {"exposure": FLICKERS},
     "exposure.flicker_phase_deg": {"exposure": FLICKERS},
@@ -204,12 +262,21 @@ BESIDE: dict[str, dict[str, Any]] = {
     "motion.margin_um": {"motion": {"image_um_per_s": [1.0, 0.5]}},
     "exposure.frame_time": {"exposure": {"frames": 3, "integration_s": 1e-4}},
     "develop.denoise_strength": {"develop": {"denoise": "wavelet"}},
-    **{f"develop.sharpen_radius_{unit}": {"develop": {"sharpen_amount": 2.0}} for unit in ("px", "cy_per_deg")},
+    **{
+        f"develop.sharpen_radius_{unit}": {"develop": {"sharpen_amount": 2.0}}
+        for unit in ("px", "cy_per_deg")
+    },
     "develop.tone_gamma": {"develop": {"tone_curve": "gamma"}},
     "develop.tone_white": {"develop": {"tone_curve": "reinhard"}},
     "correction.defects": {"correction": {"dark_frames": 2}, "pixel": HOT},
 }
-IN_RECORDS = {"camera": Camera, "lens": LensOptions, "pixel": Pixel, "pixel.dark_current": DarkCurrent, "pixel.stack": StackOptions}
+IN_RECORDS = {
+    "camera": Camera,
+    "lens": LensOptions,
+    "pixel": Pixel,
+    "pixel.dark_current": DarkCurrent,
+    "pixel.stack": StackOptions,
+}
 IN_RECORDS |= {
     "pixel.colour": ColourOptions,
     "exposure": Exposure,
@@ -232,7 +299,9 @@ class Outcome(NamedTuple):
         if ours is None or theirs is None:
             return ours is theirs
         pairs = (ours.delta_e, theirs.delta_e), (ours.frame.dn, theirs.frame.dn)
-        return ours.frame.integration_s == theirs.frame.integration_s and all(map(np.array_equal, *zip(*pairs, strict=True)))
+        return ours.frame.integration_s == theirs.frame.integration_s and all(
+            map(np.array_equal, *zip(*pairs, strict=True))
+        )
 
 
 def scored(table: dict[str, Any]) -> Outcome:
@@ -242,7 +311,9 @@ def scored(table: dict[str, Any]) -> Outcome:
         warnings.simplefilter("always")
         try:
             lens = LensOptions(**tables.get("lens", {}))
-            camera = camera_with_lens(Camera(**tables["camera"]), CameraOptions(**table.get("camera", {})), lens)
+            camera = camera_with_lens(
+                Camera(**tables["camera"]), CameraOptions(**table.get("camera", {})), lens
+            )
             light = BEHIND_LENS if lens.file else LIGHT
             records: dict[str, Any] = {
                 name: IN_RECORDS[name](**tables.get(name, {}))
@@ -262,12 +333,15 @@ def left_out(table: dict[str, Any], path: list[str]) -> dict[str, Any]:
     return {other: value for other, value in table.items() if other != name}
 
 
-# What a setting without effect may move: 1e-3 of the scatter of a pixel changes a code of some pixels, and with it dots.
+# What a setting without effect may move: 1e-3 of the scatter of a pixel changes a code of some
+# pixels, and with it dots.
 MAY_MOVE = 0.01  # of the mean ΔE
 
 
 def acts(reference: dict[str, Any], base: Outcome, name: str, value: Any) -> bool:
-    """Whether a setting changes the result, or a message names it: a new one, or one that says that it changes nothing."""
+    """Whether a setting changes the result, or a message names it: a new one, or one that says that
+    it changes nothing.
+    """
     table = merge(reference, nested(name.split("."), value))
     outcome = scored(table)
     texts = [text.partition(NOTHING)[0] for text in outcome.messages if NOTHING in text]
@@ -275,19 +349,28 @@ def acts(reference: dict[str, Any], base: Outcome, name: str, value: Any) -> boo
         without = scored(left_out(table, name.split("."))).score
         if outcome.score is not None and without is not None:
             moved = abs(outcome.score.mean_delta_e - without.mean_delta_e)
-            assert moved < MAY_MOVE * without.mean_delta_e, f"{name} = {value!r} is said to change nothing"
+            assert moved < MAY_MOVE * without.mean_delta_e, (
+                f"{name} = {value!r} is said to change nothing"
+            )
         return True
-    mentioned = any(re.search(rf"\b{name.rpartition('.')[2]}\b", text) for text in outcome.messages - base.messages)
+    mentioned = any(
+        re.search(rf"\b{name.rpartition('.')[2]}\b", text)
+        for text in outcome.messages - base.messages
+    )
     return mentioned or (outcome.score is not None and not outcome.equals(base))
 
 
-# Without it the default die is beyond the table of chief rays, and refused. So it is needed, though the picture has its size.
+# Without it the default die is beyond the table of chief rays, and refused. So it is needed, though
+# the picture has its size.
 KNOWN_SILENT = {"chief rays": ["camera.die_mm"]}
 
 
 @pytest.mark.parametrize(
     "configuration",
-    [*CONFIGURATIONS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],  # slow: other values of the same claim
+    [
+        *CONFIGURATIONS,
+        *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW),
+    ],  # slow: other values of the same claim
 )
 def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
     own = (CONFIGURATIONS | SLOW)[configuration]
@@ -304,14 +387,19 @@ def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
         known = scored(with_beside) if beside else base
         moved = values if isinstance(values, tuple) else (values,)
         # Alone, too: what stands beside it may be impossible in this configuration, and so may it.
-        if not any(acts(with_beside, known, name, value) or (beside and acts(own, base, name, value)) for value in moved):
+        if not any(
+            acts(with_beside, known, name, value) or (beside and acts(own, base, name, value))
+            for value in moved
+        ):
             silent.append(name)
     assert silent == KNOWN_SILENT.get(configuration, [])
 
 
 def test_every_setting_of_a_frame_is_moved() -> None:
     """But the fields of `Camera` that come from [lens]."""
-    fields = {f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields}
+    fields = {
+        f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields
+    }
     moved = fields - {"camera.lens", *(f"camera.{name}" for name in OF_ANY_LENS.values())}
     assert MOVES.keys() <= moved, "MOVES has settings that no record has"
     assert MOVES.keys() >= moved, "give each new setting a value in MOVES that changes the result"
@@ -342,7 +430,12 @@ def study_of(**settings: Any) -> Study:
     return Study.model_validate({"name": "a"} | settings)
 
 
-SHEET_STUDY = {"pixel": {**{name: value for name, value in FAINT.items() if name != "pitch_um"}, "data_sheet_pitch_um": 3.0}}
+SHEET_STUDY = {
+    "pixel": {
+        **{name: value for name, value in FAINT.items() if name != "pitch_um"},
+        "data_sheet_pitch_um": 3.0,
+    }
+}
 SIZES = [6.0, 7.0, 8.0, 9.0, 10.0]
 
 
@@ -352,33 +445,76 @@ SIZES = [6.0, 7.0, 8.0, 9.0, 10.0]
         ({"pitch": {"min_fill_factor": 0.1, "max_um": 12.0, "count": 6}}, set()),
         ({"pitch": {"min_fill_factor": 0.1, "min_um": 6.0}}, {"pitch.min_fill_factor"}),
         (
-            {"pitch": {"values_um": SIZES, "min_fill_factor": 0.1, "min_um": 6.0, "max_um": 9.0, "count": 6}},
+            {
+                "pitch": {
+                    "values_um": SIZES,
+                    "min_fill_factor": 0.1,
+                    "min_um": 6.0,
+                    "max_um": 9.0,
+                    "count": 6,
+                }
+            },
             {"pitch.min_fill_factor", "pitch.min_um", "pitch.max_um", "pitch.count"},
         ),
         ({"pitch": {"own_um": 3.0}}, {"pitch.own_um"}),
-        (SHEET_STUDY | {"pitch": {"min_fill_factor": 0.1, "own_um": 4.0}}, {"pitch.min_fill_factor"}),
-        ({"max_repeats": 16, "max_evaluations": 5000, "refine": False}, {"max_repeats", "max_evaluations"}),
+        (
+            SHEET_STUDY | {"pitch": {"min_fill_factor": 0.1, "own_um": 4.0}},
+            {"pitch.min_fill_factor"},
+        ),
+        (
+            {"max_repeats": 16, "max_evaluations": 5000, "refine": False},
+            {"max_repeats", "max_evaluations"},
+        ),
         ({"max_repeats": 16, "max_evaluations": 5000}, set()),
         ({"refine": False, "target_ci_um": 0.1}, {"refine"}),
         ({"max_repeats": 16, "max_evaluations": 5000, "target_ci_um": 0.1}, set()),
-        ({"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1}, {"render_noise"}),
-        ({"repeats": 4, "render_noise": 0.1, "tolerance_e": 1e-4, "max_seconds": 60.0, "window_mm": 1.0}, set()),
+        (
+            {"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1},
+            {"render_noise"},
+        ),
+        (
+            {
+                "repeats": 4,
+                "render_noise": 0.1,
+                "tolerance_e": 1e-4,
+                "max_seconds": 60.0,
+                "window_mm": 1.0,
+            },
+            set(),
+        ),
         ({"metrics": ["npwe"], "metric": {"detectability": {"without": {"contrast": 0.5}}}}, set()),
         ({"metrics": ["npwe"], "metric": {"detectability": {"registrations": 4}}}, set()),
-        ({"metrics": ["information"], "metric": {"detectability": {"registrations": 4}}}, {"metric.detectability.registrations"}),
         (
-            {"metrics": ["detectability"], "metric": {"detectability": {"registrations": 4}}, "display": {"raster": "one_to_one"}},
+            {"metrics": ["information"], "metric": {"detectability": {"registrations": 4}}},
             {"metric.detectability.registrations"},
         ),
-        ({"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}}, set()),  # the sizes begin where the law says
-        ({"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}, "pitch": {"min_um": 6.0}}, {"pixel.fill_factor_law"}),
+        (
+            {
+                "metrics": ["detectability"],
+                "metric": {"detectability": {"registrations": 4}},
+                "display": {"raster": "one_to_one"},
+            },
+            {"metric.detectability.registrations"},
+        ),
+        (
+            {"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}},
+            set(),
+        ),  # the sizes begin where the law says
+        (
+            {"pixel": {"fill_factor": 0.4, "fill_factor_law": "inset"}, "pitch": {"min_um": 6.0}},
+            {"pixel.fill_factor_law"},
+        ),
     ],
 )
 def test_settings_of_a_study_without_effect(settings: dict[str, Any], unused: set[str]) -> None:
     """And those of its range of sizes that have one move the sizes."""
     study = study_of(**settings)
     assert said(study) == unused
-    own = {name: value for name, value in settings.get("pitch", {}).items() if f"pitch.{name}" not in unused}
+    own = {
+        name: value
+        for name, value in settings.get("pitch", {}).items()
+        if f"pitch.{name}" not in unused
+    }
     sizes = study_pitches_um(study, study.technologies[0]).tolist()
     for name in own:
         left = settings | {"pitch": {other: value for other, value in own.items() if other != name}}
@@ -388,18 +524,30 @@ def test_settings_of_a_study_without_effect(settings: dict[str, Any], unused: se
 
 
 def test_a_value_that_holds_anyway_is_not_named() -> None:
-    """A default, that of the technology, 0 of what is not there, and what settings.toml states of them; true notes come again."""
+    """A default, that of the technology, 0 of what is not there, and what settings.toml states of
+    them; true notes come again.
+    """
     assert not said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.0, hot_pixel_fraction=0.0)))
     assert said(Run(pixel=Pixel(dark_current_e_per_s=0.0, dsnu=0.2))) == {"pixel.dsnu"}
-    assert not said(Run(pixel=Pixel(**FAINT, reset_noise_factor=0.0, response="scaled"), display=Display(adaptation="bradford")))
-    for run in (Run(pixel=Pixel(**FAINT)), Run(pixel=Pixel(**FAINT, response="literal"), display=Display(adaptation="none"))):
+    assert not said(
+        Run(
+            pixel=Pixel(**FAINT, reset_noise_factor=0.0, response="scaled"),
+            display=Display(adaptation="bradford"),
+        )
+    )
+    for run in (
+        Run(pixel=Pixel(**FAINT)),
+        Run(pixel=Pixel(**FAINT, response="literal"), display=Display(adaptation="none")),
+    ):
         repeated = Run.model_validate(run.model_dump(mode="json", exclude_none=True))
         assert said(repeated) == said(run)
     assert said(run) == {"pixel.response", "display.adaptation"}
 
 
 def test_what_is_resolved_is_a_thousandth_of_the_scatter() -> None:
-    """An offset pattern adds its square to the variance of each pixel: the darkest one resolves 1e-3 of its scatter."""
+    """An offset pattern adds its square to the variance of each pixel: the darkest one resolves
+    1e-3 of its scatter.
+    """
     run = Run(pixel=Pixel(**FAINT))
     base = given_of(run).base
     assert base is not None
@@ -409,8 +557,14 @@ def test_what_is_resolved_is_a_thousandth_of_the_scatter() -> None:
 
 
 def test_a_small_light_fills_no_pixel_and_shows_all_parts_of_the_field() -> None:
-    """With a stated time, and with an automatic one, which stays below the longest one and whole periods of lamps."""
-    for exposure in (Exposure(integration_s=0.01), Exposure(), Exposure(flicker_hz=100.0, flicker_depth=0.02)):
+    """With a stated time, and with an automatic one, which stays below the longest one and whole
+    periods of lamps.
+    """
+    for exposure in (
+        Exposure(integration_s=0.01),
+        Exposure(),
+        Exposure(flicker_hz=100.0, flicker_depth=0.02),
+    ):
         base = given_of(Run(pixel=Pixel(**FAINT), exposure=exposure)).base
         assert base is not None
         frame, camera = base.frame, base.imaging.camera
@@ -436,7 +590,10 @@ def test_packaged_studies_state_nothing_in_vain(name: str) -> None:
 
 def test_cases_of_many_axes_are_tried_one_axis_at_a_time() -> None:
     """All values of every axis are among them, and the last case."""
-    values = [{"name": name, "set": name, "values": [2.0, 3.0, 4.0]} for name in ("camera.f_number", "exposure.gain_db")]
+    values = [
+        {"name": name, "set": name, "values": [2.0, 3.0, 4.0]}
+        for name in ("camera.f_number", "exposure.gain_db")
+    ]
     cases = cases_of(study_of(axis=values))
     tried = [cases[number].at for number in cases_to_try(cases)]
     assert len(tried) == 1 + 2 + 2 + 1
@@ -446,7 +603,10 @@ def test_cases_of_many_axes_are_tried_one_axis_at_a_time() -> None:
 
 def test_notes_name_the_sensors_unless_all_have_them() -> None:
     matrix = {"develop": Develop(matrix="least_squares")}
-    grey, colour = given_of(Run(**matrix)), given_of(Run(pixel=Pixel(**SHEET, colour=ColourOptions(**COLOUR)), **matrix))
+    grey, colour = (
+        given_of(Run(**matrix)),
+        given_of(Run(pixel=Pixel(**SHEET, colour=ColourOptions(**COLOUR)), **matrix)),
+    )
     note = "develop.matrix changes nothing here"
     of_sheet = "b: pixel.quantum_efficiency, pixel.black_level_dn change nothing here"
     assert effect_notes({"a": [grey], "b": [grey]}) == [note]
@@ -455,22 +615,35 @@ def test_notes_name_the_sensors_unless_all_have_them() -> None:
 
 
 def test_every_command_says_so(tmp_path: Path) -> None:
-    """A study, a run of a scene and of a picture, and a comparison, before anything is rendered; `evaluate` above."""
+    """A study, a run of a scene and of a picture, and a comparison, before anything is rendered;
+    `evaluate` above.
+    """
     with pytest.warns(UserWarning, match=r"^display\.adaptation changes nothing here"):
         prepare(tiny(display={"adaptation": "none"}))
     axis = [{"name": "raster", "set": "display.raster", "values": ["one_to_one", "fixed_size"]}]
     with pytest.warns(UserWarning, match=r"^exposure\.well_target changes nothing here") as caught:
         prepare(tiny(axis=axis, exposure={"well_target": 0.5, "integration_s": 0.01}))
-    assert not [warning for warning in caught if "display" in str(warning.message)], "one of its cases uses the dots"
+    assert not [warning for warning in caught if "display" in str(warning.message)], (
+        "one of its cases uses the dots"
+    )
     with pytest.warns(UserWarning, match=r"^correction\.flat_level changes nothing here"):
         prepare_run("csf", Run(correction=Correction(flat_level=0.3)))
     pixsim.write_npz(tmp_path / "light.npz", LIGHT)
     asked = Run(
-        camera=CameraOptions(die_mm=DIE_MM), display=Display(dots=SIDE), render_noise=0.1, max_seconds=9.0, tolerance_e=1e-4
+        camera=CameraOptions(die_mm=DIE_MM),
+        display=Display(dots=SIDE),
+        render_noise=0.1,
+        max_seconds=9.0,
+        tolerance_e=1e-4,
     )
-    with pytest.warns(UserWarning, match=r"^tolerance_e, render_noise, max_seconds change nothing here"):
+    with pytest.warns(
+        UserWarning, match=r"^tolerance_e, render_noise, max_seconds change nothing here"
+    ):
         prepare_run(str(tmp_path / "light.npz"), asked)
-    files = [sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n") for name, stop in (("a", 4.0), ("b", 5.6))]
+    files = [
+        sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n")
+        for name, stop in (("a", 4.0), ("b", 5.6))
+    ]
     with pytest.warns(UserWarning, match=r"^b: camera\.f_number changes nothing here"):
         sensors.prepare(files, match="view", repeats=2)
     with warnings.catch_warnings():
@@ -479,27 +652,39 @@ def test_every_command_says_so(tmp_path: Path) -> None:
 
 
 def test_settings_of_metrics_in_calls_with_records_say_so() -> None:
-    """Of one sensor and of many; what is among the metrics is used, but for the scene without the target: its light is given."""
+    """Of one sensor and of many; what is among the metrics is used, but for the scene without the
+    target: its light is given.
+    """
     light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
     metric = MetricOptions(
-        information={"contrast": 0.3}, snr10_lx={"snr": 5.0}, detectability={"without": {"contrast": 0.5}, "registrations": 4}
+        information={"contrast": 0.3},
+        snr10_lx={"snr": 5.0},
+        detectability={"without": {"contrast": 0.5}, "registrations": 4},
     )
     asked: dict[str, Any] = {"camera": Camera(), "display": Display(dots=32), "metric": metric}
     named = "metric.detectability.without, metric.snr10_lx.snr change nothing here"
     judged = {"metrics": ["detectability", "information"], "without": light}
-    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+    for call in (
+        partial(pixsim.evaluate, light, pixel=pixel),
+        partial(pixsim.sweep, light, [pixel], jobs=1),
+    ):
         with warnings.catch_warnings(record=True) as notes:
             warnings.simplefilter("always")
             call(**asked, **judged)
         assert [str(note.message) for note in notes if "metric." in str(note.message)] == [named]
-        with pytest.warns(UserWarning, match=r"metric\.information\.contrast.* change nothing here"):
+        with pytest.warns(
+            UserWarning, match=r"metric\.information\.contrast.* change nothing here"
+        ):
             call(**asked)
 
 
 def test_settings_of_lenses_in_calls_with_records_say_so() -> None:
     light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
     camera = camera_with_lens(Camera(), CameraOptions(), LensOptions(veiling_glare_outside=0.5))
-    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+    for call in (
+        partial(pixsim.evaluate, light, pixel=pixel),
+        partial(pixsim.sweep, light, [pixel], jobs=1),
+    ):
         with pytest.warns(UserWarning, match=r"lens\.veiling_glare_outside changes nothing here"):
             call(camera=camera, display=Display(dots=32))
 
@@ -523,8 +708,13 @@ registration = [0.5, 0.5]
 def test_commands_say_which_tables_they_do_not_take(tmp_path: Path) -> None:
     path = tmp_path / "sensor.toml"
     path.write_text(ELSEWHERE, encoding="utf-8")
-    words = "lens.veiling_glare, pixel.registration, exposure.flicker_hz, exposure.flicker_depth, motion.image_um_per_s"
-    with pytest.warns(UserWarning, match=f"^{re.escape(words)}, develop.denoise change nothing here"):
+    words = (
+        "lens.veiling_glare, pixel.registration, exposure.flicker_hz, exposure.flicker_depth,"
+        " motion.image_um_per_s"
+    )
+    with pytest.warns(
+        UserWarning, match=f"^{re.escape(words)}, develop.denoise change nothing here"
+    ):
         assert datasheet_settings(None, [path], None, None, None).exposure.gain_db == 6.0
     still = "exposure.flicker_hz, exposure.flicker_depth, motion.image_um_per_s change nothing here"
     run = run_settings([path], {"pixel": {"pitch_um": 20.0}})
@@ -532,12 +722,23 @@ def test_commands_say_which_tables_they_do_not_take(tmp_path: Path) -> None:
     with warnings.catch_warnings():  # a camera's own lens stands in its file for other commands
         warnings.simplefilter("error")
         datasheet_settings("imx363", [], None, None, None)
-        datasheet_settings("4t-bsi", [], {"pitch_um": 2.0}, {"integration_s": 0.01, "gain_db": 6.0}, 3)
+        datasheet_settings(
+            "4t-bsi", [], {"pitch_um": 2.0}, {"integration_s": 0.01, "gain_db": 6.0}, 3
+        )
 
 
 def test_rows_name_settings_that_exist() -> None:
-    known = {*MOVES, *Run.model_fields, *Study.model_fields, *(f"camera.{name}" for name in CameraOptions.model_fields)}
-    known |= {f"metric.{name}.{field}" for name, options in METRIC_OPTIONS for field in type(options).model_fields}
+    known = {
+        *MOVES,
+        *Run.model_fields,
+        *Study.model_fields,
+        *(f"camera.{name}" for name in CameraOptions.model_fields),
+    }
+    known |= {
+        f"metric.{name}.{field}"
+        for name, options in METRIC_OPTIONS
+        for field in type(options).model_fields
+    }
     assert not {name for row in ROWS for name in row.settings} - known
     assert not {*NOT_OF_SHEETS, *NOT_TAKEN} - known
 

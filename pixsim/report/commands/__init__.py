@@ -1,4 +1,6 @@
-"""What the commands `run`, `study`, `compare` and `plan` do: settings in, files of a folder and the document of the answer out."""
+"""What the commands `run`, `study`, `compare` and `plan` do: settings in, files of a folder and the
+document of the answer out.
+"""
 
 from pathlib import Path
 

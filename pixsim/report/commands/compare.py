@@ -1,4 +1,6 @@
-"""`pixsim compare`: sensors in one scene and the files of their comparison, or two folders of results."""
+"""`pixsim compare`: sensors in one scene and the files of their comparison, or two folders of
+results.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ from pixsim.base.files import output_folder
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.report.commands import DEFAULT_OUT
-from pixsim.report.compare import check_output, comparison_document, comparison_outline_document, comparison_page
+from pixsim.report.compare import (
+    check_output,
+    comparison_document,
+    comparison_outline_document,
+    comparison_page,
+)
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
@@ -39,7 +46,8 @@ def comparison_files(
     seconds: dict[str, float],
     **how: Any,
 ) -> tuple[Document, Path | None]:
-    """Write the files of a comparison to a folder. Returns the answer and the page; no page of a dry run.
+    """Write the files of a comparison to a folder. Returns the answer and the page; no page of a
+    dry run.
 
     options : tables and fields of a study, over those of `study` and `config`
     out : folder; None means one named by the sensors
@@ -47,18 +55,23 @@ def comparison_files(
     progress, seconds : stages, and where their wall times are collected
     how : the other keywords of `pixsim.studies.sensors.prepare`
 
-    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is rendered.
+    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
+    rendered.
     """
     stated = [*([] if study is None else read_study(study, quick)), *config_layers(config)]
     options = with_axes(options, axes, stated)
     with collected_notes() as notes:
-        job = prepare(sensors, scene, study=study, config=config, options=options, quick=quick, **how)
+        job = prepare(
+            sensors, scene, study=study, config=config, options=options, quick=quick, **how
+        )
         folder = out or DEFAULT_OUT / "-".join(job.names)
         if dry_run:
             return comparison_outline_document(job, folder), None
         check_output(job, folder)
         with output_folder(folder):
-            result = run_prepared(job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=folder)
+            result = run_prepared(
+                job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=folder
+            )
             progress("report")
             page = write(comparison_page(result), folder, {"seconds": seconds}, figures)
             return comparison_document(result, notes), page  # other notes are on stderr

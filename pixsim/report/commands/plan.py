@@ -9,11 +9,16 @@ from pixsim.studies.prepare import loaded_scene
 from pixsim.viewer.setting import Run
 
 
-def plan_answer(scene: str, settings: Run, *, full: bool, sensor: str | None, variant: str | None) -> Document:
-    """Return the answer of `pixsim plan`; nothing is rendered. The arguments are those of `pixsim.run`.
+def plan_answer(
+    scene: str, settings: Run, *, full: bool, sensor: str | None, variant: str | None
+) -> Document:
+    """Return the answer of `pixsim plan`; nothing is rendered. The arguments are those of
+    `pixsim.run`.
 
     Raises PixsimError for invalid input.
     """
-    loaded = loaded_scene(scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+    loaded = loaded_scene(
+        scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor
+    )
     plan = plan_of(loaded, loaded.camera(settings.camera, settings.lens), settings, full)
     return plan_document(plan, scene, settings)

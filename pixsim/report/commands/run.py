@@ -37,7 +37,8 @@ def run_files(
     progress, seconds : stages, and where their wall times are collected
     how : the other keywords of `pixsim.studies.run.prepare`
 
-    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is rendered.
+    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
+    rendered.
     """
     folder = out or DEFAULT_OUT / Path(scene).stem
     suffixes = [f".{suffix}" for suffix in formats]

@@ -50,7 +50,8 @@ def study_files(
     seconds: dict[str, float],
     say: Callable[[str], None],
 ) -> tuple[Document, Path | None]:
-    """Write the files of a study to a folder. Returns the answer and the page; no page of a dry run.
+    """Write the files of a study to a folder. Returns the answer and the page; no page of a dry
+    run.
 
     options : tables and fields of a study, over those of its file and of `config`
     out : folder; None means one named by the study
@@ -59,7 +60,8 @@ def study_files(
     say : takes a line on what is about to be computed
     The other keywords are those of `pixsim.study`.
 
-    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is rendered.
+    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
+    rendered.
     """
     stated = read_study(name, quick)
     files = config_layers(config)
@@ -96,8 +98,14 @@ def study_files(
             )
             progress("report")
             first = result.cases[0]
-            workers = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-            page = write(study_report(result, workers, drawing), folder, {"seconds": seconds}, figures)
+            workers = (
+                workers_here(jobs or fitting_jobs(first.study, first.camera))
+                if scheduler is None
+                else Workers()
+            )
+            page = write(
+                study_report(result, workers, drawing), folder, {"seconds": seconds}, figures
+            )
         if isinstance(result, CasesResult):
             say(str(result.counts))
         return result_document(result, warned=set(result.warned)), page  # they are on stderr
@@ -105,10 +113,11 @@ def study_files(
 
 @contextmanager
 def said_what_is_kept(folder: Path) -> Iterator[None]:
-    """Add to an interruption, or the error of a full disk, how many evaluations of this study lie in its folder, if any.
+    """Add to an interruption, or the error of a full disk, how many evaluations of this study lie
+    in its folder, if any.
 
-    A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
-    rewritten yet may be of other settings: they are not counted.
+    A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those
+    of a file that it has not rewritten yet may be of other settings: they are not counted.
     """
     rows = folder / "results.csv"
 
@@ -122,7 +131,10 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
         count = len(Store(rows).read_keys()) if written_ns() != before_ns else 0
         if not count:
             raise
-        words = f"{count} finished evaluations are kept in '{folder}', and the same command continues from them"
+        words = (
+            f"{count} finished evaluations are kept in '{folder}', and the same command continues"
+            " from them"
+        )
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(words) from None
         raise UnwritableError(f"{error} {words}.") from None

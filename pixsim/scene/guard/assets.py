@@ -1,4 +1,6 @@
-"""Files that a scene names: those of spectra, whose tables become part of its text, and those that Mitsuba reads."""
+"""Files that a scene names: those of spectra, whose tables become part of its text, and those that
+Mitsuba reads.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,24 @@ from pixsim.scene.mitsuba import mitsuba_folder
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?")
 NO_METAL = "none"
 ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
-MIN_PLAIN, MAX_PLAIN = -5, 16  # powers of ten between which numbers are written without an exponent, as Python's floats
+MIN_PLAIN, MAX_PLAIN = (
+    -5,
+    16,
+)  # powers of ten between which numbers are written without an exponent, as Python's floats
 
 
 def check_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:
-    """Raise PixsimError if a file is empty, too large or not regular: a pipe or a device may have no end."""
+    """Raise PixsimError if a file is empty, too large or not regular: a pipe or a device may have
+    no end.
+    """
     if size_of(path, what, "a readable file", most_bytes) == 0:
         raise invalid(what, f"'{path}', which is empty", "a file with content")
 
 
 def spectrum_value(path: Path) -> str:
-    """Return the table of a spectrum's file as the value of a <spectrum>, nm and values in Mitsuba's units."""
+    """Return the table of a spectrum's file as the value of a <spectrum>, nm and values in
+    Mitsuba's units.
+    """
     check_asset(path, "spectrum", MAX_SPECTRUM)
     status = path.stat()
     return _read_spectrum(path, (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns))
@@ -36,32 +45,50 @@ def spectrum_value(path: Path) -> str:
 
 @lru_cache(maxsize=512)
 def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
-    """The numbers as a file writes them, but for the powers of ten of the units that it states; once for each state of the file."""
+    """The numbers as a file writes them, but for the powers of ten of the units that it states;
+    once for each state of the file.
+    """
     try:
         table = read_table(path, "spectrum", ALLOWED_SPECTRUM, 1, MAX_SPECTRUM)
     except ValueError as error:
         raise PixsimError(f"spectrum: {error}") from None
     if len(table.nm) < 2:
         raise invalid(f"spectrum '{path}'", f"{len(table.nm)} lines with numbers", "at least two")
-    if fall := next(((nm, next_nm) for nm, next_nm in pairwise(map(float, table.nm)) if not nm < next_nm), None):
+    if fall := next(
+        ((nm, next_nm) for nm, next_nm in pairwise(map(float, table.nm)) if not nm < next_nm), None
+    ):
         got = f"{fall[0]:g} nm followed by {fall[1]:g} nm"
         raise invalid(f"spectrum '{path}'", got, "wavelengths that all rise, or all fall")
     (column,) = table.columns
     power = 0
     if column.unit == A_PER_W:
-        raise invalid(f"spectrum '{path}'", "values in A/W, by its title", "light, a reflectance or an index")
+        raise invalid(
+            f"spectrum '{path}'", "values in A/W, by its title", "light, a reflectance or an index"
+        )
     with suppress(PixsimError):  # another text in brackets is no unit of light
         power = unit.exponent if (unit := parse_light_unit(column.unit)).spectral else 0
     values = (value.scaleb(power) if power else value for value in column.values)
-    return ", ".join(f"{_plain(nm)}:{_plain(value)}" for nm, value in zip(table.nm, values, strict=True))
+    return ", ".join(
+        f"{_plain(nm)}:{_plain(value)}" for nm, value in zip(table.nm, values, strict=True)
+    )
 
 
 def _plain(number: Decimal) -> str:
     """A number as Mitsuba reads it."""
-    return f"{number:f}" if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN else repr(float(number))
+    return (
+        f"{number:f}"
+        if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN
+        else repr(float(number))
+    )
 
 
 @lru_cache
 def metals() -> tuple[str, ...]:
     """Return the names of the metals whose refractive index comes with Mitsuba."""
-    return (NO_METAL, *sorted(path.name.removesuffix(".eta.spd") for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd")))
+    return (
+        NO_METAL,
+        *sorted(
+            path.name.removesuffix(".eta.spd")
+            for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd")
+        ),
+    )

@@ -1,7 +1,8 @@
-"""Trace scenes that are not pixsim's own in a child process: it can be killed where Mitsuba crashes or finds no end.
+"""Trace scenes that are not pixsim's own in a child process: it can be killed where Mitsuba crashes
+or finds no end.
 
-One child serves all renders of a process and ends with it. Requests and replies are lines of JSON; the numbers of a picture follow
-its reply. Nothing that the child sends is run or unpickled.
+One child serves all renders of a process and ends with it. Requests and replies are lines of JSON;
+the numbers of a picture follow its reply. Nothing that the child sends is run or unpickled.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class _Child:
         null = subprocess.DEVNULL
         try:
             self.process = subprocess.Popen(
-                # All names of files are absolute; the current folder may go away while the child lives.
+                # All names of files are absolute; the current folder may go away while the child
+                # lives.
                 command,
                 cwd="/",
                 stdin=null,
@@ -75,7 +77,9 @@ class _Child:
         except OSError as error:
             self.kill()
             hint = "Close other programs, or ask for fewer --jobs."
-            raise PixsimError(f"a process for the scene cannot be started ({error.strerror}). {hint}") from None
+            raise PixsimError(
+                f"a process for the scene cannot be started ({error.strerror}). {hint}"
+            ) from None
         finally:
             for descriptor in descriptors:
                 os.close(descriptor)
@@ -83,10 +87,14 @@ class _Child:
 
     @property
     def usable(self) -> bool:
-        return self.owner == os.getpid() and self.process is not None and self.process.poll() is None
+        return (
+            self.owner == os.getpid() and self.process is not None and self.process.poll() is None
+        )
 
     def kill(self) -> None:
-        """End the process and close everything; a process that was forked from the owner closes only its copies."""
+        """End the process and close everything; a process that was forked from the owner closes
+        only its copies.
+        """
         if self.process and self.owner == os.getpid():
             with suppress(OSError):
                 self.process.kill()
@@ -97,8 +105,14 @@ class _Child:
                 os.close(getattr(self, name))
             setattr(self, name, -1)
 
-    def ask(self, request: dict[str, Any], ends_at_s: float | None, picture: tuple[int, int] | None = None) -> Any:
-        """Send a request and return its reply, or the numbers of the picture that follows it, (rows, columns, channels).
+    def ask(
+        self,
+        request: dict[str, Any],
+        ends_at_s: float | None,
+        picture: tuple[int, int] | None = None,
+    ) -> Any:
+        """Send a request and return its reply, or the numbers of the picture that follows it,
+        (rows, columns, channels).
 
         picture : rows and columns of the picture that is asked for
 
@@ -109,7 +123,11 @@ class _Child:
             reply = json.loads(self._line(ends_at_s))
             if "error" in reply:
                 raise _ReportedError(str(reply["error"]))
-            return reply if picture is None else self._picture((*picture, int(reply["channels"])), ends_at_s)
+            return (
+                reply
+                if picture is None
+                else self._picture((*picture, int(reply["channels"])), ends_at_s)
+            )
         except _ReportedError:
             raise
         except PixsimError:  # no time is left
@@ -119,7 +137,9 @@ class _Child:
             code = self._code()
             self.kill()
             raise _crashed(code, self.on_card) from None
-        except BaseException:  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
+        except (
+            BaseException
+        ):  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
             self.kill()
             raise
 
@@ -164,11 +184,18 @@ class _Child:
         return values
 
     def _wait(self, reading: list[int], writing: list[int], ends_at_s: float | None) -> None:
-        while not any(select.select(reading, writing, [], LOOK_S if ends_at_s is None else _until(ends_at_s))):
+        while not any(
+            select.select(reading, writing, [], LOOK_S if ends_at_s is None else _until(ends_at_s))
+        ):
             if ends_at_s is not None and time.monotonic() > ends_at_s:
                 got = "a limit in which Mitsuba does not finish the picture of the fewest samples"
-                hint = f"Raise it, or take a coarser film ({setting('resolution')}) or a simpler scene."
-                raise OutOfTimeError(str(invalid(setting("max_seconds"), got, "more seconds", hint)))
+                hint = (
+                    f"Raise it, or take a coarser film ({setting('resolution')}) or a simpler"
+                    " scene."
+                )
+                raise OutOfTimeError(
+                    str(invalid(setting("max_seconds"), got, "more seconds", hint))
+                )
 
 
 def _until(ends_at_s: float) -> float:
@@ -182,16 +209,29 @@ def _crashed(code: int | None, on_card: bool) -> PixsimError:
         with suppress(ValueError):
             how = f" ({signal.Signals(-code).name})"
     if on_card:
-        return PixsimError(f"the graphics card or its driver ended Mitsuba's process{how}; it may lack memory for the scene.")
-    hint = "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller meshes and pictures."
-    return invalid("scene", f"one that ends Mitsuba's process{how}", "a scene that Mitsuba can build and render", hint)
+        return PixsimError(
+            f"the graphics card or its driver ended Mitsuba's process{how}; it may lack memory for"
+            " the scene."
+        )
+    hint = (
+        "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller"
+        " meshes and pictures."
+    )
+    return invalid(
+        "scene",
+        f"one that ends Mitsuba's process{how}",
+        "a scene that Mitsuba can build and render",
+        hint,
+    )
 
 
 _child: _Child | None = None
 
 
 def _usable_child(on_card: bool) -> _Child:
-    """Return the child, a new one if it crashed, or if a graphics card is to trace and it started without, or the reverse."""
+    """Return the child, a new one if it crashed, or if a graphics card is to trace and it started
+    without, or the reverse.
+    """
     global _child
     if _child is None or not _child.usable or _child.on_card != on_card:
         end_child()
@@ -212,9 +252,11 @@ _starting = threading.Lock()
 
 
 class ChildTracer:
-    """An `OwnTracer` whose work the child does; it loads the job again after a job of another renderer.
+    """An `OwnTracer` whose work the child does; it loads the job again after a job of another
+    renderer.
 
-    ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an `OutOfTimeError`; None waits for it
+    ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an
+        `OutOfTimeError`; None waits for it
     """
 
     def __init__(self, job: TraceJob, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
@@ -235,12 +277,16 @@ class ChildTracer:
     def sample_count(self, sampler: str, samples: int) -> int:
         return int(self._ask({"sampler": sampler, "samples": samples})["samples"])
 
-    def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+    def trace(
+        self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int
+    ) -> NDArray[np.float32]:
         request = {"scene": scene, "film": film, "sampler": sampler, "spp": spp, "seed": seed}
         result: NDArray[np.float32] = self._ask(request, (film["crop_height"], film["crop_width"]))
         return result
 
-    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+    def trace_together(
+        self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int
+    ) -> NDArray[np.float32]:
         request = {"scene": scene, "rows": rows, "sampler": sampler, "spp": spp, "seed": seed}
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]))
         return result

@@ -1,14 +1,16 @@
 """Read a Mitsuba XML into a tree that pixsim has inspected, and write that tree anew for Mitsuba.
 
-Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim would not. So Mitsuba never
-reads a file of XML: it gets the text that `written` makes of the tree. Includes and parameters are resolved here, in
-the order of Mitsuba, and are gone from the tree.
+Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim
+would not. So Mitsuba never reads a file of XML: it gets the text that `written` makes of the tree.
+Includes and parameters are resolved here, in the order of Mitsuba, and are gone from the tree.
 
-A scene may name files in its folder, in packaged data, and in a folder or file that a parameter of the user's names, such as
-`assets`: a downloaded scene cannot read the user's other folders. This holds for where links lead, and for includes as for
-textures, spectra and meshes. All files must be regular files of a bounded size.
+A scene may name files in its folder, in packaged data, and in a folder or file that a parameter of
+the user's names, such as `assets`: a downloaded scene cannot read the user's other folders. This
+holds for where links lead, and for includes as for textures, spectra and meshes. All files must be
+regular files of a bounded size.
 
-A DOCTYPE is an error: its entities can expand without limit and can read files, and Mitsuba ignores them.
+A DOCTYPE is an error: its entities can expand without limit and can read files, and Mitsuba ignores
+them.
 """
 
 from __future__ import annotations
@@ -86,21 +88,36 @@ class SceneFiles:
 
     @property
     def assets(self) -> list[Path]:
-        """The folder that the parameter `assets` names, in the scene's folder or the working directory; none without it."""
+        """The folder that the parameter `assets` names, in the scene's folder or the working
+        directory; none without it.
+        """
         name = self.parameters.get(ASSETS)
-        return [] if name is None else [place for place in (self.folder / name, Path(name)) if os.path.isdir(place)]
+        return (
+            []
+            if name is None
+            else [place for place in (self.folder / name, Path(name)) if os.path.isdir(place)]
+        )
 
     @cached_property
     def roots(self) -> tuple[Path, ...]:
-        """The folders and files that the scene may name, without links: its own folder, packaged data, what the user names.
+        """The folders and files that the scene may name, without links: its own folder, packaged
+        data, what the user names.
 
-        Numbers name nothing: pixsim sets some parameters itself. Nor do names within the scene's folder: whoever wrote the scene
-        decides where a link there leads.
+        Numbers name nothing: pixsim sets some parameters itself. Nor do names within the scene's
+        folder: whoever wrote the scene decides where a link there leads.
         """
         folder = self.folder
-        values = [value for name, value in self.parameters.items() if value and (name == ASSETS or not NUMBER.fullmatch(value))]
-        places = [Path(os.path.abspath(base / value)) for value in values for base in (folder, Path())]
-        named = [place for place in places if os.path.exists(place) and not place.is_relative_to(folder)]
+        values = [
+            value
+            for name, value in self.parameters.items()
+            if value and (name == ASSETS or not NUMBER.fullmatch(value))
+        ]
+        places = [
+            Path(os.path.abspath(base / value)) for value in values for base in (folder, Path())
+        ]
+        named = [
+            place for place in places if os.path.exists(place) and not place.is_relative_to(folder)
+        ]
         return tuple(Path(os.path.realpath(place)) for place in (folder, packaged_folder(), *named))
 
     def locate(self, name: str, including: Path, what: str, place: str) -> Path:
@@ -118,18 +135,31 @@ class SceneFiles:
         candidates = [folder / name for folder in folders]
         file = next((path for path in candidates if os.path.lexists(path)), None)
         if file is None:
-            got = f"'{name}', which does not exist" if any(path.parent.is_dir() for path in candidates) else missing(Path(name))
+            got = (
+                f"'{name}', which does not exist"
+                if any(path.parent.is_dir() for path in candidates)
+                else missing(Path(name))
+            )
             raise invalid(what, f"{got}, in {place}", allowed)
         absolute, target = Path(os.path.abspath(file)), Path(os.path.realpath(file))
         if not any(target.is_relative_to(root) for root in self.roots):
-            hint = f"If you trust the scene with it, name its folder: {parameter(ASSETS, 'FOLDER')}."
+            hint = (
+                f"If you trust the scene with it, name its folder: {parameter(ASSETS, 'FOLDER')}."
+            )
             raise invalid(what, f"'{absolute}', of another folder, in {place}", allowed, hint)
         if not is_utf8(absolute):
-            raise invalid(what, f"'{absolute}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")
+            raise invalid(
+                what,
+                f"'{absolute}'",
+                "a path in UTF-8, for Mitsuba",
+                "Rename the file or its folder.",
+            )
         return absolute
 
     def put_in(self, value: str, path: Path, line: int) -> str:
-        """Substitute the parameters of an attribute as Mitsuba does: the longest name that fits, each once."""
+        """Substitute the parameters of an attribute as Mitsuba does: the longest name that fits,
+        each once.
+        """
         if "$" not in value:
             return value
         size = len(value)
@@ -139,14 +169,22 @@ class SceneFiles:
             if match[1] is None:  # an escaped dollar
                 return "$"
             word: str = match[1]
-            name = max((name for name in self._values if name and word.startswith(name)), key=len, default=None)
+            name = max(
+                (name for name in self._values if name and word.startswith(name)),
+                key=len,
+                default=None,
+            )
             if name is None:
                 self.names.update(re.findall(r"^\w+", word))
                 is_plain = PLAIN_WORD.fullmatch(word) is not None
                 what = f"'${word}'" if is_plain else f"a parameter, {excerpt(word)},"
                 got = f"no value for {what} in line {line}"
                 placeholder = word if is_plain else "NAME"
-                raise invalid(f"scene '{path}'", got, f'<default name="{placeholder}" value="…"/> before it, or -D {placeholder}=…')
+                raise invalid(
+                    f"scene '{path}'",
+                    got,
+                    f'<default name="{placeholder}" value="…"/> before it, or -D {placeholder}=…',
+                )
             self.names.add(name)
             size += len(self._values[name])
             self._left_substituted -= 1
@@ -168,12 +206,16 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
     Raises PixsimError for files, XML and includes that Mitsuba must not read.
     """
     if not is_utf8(path):
-        raise invalid("scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")
+        raise invalid(
+            "scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder."
+        )
     if bad := next((name for name, value in parameters.items() if "\0" in value), None):
         raise invalid(f"scene parameter '{bad}'", repr(parameters[bad]), "text without NUL")
     scene = SceneFiles(path, parameters, _values=dict(parameters))
     if ASSETS in parameters and not scene.assets:
-        raise invalid(f"scene.{ASSETS}", f"'{parameters[ASSETS]}'", "a folder, whose files the scene may name")
+        raise invalid(
+            f"scene.{ASSETS}", f"'{parameters[ASSETS]}'", "a folder, whose files the scene may name"
+        )
     scene.root = _read(path, scene, 0, 0)
     return scene
 
@@ -201,7 +243,11 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     def begins(tag: str, written: dict[str, str]) -> None:
         line = parser.CurrentLineNumber
         if deep + len(open_elements) > MAX_DEPTH:
-            raise invalid(f"scene '{path}'", f"elements nested more than {MAX_DEPTH} deep", f"at most {MAX_DEPTH}")
+            raise invalid(
+                f"scene '{path}'",
+                f"elements nested more than {MAX_DEPTH} deep",
+                f"at most {MAX_DEPTH}",
+            )
         attributes = {name: scene.put_in(value, path, line) for name, value in written.items()}
         if tag == "default":
             _take_default(attributes, path, scene)
@@ -209,13 +255,22 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
             file = _included(attributes.get("filename", ""), path, line, scene, includes_deep)
             root = _read(file, scene, includes_deep + 1, deep + len(open_elements) - 1)
             if root.tag != "scene":  # an object takes the name that the include gives it
-                named = {key: value for key, value in root.attributes.items() if key not in ("version", "name")}
+                named = {
+                    key: value
+                    for key, value in root.attributes.items()
+                    if key not in ("version", "name")
+                }
                 named |= {"name": attributes["name"]} if "name" in attributes else {}
                 root = SceneElement(root.tag, named, root.children, root.file, root.line)
             open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
         elif tag == "path":
             hint = f"Name the folder of its files: {parameter(ASSETS, 'FOLDER')}."
-            raise invalid(f"scene '{path}'", f"a <path> in line {line}", "files by their path from the scene's folder", hint)
+            raise invalid(
+                f"scene '{path}'",
+                f"a <path> in line {line}",
+                "files by their path from the scene's folder",
+                hint,
+            )
         open_elements.append((tag, attributes, line, []))
 
     def ends(_: str) -> None:
@@ -235,7 +290,9 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     except expat.ExpatError as error:
         raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
     finally:  # they refer to the parser: the tree would stay in memory until Python looks for circles
-        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = None
+        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = (
+            None
+        )
     root = next(iter(open_elements[0][-1]), None)
     if root is None:
         raise invalid(f"scene '{path}'", "no element", ALLOWED)
@@ -256,26 +313,40 @@ def _check_version(root: SceneElement) -> None:
 def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> None:
     name, value = attributes.get("name", ""), attributes.get("value", "")
     if not re.fullmatch(r"[\w.-]+", name):
-        raise invalid(f"scene '{path}'", f"a <default> whose name is {excerpt(name)}", "a name of letters, digits and _")
+        raise invalid(
+            f"scene '{path}'",
+            f"a <default> whose name is {excerpt(name)}",
+            "a name of letters, digits and _",
+        )
     scene.defaults.setdefault(name, value)
     scene._values.setdefault(name, value)
     if len(scene._values) > MAX_PARAMETERS:
-        raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
+        raise invalid(
+            f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}"
+        )
 
 
 def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
     """Return the file that a line of an XML includes."""
     scene._includes += 1
     if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
-        got = "includes nested too deep" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
-        raise invalid(f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep")
+        got = (
+            "includes nested too deep"
+            if includes_deep >= MAX_INCLUDE_DEPTH
+            else f"more than {MAX_INCLUDES} includes"
+        )
+        raise invalid(
+            f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep"
+        )
     return scene.locate(name, path.parent, "include", f"line {line} of '{path.name}'")
 
 
 def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
-    """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter.
+    """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction,
+    include or parameter.
 
-    Also return, for each of its lines, the place of its element in the user's files, and the file that the element names.
+    Also return, for each of its lines, the place of its element in the user's files, and the file
+    that the element names.
     """
     lines: list[str] = []
     places: list[str] = []
@@ -285,7 +356,14 @@ def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
 
 def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
     attributes = "".join(f' {name}="{escaped(value)}"' for name, value in node.attributes.items())
-    file = next((child.attributes["value"] for child in node.children if child.attributes.get("name") == "filename"), None)
+    file = next(
+        (
+            child.attributes["value"]
+            for child in node.children
+            if child.attributes.get("name") == "filename"
+        ),
+        None,
+    )
     places.append(node.place if file is None else f"{node.place}, '{Path(file).name}'")
     if not node.children:
         lines.append(f"<{node.tag}{attributes}/>\n")

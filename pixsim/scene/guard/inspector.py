@@ -1,7 +1,8 @@
 """Inspect a scene: what its XML says, and which files it names, before Mitsuba sees any of it.
 
-The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file in it is an absolute path of a
-regular file; tables of spectra are part of the text. What is in pictures, meshes and volumes the process that renders checks.
+The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file
+in it is an absolute path of a regular file; tables of spectra are part of the text. What is in
+pictures, meshes and volumes the process that renders checks.
 """
 
 from __future__ import annotations
@@ -18,13 +19,28 @@ from pixsim.scene.guard.plate import with_plate
 from pixsim.scene.guard.plugins import PLUGINS, Allowed, Plugin
 from pixsim.scene.guard.strength import with_strength
 
-VALUES = ("float", "integer", "boolean", "string", "rgb", "point", "vector", "spectrum", "transform")  # elements of properties
+VALUES = (
+    "float",
+    "integer",
+    "boolean",
+    "string",
+    "rgb",
+    "point",
+    "vector",
+    "spectrum",
+    "transform",
+)  # elements of properties
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 # Why some plugins of Mitsuba are not in the table.
 REASONS = {
-    "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
-    "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
-    "(any, such as 0.001, if you set --camera.f-number). A perspective or orthographic one may stand beside it, and is not used.",
+    "integrator": (
+        'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.'
+    ),
+    "sensor": (
+        'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in'
+        " metres (any, such as 0.001, if you set --camera.f-number). A perspective or orthographic"
+        " one may stand beside it, and is not used."
+    ),
 }
 PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
 MAX_NAME = 256
@@ -54,7 +70,9 @@ class SceneText:
     typed: frozenset[str] = frozenset()
 
     def with_place(self, message: str) -> str:
-        """Return a message of Mitsuba for the user: with places in the user's files, and plain words alone of what they hold."""
+        """Return a message of Mitsuba for the user: with places in the user's files, and plain
+        words alone of what they hold.
+        """
 
         def place(line: re.Match[str]) -> str:
             number = int(line[1]) - 1
@@ -63,13 +81,18 @@ class SceneText:
         def quote(word: re.Match[str]) -> str:
             name = Path(word[1]).name
             is_file = any(f"'{name}'" in place for place in self.places)
-            return excerpt(word[1], word[1] in self.typed or is_file or PROPERTY.fullmatch(word[1]) is not None)
+            return excerpt(
+                word[1], word[1] in self.typed or is_file or PROPERTY.fullmatch(word[1]) is not None
+            )
 
         return LINE_OF_TEXT.sub(place, QUOTED.sub(quote, message))
 
 
 def open_scene(
-    path: Path, parameters: dict[str, str], strength: float | None = None, plate: Sequence[float] | None = None
+    path: Path,
+    parameters: dict[str, str],
+    strength: float | None = None,
+    plate: Sequence[float] | None = None,
 ) -> SceneText:
     """Return a scene's text for Mitsuba.
 
@@ -77,7 +100,8 @@ def open_scene(
     strength : factor on the light of all emitters
     plate : transform of a white plate that is added to the scene, 16 numbers, row by row
 
-    Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
+    Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not
+    read.
     """
     files = read_scene(path, parameters)
     assert files.root is not None
@@ -86,13 +110,21 @@ def open_scene(
     root = root if strength is None else with_strength(root, strength)
     root = root if plate is None else with_plate(root, plate)
     text, places = written(root)
-    return SceneText(text, frozenset(files.names), files.defaults, files.content, places, frozenset(parameters.values()))
+    return SceneText(
+        text,
+        frozenset(files.names),
+        files.defaults,
+        files.content,
+        places,
+        frozenset(parameters.values()),
+    )
 
 
 class _Inspector:
     """Inspects the elements of a scene.
 
-    Mitsuba's parser and plugins judge values and attributes. What is judged here is which code and which files they reach.
+    Mitsuba's parser and plugins judge values and attributes. What is judged here is which code and
+    which files they reach.
     """
 
     def __init__(self, files: SceneFiles) -> None:
@@ -101,7 +133,11 @@ class _Inspector:
 
     def scene(self, root: SceneElement) -> SceneElement:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
-            raise invalid(f"scene '{root.file}'", f"another element in {root.place}", "<scene> as the first element")
+            raise invalid(
+                f"scene '{root.file}'",
+                f"another element in {root.place}",
+                "<scene> as the first element",
+            )
         inspected = self.object(replace(root, attributes={"type": "scene"}), "scene")
         return replace(inspected, attributes={"version": root.attributes["version"]})
 
@@ -116,14 +152,18 @@ class _Inspector:
             value = node.attributes.get(attribute, "")
             if len(value) > MAX_NAME or not value.isprintable():
                 allowed = f"up to {MAX_NAME} printable characters"
-                raise invalid(f"<{node.tag}> in {node.place}", f"{attribute} with {excerpt(value)}", allowed)
+                raise invalid(
+                    f"<{node.tag}> in {node.place}", f"{attribute} with {excerpt(value)}", allowed
+                )
 
         children = []
         names = set[str]()
         for child in node.children:
             child_name = child.attributes.get("name", "")
             if child_name and child_name in names:
-                raise invalid(f"{name}.{_property(child_name)}", f"a second time in {child.place}", "once")
+                raise invalid(
+                    f"{name}.{_property(child_name)}", f"a second time in {child.place}", "once"
+                )
             names.add(child_name)
             children.append(self.child(child, name, plugin))
         return replace(node, children=tuple(children))
@@ -135,7 +175,12 @@ class _Inspector:
         kind = "texture" if node.tag == "spectrum" and "type" in node.attributes else node.tag
         if kind not in PLUGINS and kind not in VALUES:
             hint = did_you_mean(kind, (*PLUGINS, *VALUES))
-            raise invalid(f"scene '{node.file}'", f"another element in line {node.line}", "elements of Mitsuba", hint)
+            raise invalid(
+                f"scene '{node.file}'",
+                f"another element in line {node.line}",
+                "elements of Mitsuba",
+                hint,
+            )
 
         name = node.attributes.get("name", "")
         rule = plugin.properties.get(name)
@@ -144,30 +189,51 @@ class _Inspector:
             return self.object(node, kind)
         if kind in PLUGINS or rule is None:
             words = f" whose name is {_property(name)}" if name else ""
-            allowed = ", ".join([*plugin.properties, *(f"<{child}>" for child in plugin.holds)]) or "nothing within it"
-            raise invalid(parent, f"<{node.tag}>{words} in {node.place}", allowed, did_you_mean(name, plugin.properties))
+            allowed = (
+                ", ".join([*plugin.properties, *(f"<{child}>" for child in plugin.holds)])
+                or "nothing within it"
+            )
+            raise invalid(
+                parent,
+                f"<{node.tag}>{words} in {node.place}",
+                allowed,
+                did_you_mean(name, plugin.properties),
+            )
         if kind not in rule.tags:
             allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds))
             raise invalid(f"{parent}.{name}", f"<{kind}> in {node.place}", allowed, rule.instead)
         if kind == "transform":
             for step in node.children:
                 if step.tag not in STEPS_OF_TRANSFORM:
-                    raise invalid(f"{parent}.{name}", f"another element in {step.place}", ", ".join(STEPS_OF_TRANSFORM))
+                    raise invalid(
+                        f"{parent}.{name}",
+                        f"another element in {step.place}",
+                        ", ".join(STEPS_OF_TRANSFORM),
+                    )
                 _without_children(step)
             return node
         return self.value(_without_children(node), rule, f"{parent}.{name}")
 
     def value(self, node: SceneElement, rule: Allowed, what: str) -> SceneElement:
-        """Return a property with the absolute path of its file, or with the table of its file of a spectrum."""
+        """Return a property with the absolute path of its file, or with the table of its file of a
+        spectrum.
+        """
         attributes = node.attributes
         value = attributes.get("value", "")
         if node.tag == "spectrum" and "filename" in attributes and not value:
-            path = self.files.locate(attributes["filename"], node.file.parent, "spectrum", node.place)
+            path = self.files.locate(
+                attributes["filename"], node.file.parent, "spectrum", node.place
+            )
             value = spectrum_value(path)
             self.left_of_tables -= len(value)
             if self.left_of_tables < 0:
                 got = f"files of spectra of more than {MAX_TABLES} characters"
-                raise invalid("scene", got, f"up to {MAX_TABLES} in total", "Leave out wavelengths that change little.")
+                raise invalid(
+                    "scene",
+                    got,
+                    f"up to {MAX_TABLES} in total",
+                    "Leave out wavelengths that change little.",
+                )
             return replace(node, attributes={"name": attributes["name"], "value": value})
 
         if rule.file == "metal" and value not in metals():
@@ -183,10 +249,14 @@ class _Inspector:
 def _without_children(node: SceneElement) -> SceneElement:
     """Return an element that has nothing within it. Raises PixsimError for another one."""
     if node.children:
-        raise invalid(f"<{node.tag}>", f"an element in {node.children[0].place}", "no element within it")
+        raise invalid(
+            f"<{node.tag}>", f"an element in {node.children[0].place}", "no element within it"
+        )
     return node
 
 
 def _property(name: str) -> str:
-    """Return the name of a property as messages have it: quoted if it is one as Mitsuba's, and no key."""
+    """Return the name of a property as messages have it: quoted if it is one as Mitsuba's, and no
+    key.
+    """
     return excerpt(name, typed=PROPERTY.fullmatch(name) is not None)

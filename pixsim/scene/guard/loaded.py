@@ -1,6 +1,8 @@
-"""Check what Mitsuba has read of a scene's files before the first ray: in the child, whose memory is bounded, which may crash.
+"""Check what Mitsuba has read of a scene's files before the first ray: in the child, whose memory
+is bounded, which may crash.
 
-Mitsuba takes the corners of a mesh for granted: one beyond the vertices is read from foreign memory.
+Mitsuba takes the corners of a mesh for granted: one beyond the vertices is read from foreign
+memory.
 """
 
 from __future__ import annotations
@@ -22,20 +24,27 @@ from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
 LEAST_BYTES = 4 << 30
-BYTES_PER_BYTE = 16  # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
+# of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
+BYTES_PER_BYTE = 16
 # A corner of an OBJ's face that names no texture coordinates, or no normal.
 CORNER = rb"(?m)^[ \t]*f[ \t](?:.*[ \t])?-?\d+%b(?=\s|\Z)"
 UNSET_OF_OBJ = (
-    ("texture coordinates", re.compile(rb"(?m)^[ \t]*vt[ \t]"), re.compile(CORNER % rb"(?:/(?:/-?\d*)?)?")),
+    (
+        "texture coordinates",
+        re.compile(rb"(?m)^[ \t]*vt[ \t]"),
+        re.compile(CORNER % rb"(?:/(?:/-?\d*)?)?"),
+    ),
     ("normals", re.compile(rb"(?m)^[ \t]*vn[ \t]"), re.compile(CORNER % rb"(?:/-?\d*/?)?")),
 )
 
 
 def limit_memory(job: TraceJob) -> None:
-    """Let this process map at most so many more bytes: a share in proportion to the files, and no more than the machine has.
+    """Let this process map at most so many more bytes: a share in proportion to the files, and no
+    more than the machine has.
 
-    Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use. There is no limit for graphics
-    cards, whose driver maps all memory of the card, and on systems that do not say what is mapped.
+    Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use.
+    There is no limit for graphics cards, whose driver maps all memory of the card, and on systems
+    that do not say what is mapped.
     """
     pages = text_of(Path("/proc/self/statm")).split()
     if not pages or job.variant == CUDA:
@@ -45,7 +54,9 @@ def limit_memory(job: TraceJob) -> None:
     files_bytes = sum(os.path.getsize(file.path) for file in job.files)
     machine = memory()
     room_bytes = min(
-        size for size in (LEAST_BYTES + BYTES_PER_BYTE * files_bytes, machine.total, machine.limit) if size is not None
+        size
+        for size in (LEAST_BYTES + BYTES_PER_BYTE * files_bytes, machine.total, machine.limit)
+        if size is not None
     )
     limit_bytes = int(pages[0]) * os.sysconf("SC_PAGE_SIZE") + room_bytes
     _, highest = resource.getrlimit(resource.RLIMIT_AS)
@@ -57,8 +68,8 @@ def limit_memory(job: TraceJob) -> None:
 def check_files(job: TraceJob) -> list[float]:
     """Return the highest texel of each file that is a share of light; 0 for the others.
 
-    Raises PixsimError for a file that Mitsuba cannot read, corners that are none of a mesh's vertices, vertices and texels that are
-    not finite, and negative light.
+    Raises PixsimError for a file that Mitsuba cannot read, corners that are none of a mesh's
+    vertices, vertices and texels that are not finite, and negative light.
     """
     highest = []
     for file in job.files:
@@ -66,7 +77,9 @@ def check_files(job: TraceJob) -> list[float]:
             highest.append(_highest(job.variant, file))
         except (PixsimError, MemoryError) as error:
             lines = job.text.splitlines()
-            line = next(number for number, text in enumerate(lines, 1) if escaped(file.path) in text)
+            line = next(
+                number for number, text in enumerate(lines, 1) if escaped(file.path) in text
+            )
             name = Path(file.path).name
             raise PixsimError(f"At string (line {line}, col 1), '{name}': {error}") from None
     return highest
@@ -79,7 +92,9 @@ def _highest(variant: str, file: AssetFile) -> float:
         if file.plugin in MESHES:
             _check_mesh(mi, file)
         elif file.has_light and (file.plugin == "gridvolume" or has_floats(file.path)):
-            picture = mi.VolumeGrid(file.path) if file.plugin == "gridvolume" else mi.Bitmap(file.path)
+            picture = (
+                mi.VolumeGrid(file.path) if file.plugin == "gridvolume" else mi.Bitmap(file.path)
+            )
             texels = np.asarray(picture)
             check_texels(Path(file.path), texels)
             if file.share and texels.dtype.kind == "f":
@@ -94,9 +109,15 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
     what, vertices, arrays = f"mesh '{file.path}'", mesh.vertex_count(), mi.traverse(mesh)
     corners = np.array(arrays["faces"])
     if not (vertices and corners.size):
-        raise invalid(what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each")
+        raise invalid(
+            what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each"
+        )
     if corners.max() >= vertices:
-        raise invalid(what, f"corner {corners.max()}", f"whole numbers from 0 to {vertices - 1}, of its vertices")
+        raise invalid(
+            what,
+            f"corner {corners.max()}",
+            f"whole numbers from 0 to {vertices - 1}, of its vertices",
+        )
     if file.plugin == "obj":
         _check_obj(Path(file.path), what)
     for name in sorted(arrays.keys()):
@@ -105,7 +126,8 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
 
 
 def _check_obj(path: Path, what: str) -> None:
-    """Raise PixsimError if some corners of faces name texture coordinates or normals and others do not.
+    """Raise PixsimError if some corners of faces name texture coordinates or normals and others do
+    not.
 
     Mitsuba leaves those of the others as the memory was, so that a render would not repeat.
     """
@@ -114,4 +136,9 @@ def _check_obj(path: Path, what: str) -> None:
         if declaration.search(content) and (face := corner.search(content)):
             line = content.count(b"\n", 0, face.start()) + 1
             hint = f"Export it again with {name} for all of it, or for none."
-            raise invalid(what, f"a face without {name} in line {line}, beside others", f"{name} at all faces, or at none", hint)
+            raise invalid(
+                what,
+                f"a face without {name} in line {line}, beside others",
+                f"{name} at all faces, or at none",
+                hint,
+            )

@@ -1,4 +1,6 @@
-"""Build an inspected scene in Mitsuba and trace it: what a render does inside Mitsuba, in this process or in a child of it."""
+"""Build an inspected scene in Mitsuba and trace it: what a render does inside Mitsuba, in this
+process or in a child of it.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,34 @@ from pixsim.scene.textures import is_exr
 from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
 
 if TYPE_CHECKING:
-    from mitsuba import Float, Point2f, RayDifferential3f, Sampler, SamplingIntegrator, Scene, Sensor, Spectrum, UInt32, Vector2f
+    from mitsuba import (
+        Float,
+        Point2f,
+        RayDifferential3f,
+        Sampler,
+        SamplingIntegrator,
+        Scene,
+        Sensor,
+        Spectrum,
+        UInt32,
+        Vector2f,
+    )
     from mitsuba.parser import ParserConfig, ParserState
 
-SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
-OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
+SCALAR_BLOCK = (
+    32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
+)
+OF_THE_LENS = (
+    "focal_length",
+    "fov_axis",
+    "aperture_radius",
+    "focus_distance",
+)  # properties that the camera states
 
 
-_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = None  # of the last job
+_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = (
+    None  # of the last job
+)
 
 
 class OwnTracer:
@@ -32,7 +54,9 @@ class OwnTracer:
     def __init__(self, job: TraceJob) -> None:
         self.job = job
         self._sensor: tuple[Sensor, object] | None = None  # the last one, and what describes it
-        self._tables: dict[int, tuple[UInt32, Float, Float, Float]] = {}  # in Mitsuba, of the passes of each scene
+        self._tables: dict[
+            int, tuple[UInt32, Float, Float, Float]
+        ] = {}  # in Mitsuba, of the passes of each scene
 
     @property
     def _scalar(self) -> bool:
@@ -40,23 +64,32 @@ class OwnTracer:
 
     @property
     def loaded(self) -> list[tuple[Scene, SamplingIntegrator]]:
-        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this process, if it has the same.
+        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this
+        process, if it has the same.
 
-        A kernel holds what all scenes in memory are made of, so that others beside them would make it larger and another one.
+        A kernel holds what all scenes in memory are made of, so that others beside them would make
+        it larger and another one.
         """
         global _loaded
         if _loaded is None or _loaded[0] != self.job.of_scenes:
             _loaded = None
             with speaking_mitsuba(self.job.variant) as mi:
                 built = [self._build(mi, lamps) for lamps in self.job.lamps]
-                _loaded = self.job.of_scenes, [(scene, self._integrator(mi, scene)) for scene in built]
+                _loaded = (
+                    self.job.of_scenes,
+                    [(scene, self._integrator(mi, scene)) for scene in built],
+                )
         return _loaded[1]
 
     @cached_property
     def _lens(self) -> dict[str, Any]:
         """The scene's sensor with the lens of the job, without sampler and film."""
         props = parse(self.job.text, self.job.variant).nodes[self.job.sensor].props
-        names = [key for key in props.keys() if key not in OF_THE_LENS and props.type(key).name not in REFERENCES]  # noqa: SIM118
+        names = [
+            key
+            for key in props.keys()  # noqa: SIM118
+            if key not in OF_THE_LENS and props.type(key).name not in REFERENCES
+        ]
         return {key: props[key] for key in names} | self.job.lens
 
     def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
@@ -76,7 +109,9 @@ class OwnTracer:
                 if isinstance(picture, int):
                     props[name] = mi.Properties.ResolvedReference(picture)
                 else:
-                    props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+                    props[name] = mi.load_dict(
+                        {"type": "uniform", "value": picture}
+                    )  # a plain number would be a d65
         for index, node in nodes_of(tree, "Integrator"):
             if self._scalar and "block_size" not in node:
                 state.nodes[index].props["block_size"] = SCALAR_BLOCK
@@ -85,19 +120,29 @@ class OwnTracer:
         config = mi.parser.ParserConfig(self.job.variant)
         mi.parser.transform_all(config, state)
         built = _instantiated(mi, config, state)
-        return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
+        return (
+            next(item for item in built if isinstance(item, mi.Scene))
+            if isinstance(built, list)
+            else built
+        )
 
     def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
         scene_integrator: Any = None if self.job.integrator else scene.integrator()
-        return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {}))
+        return scene_integrator or mi.load_dict(
+            {"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {})
+        )
 
     def sample_count(self, sampler: str, samples: int) -> int:
         """Return the samples that a sampler takes where `samples` are asked for."""
         with speaking_mitsuba(self.job.variant) as mi:
             return int(mi.load_dict({"type": sampler, "sample_count": samples}).sample_count())
 
-    def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
-        """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the plugin."""
+    def trace(
+        self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int
+    ) -> NDArray[np.float32]:
+        """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the
+        plugin.
+        """
         with speaking_mitsuba(self.job.variant) as mi:
             sensor = self._sensor_with(mi, film, sampler, spp)
             world, integrator = self.loaded[scene]
@@ -111,8 +156,11 @@ class OwnTracer:
             self._sensor = mi.load_dict(self._lens | parts), described
         return self._sensor[0]
 
-    def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
-        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass.
+    def trace_together(
+        self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int
+    ) -> NDArray[np.float32]:
+        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses);
+        `spp` of each pass.
 
         Pulses, passes, rows and seed are data of one kernel: other values compile nothing.
         """
@@ -121,7 +169,10 @@ class OwnTracer:
         with speaking_mitsuba(self.job.variant) as mi:
             dr = drjit()
             film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-            sensor, (world, integrator) = self._sensor_with(mi, film, sampler, spp), self.loaded[scene]
+            sensor, (world, integrator) = (
+                self._sensor_with(mi, film, sampler, spp),
+                self.loaded[scene],
+            )
             if scene not in self._tables:
                 self._tables[scene] = _tables(mi, passes)
             lanes, shifts, density, share = self._tables[scene]
@@ -130,12 +181,23 @@ class OwnTracer:
             draws.set_samples_per_wavefront(spp)
             draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
             index = dr.arange(mi.UInt32, cells * count * spp)
-            sequence = index // spp  # of samples that the sampler stratifies: those of a pass in a cell
+            sequence = (
+                index // spp
+            )  # of samples that the sampler stratifies: those of a pass in a cell
             cell = sequence // count
             group, row = sequence - cell * count, cell // width
             corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
             # In the order of Mitsuba's own integrators.
-            inside = _spread(mi, index - sequence * spp, spp, group, count, cell, dr.opaque(mi.UInt32, seed), draws.next_2d())
+            inside = _spread(
+                mi,
+                index - sequence * spp,
+                spp,
+                group,
+                count,
+                cell,
+                dr.opaque(mi.UInt32, seed),
+                draws.next_2d(),
+            )
             place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
             aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
             time_s = mi.Float(sensor.shutter_open())
@@ -147,7 +209,9 @@ class OwnTracer:
             for lane in range(WAVELENGTHS):
                 pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
                 shifted = at + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
-                wavelengths_nm.append(_inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes))
+                wavelengths_nm.append(
+                    _inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes)
+                )
             ray.wavelengths = mi.Spectrum(*wavelengths_nm)
             light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
             dr.eval(light)
@@ -155,9 +219,11 @@ class OwnTracer:
             return pictures.reshape(rows[1] - rows[0], width, -1)
 
     def depths(self, side: int) -> NDArray[np.float32]:
-        """Return depths along the optical axis in m at (side, side, 1) places of the film, seen from the middle of the lens.
+        """Return depths along the optical axis in m at (side, side, 1) places of the film, seen
+        from the middle of the lens.
 
-        They are infinite beyond all shapes, and NaN where a surface shows something at another depth: behind it, or in a mirror.
+        They are infinite beyond all shapes, and NaN where a surface shows something at another
+        depth: behind it, or in a mirror.
         """
         height, width = self.job.size
         middles = (np.arange(side) + 0.5) / side
@@ -167,19 +233,26 @@ class OwnTracer:
             sensor, (world, _) = self._sensor_with(mi, film, "independent", 1), self.loaded[0]
             if self._scalar:
                 places = zip(x.tolist(), y.tolist(), strict=True)
-                depths_m = np.array([_depth(mi, world, sensor, mi.Point2f(*place)) for place in places], np.float32)
+                depths_m = np.array(
+                    [_depth(mi, world, sensor, mi.Point2f(*place)) for place in places], np.float32
+                )
             else:
-                depths_m = np.array(_depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y))), np.float32)
+                depths_m = np.array(
+                    _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y))), np.float32
+                )
             return depths_m.reshape(side, side, 1)
 
 
 def _instantiated(mi: ModuleType, config: ParserConfig, state: ParserState) -> Any:
     """Return the objects of a scene's nodes, the same bit for bit each time.
 
-    Mitsuba adds up the normals of a mesh without any in float32 on all threads, in an order that varies. So scenes with meshes are
-    built on one thread. There Mitsuba 3.9 would wait for ever for an EXR, so these are read before.
+    Mitsuba adds up the normals of a mesh without any in float32 on all threads, in an order that
+    varies. So scenes with meshes are built on one thread. There Mitsuba 3.9 would wait for ever for
+    an EXR, so these are read before.
     """
-    if config.variant.startswith("scalar") or not any(node.props.plugin_name() in MESHES for node in state.nodes):
+    if config.variant.startswith("scalar") or not any(
+        node.props.plugin_name() in MESHES for node in state.nodes
+    ):
         return mi.parser.instantiate(config, state)
 
     _read_exrs(mi, state)
@@ -194,12 +267,16 @@ def _instantiated(mi: ModuleType, config: ParserConfig, state: ParserState) -> A
 
 
 def _read_exrs(mi: ModuleType, state: ParserState) -> None:
-    """Put the objects of EXR textures, and the pictures of EXR environments, in the place of their nodes and files."""
+    """Put the objects of EXR textures, and the pictures of EXR environments, in the place of their
+    nodes and files.
+    """
     textures: dict[int, object] = {}
     for index, node in enumerate(state.nodes):
         props = node.props
         if props.plugin_name() == "bitmap" and is_exr(props["filename"]):
-            textures[index] = mi.load_dict({"type": "bitmap"} | {name: props[name] for name in props.keys()})  # noqa: SIM118
+            textures[index] = mi.load_dict(
+                {"type": "bitmap"} | {name: props[name] for name in props.keys()}  # noqa: SIM118
+            )
         elif props.plugin_name() == "envmap" and is_exr(props["filename"]):
             props["bitmap"] = mi.Bitmap(props["filename"])
             del props["filename"]
@@ -215,7 +292,9 @@ def _read_exrs(mi: ModuleType, state: ParserState) -> None:
 def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
     """Return the depth at places of the film, 0 to 1, as `OwnTracer.depths` has it."""
     dr = drjit()
-    ray, _ = sensor.sample_ray(mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5))
+    ray, _ = sensor.sample_ray(
+        mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5)
+    )
     hit = world.ray_intersect(mi.Ray3f(ray))
     in_camera = sensor.world_transform().inverse() @ hit.p
 
@@ -232,12 +311,21 @@ def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Floa
 
 
 def _spread(
-    mi: ModuleType, number: UInt32, spp: int, group: UInt32, count: int, cell: UInt32, seed: UInt32, jitter: Point2f
+    mi: ModuleType,
+    number: UInt32,
+    spp: int,
+    group: UInt32,
+    count: int,
+    cell: UInt32,
+    seed: UInt32,
+    jitter: Point2f,
 ) -> Vector2f:
-    """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over all passes together.
+    """Return places in film cells, (x, y) from 0 to 1, that are stratified in each pass and over
+    all passes together.
 
-    As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp` samples of a pass have one in each
-    part of a cell, and one in each of `spp` rows and columns. The `count` passes share out each of these rows and columns.
+    As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp`
+    samples of a pass have one in each part of a cell, and one in each of `spp` rows and columns.
+    The `count` passes share out each of these rows and columns.
     """
     rows = max(divisor for divisor in range(1, math.isqrt(spp) + 1) if spp % divisor == 0)
     columns = spp // rows
@@ -247,44 +335,82 @@ def _spread(
     beside, above = (row + group + shifts[0]) % rows, (column + group + shifts[1]) % columns
     shares = [
         mi.sample_tea_32(cell * spp + place, shift)[0]
-        for place, shift in ((column * rows + beside, shifts[0]), (row * columns + above, shifts[1]))
+        for place, shift in (
+            (column * rows + beside, shifts[0]),
+            (row * columns + above, shifts[1]),
+        )
     ]
-    x, y = ((mi.Float((group + share) % count) + offset) / count for share, offset in zip(shares, jitter, strict=True))
-    return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
+    x, y = (
+        (mi.Float((group + share) % count) + offset) / count
+        for share, offset in zip(shares, jitter, strict=True)
+    )
+    return mi.Vector2f(
+        (column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows
+    )
 
 
 def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float]:
-    """Return lanes, shifts, densities and the share of each pulse's area up to each node, as flat arrays of Dr.Jit."""
+    """Return lanes, shifts, densities and the share of each pulse's area up to each node, as flat
+    arrays of Dr.Jit.
+    """
     density = passes.densities
     running = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
     share = np.concatenate([np.zeros((len(density), 1)), running / running[:, -1:]], axis=1)
-    numbers = (np.ascontiguousarray(array.ravel(), np.float32) for array in (passes.shifts, density / running[:, -1:], share))
-    return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(mi.Float(array) for array in numbers)
+    numbers = (
+        np.ascontiguousarray(array.ravel(), np.float32)
+        for array in (passes.shifts, density / running[:, -1:], share)
+    )
+    return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(
+        mi.Float(array) for array in numbers
+    )
 
 
-def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, passes: Passes) -> Float:
-    """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to 1) of its area, in nm.
+def _inverted(
+    mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, passes: Passes
+) -> Float:
+    """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to
+    1) of its area, in nm.
 
-    density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
+    density : of all pulses, per step: a share of the area, so that it is `share` in a step of
+        constant density
     """
     dr = drjit()
     nodes = passes.nodes
     first = pulse * nodes
-    above = dr.binary_search(1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at)
+    above = dr.binary_search(
+        1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at
+    )
     before = first + above - 1
     left, right = dr.gather(mi.Float, density, before), dr.gather(mi.Float, density, before + 1)
     missing = dr.maximum(at - dr.gather(mi.Float, share, before), 0.0)
-    # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0 where nothing is missing.
+    # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0
+    # where nothing is missing.
     root = left + dr.safe_sqrt(dr.square(left) + 2 * (right - left) * missing)
     inside = dr.select(root > 0, dr.minimum(2 * missing / root, 1.0), 0.0)
     return passes.span.low_nm + passes.step_nm * (mi.Float(above) - 1 + inside)
 
 
-def _radiance(mi: ModuleType, integrator: SamplingIntegrator, world: Scene, sampler: Sampler, ray: RayDifferential3f) -> Spectrum:
-    """Return the radiance at the wavelengths of rays, as the integrator's own render estimates it."""
+def _radiance(
+    mi: ModuleType,
+    integrator: SamplingIntegrator,
+    world: Scene,
+    sampler: Sampler,
+    ray: RayDifferential3f,
+) -> Spectrum:
+    """Return the radiance at the wavelengths of rays, as the integrator's own render estimates
+    it.
+    """
     if not isinstance(integrator, mi.ad.integrators.common.ADIntegrator):
         return integrator.sample(world, sampler, ray)[0]
     dr = drjit()
     # Written in Python, for derivatives; they are not asked for.
-    nothing = {"depth": mi.UInt32(0), "δL": None, "δaovs": None, "state_in": None, "active": mi.Bool(True)}
-    return integrator.sample(mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing)[0]
+    nothing = {
+        "depth": mi.UInt32(0),
+        "δL": None,
+        "δaovs": None,
+        "state_in": None,
+        "active": mi.Bool(True),
+    }
+    return integrator.sample(
+        mode=dr.ADMode.Primal, scene=world, sampler=sampler, ray=ray, **nothing
+    )[0]

@@ -1,7 +1,8 @@
 """The plugins of Mitsuba 3.9 that a scene may use, with the types of their properties.
 
-What is not here is refused before Mitsuba sees it: plugins that pixsim cannot inspect (raw pointers, files of unknown layout,
-polarisation), and names that would make Mitsuba load another file. Whether a value is in its range Mitsuba judges, in the child.
+What is not here is refused before Mitsuba sees it: plugins that pixsim cannot inspect (raw
+pointers, files of unknown layout, polarisation), and names that would make Mitsuba load another
+file. Whether a value is in its range Mitsuba judges, in the child.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ class Allowed:
 
     tags : elements that state it
     kinds : plugins that it may be, besides
-    file : kind of the file that a string names: texture, mesh, volume; or metal, a table of Mitsuba's own
+    file : kind of the file that a string names: texture, mesh, volume; or metal, a table of
+        Mitsuba's own
     instead : what to write in place of an element that is not allowed
     """
 
@@ -38,14 +40,21 @@ class Plugin:
     holds: tuple[str, ...] = ()
 
 
-NUMBER, WHOLE, FLAG, WORD = Allowed(NUMBER_TAGS), Allowed(("integer",)), Allowed(("boolean",)), Allowed(("string",))
+NUMBER, WHOLE, FLAG, WORD = (
+    Allowed(NUMBER_TAGS),
+    Allowed(("integer",)),
+    Allowed(("boolean",)),
+    Allowed(("string",)),
+)
 TRANSFORM, PLACE = Allowed(("transform",)), Allowed(("point", "vector"))
 COLOUR = Allowed(COLOUR_TAGS, kinds=("texture",))
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = Allowed(("string", *COLOUR_TAGS), kinds=("texture",))
 INDEX_OF_METAL = replace(COLOUR, tags=(*NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
 VOLUME = Allowed(COLOUR_TAGS, kinds=("volume",))
-PICTURE, MESH, GRID, METAL = (Allowed(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal"))
+PICTURE, MESH, GRID, METAL = (
+    Allowed(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal")
+)
 
 
 def each(rule: Allowed, names: str) -> dict[str, Allowed]:
@@ -54,13 +63,25 @@ def each(rule: Allowed, names: str) -> dict[str, Allowed]:
 
 
 OF_EMITTERS = each(NUMBER, "sampling_weight") | each(TRANSFORM, "to_world")
-OF_SHAPES = each(TRANSFORM, "to_world") | each(FLAG, "flip_normals") | each(NUMBER, "silhouette_sampling_weight")
+OF_SHAPES = (
+    each(TRANSFORM, "to_world")
+    | each(FLAG, "flip_normals")
+    | each(NUMBER, "silhouette_sampling_weight")
+)
 OF_MESHES = OF_SHAPES | each(MESH, "filename") | each(FLAG, "face_normals flip_tex_coords")
 OF_INTEGRATORS = (
-    each(WHOLE, "max_depth rr_depth block_size samples_per_pass") | each(FLAG, "hide_emitters") | each(NUMBER, "timeout")
+    each(WHOLE, "max_depth rr_depth block_size samples_per_pass")
+    | each(FLAG, "hide_emitters")
+    | each(NUMBER, "timeout")
 )
-OF_SENSORS = each(TRANSFORM, "to_world") | each(NUMBER, "near_clip far_clip shutter_open shutter_close")
-OF_LENSES = OF_SENSORS | each(WORD, "fov_axis focal_length") | each(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
+OF_SENSORS = each(TRANSFORM, "to_world") | each(
+    NUMBER, "near_clip far_clip shutter_open shutter_close"
+)
+OF_LENSES = (
+    OF_SENSORS
+    | each(WORD, "fov_axis focal_length")
+    | each(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
+)
 OF_THIN_LENSES = OF_LENSES | each(NUMBER, "aperture_radius focus_distance")
 OF_SAMPLERS = each(WHOLE, "sample_count seed")
 OF_JITTERED = OF_SAMPLERS | each(FLAG, "jitter")
@@ -70,13 +91,28 @@ OF_FILMS = (
     | each(WORD, "component_format")
 )
 OF_PICTURES = (
-    each(PICTURE, "filename") | each(WORD, "filter_type wrap_mode format") | each(FLAG, "raw accel") | each(TRANSFORM, "to_uv")
+    each(PICTURE, "filename")
+    | each(WORD, "filter_type wrap_mode format")
+    | each(FLAG, "raw accel")
+    | each(TRANSFORM, "to_uv")
 )
 OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
-OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(COLOUR, "specular_reflectance specular_transmittance")
-OF_ROUGH = each(COLOUR, "alpha alpha_u alpha_v") | each(WORD, "distribution") | each(FLAG, "sample_visible")
-OF_METALS = each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
-OF_PLASTICS = each(COLOUR, "diffuse_reflectance specular_reflectance") | each(INDEX, "int_ior ext_ior") | each(FLAG, "nonlinear")
+OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(
+    COLOUR, "specular_reflectance specular_transmittance"
+)
+OF_ROUGH = (
+    each(COLOUR, "alpha alpha_u alpha_v")
+    | each(WORD, "distribution")
+    | each(FLAG, "sample_visible")
+)
+OF_METALS = (
+    each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
+)
+OF_PLASTICS = (
+    each(COLOUR, "diffuse_reflectance specular_reflectance")
+    | each(INDEX, "int_ior ext_ior")
+    | each(FLAG, "nonlinear")
+)
 OF_PRINCIPLED = (
     each(COLOUR, "base_color")
     | each(COLOUR, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
@@ -86,18 +122,31 @@ OF_THICK = each(COLOUR, "metallic clearcoat clearcoat_gloss") | each(
     NUMBER, "specular main_specular_sampling_rate clearcoat_sampling_rate"
 )
 OF_THIN = each(COLOUR, "diff_trans") | each(
-    NUMBER, "specular_reflectance_sampling_rate specular_transmittance_sampling_rate diffuse_transmittance_sampling_rate"
+    NUMBER,
+    "specular_reflectance_sampling_rate specular_transmittance_sampling_rate"
+    " diffuse_transmittance_sampling_rate",
 )
 OF_SKIES = (
-    each(NUMBER, "turbidity latitude longitude timezone hour minute second sun_scale sky_scale sun_aperture")
+    each(
+        NUMBER,
+        "turbidity latitude longitude timezone hour minute second sun_scale sky_scale sun_aperture",
+    )
     | each(WHOLE, "year month day")
     | each(COLOUR, "albedo")
     | each(PLACE, "sun_direction")
     | each(FLAG, "complex_sun")
 )
-OF_MEDIA = each(VOLUME, "albedo sigma_t") | each(NUMBER, "scale") | each(FLAG, "sample_emitters has_spectral_extinction")
+OF_MEDIA = (
+    each(VOLUME, "albedo sigma_t")
+    | each(NUMBER, "scale")
+    | each(FLAG, "sample_emitters has_spectral_extinction")
+)
 OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
-OF_GRIDS = each(GRID, "filename") | each(WORD, "filter_type wrap_mode") | each(FLAG, "raw accel use_grid_bbox")
+OF_GRIDS = (
+    each(GRID, "filename")
+    | each(WORD, "filter_type wrap_mode")
+    | each(FLAG, "raw accel use_grid_bbox")
+)
 IN_SHAPES, IN_SENSORS = ("bsdf", "emitter", "medium", "texture"), ("film", "sampler", "medium")
 ANY_KIND = (
     "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
@@ -128,21 +177,43 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "lanczos": Plugin(each(WHOLE, "lobes")),
     },
     "integrator": {
-        **dict.fromkeys(("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(OF_INTEGRATORS)),
-        "direct": Plugin(OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")),
+        **dict.fromkeys(
+            ("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(OF_INTEGRATORS)
+        ),
+        "direct": Plugin(
+            OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")
+        ),
     },
     "emitter": {
-        **dict.fromkeys(("area", "constant", "directionalarea"), Plugin(OF_EMITTERS | each(COLOUR, "radiance"))),
+        **dict.fromkeys(
+            ("area", "constant", "directionalarea"), Plugin(OF_EMITTERS | each(COLOUR, "radiance"))
+        ),
         "directional": Plugin(OF_EMITTERS | each(COLOUR, "irradiance") | each(PLACE, "direction")),
         "point": Plugin(OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
-        "spot": Plugin(OF_EMITTERS | each(COLOUR, "intensity texture") | each(NUMBER, "cutoff_angle beam_width")),
-        "projector": Plugin(OF_EMITTERS | OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"), holds=("texture",)),
-        "envmap": Plugin(OF_EMITTERS | each(PICTURE, "filename") | each(NUMBER, "scale") | each(FLAG, "mis_compensation")),
+        "spot": Plugin(
+            OF_EMITTERS
+            | each(COLOUR, "intensity texture")
+            | each(NUMBER, "cutoff_angle beam_width")
+        ),
+        "projector": Plugin(
+            OF_EMITTERS | OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"),
+            holds=("texture",),
+        ),
+        "envmap": Plugin(
+            OF_EMITTERS
+            | each(PICTURE, "filename")
+            | each(NUMBER, "scale")
+            | each(FLAG, "mis_compensation")
+        ),
         "sunsky": Plugin(OF_EMITTERS | OF_SKIES),
     },
     "shape": {
-        "sphere": Plugin(OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES),
-        "cylinder": Plugin(OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES),
+        "sphere": Plugin(
+            OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES
+        ),
+        "cylinder": Plugin(
+            OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES
+        ),
         **dict.fromkeys(("rectangle", "disk"), Plugin(OF_SHAPES, holds=IN_SHAPES)),
         "cube": Plugin(OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
         **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, holds=IN_SHAPES)),
@@ -185,5 +256,8 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "hg": Plugin(each(NUMBER, "g")),
         "blendphase": Plugin(each(VOLUME, "weight"), holds=("phase", "volume")),
     },
-    "volume": {"constvolume": Plugin(each(COLOUR, "value")), "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world"))},
+    "volume": {
+        "constvolume": Plugin(each(COLOUR, "value")),
+        "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world")),
+    },
 }

@@ -1,4 +1,6 @@
-"""The child process of `scene.guard.child`: `python -m pixsim.scene.guard.worker`, with the numbers of its files as arguments."""
+"""The child process of `scene.guard.child`: `python -m pixsim.scene.guard.worker`, with the numbers
+of its files as arguments.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,22 @@ from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba
 
-LACKS_MEMORY = "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser film"
+LACKS_MEMORY = (
+    "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser"
+    " film"
+)
 JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
 Picture = NDArray[np.float32]
 
 
-def answer(tracer: OwnTracer | None, request: dict[str, Any]) -> tuple[OwnTracer, dict[str, Any], Picture | None]:
-    """Return the tracer of the current job, the reply to a request, and the picture that follows it."""
+def answer(
+    tracer: OwnTracer | None, request: dict[str, Any]
+) -> tuple[OwnTracer, dict[str, Any], Picture | None]:
+    """Return the tracer of the current job, the reply to a request, and the picture that follows
+    it.
+    """
     if "job" in request:
         job = JOBS.validate_python(request["job"])
         import_mitsuba(job.variant)
@@ -38,13 +47,21 @@ def answer(tracer: OwnTracer | None, request: dict[str, Any]) -> tuple[OwnTracer
     assert tracer is not None
     if "sampler" in request and "seed" not in request:
         return tracer, {"samples": tracer.sample_count(**request)}, None
-    trace = tracer.depths if "side" in request else tracer.trace if "film" in request else tracer.trace_together
+    trace = (
+        tracer.depths
+        if "side" in request
+        else tracer.trace
+        if "film" in request
+        else tracer.trace_together
+    )
     picture = np.ascontiguousarray(trace(**request))
     return tracer, {"channels": picture.shape[2]}, picture
 
 
 def end_with_parent(life: int) -> None:
-    """Let the system end this process as soon as the other end of a pipe closes, also while Mitsuba is at work."""
+    """Let the system end this process as soon as the other end of a pipe closes, also while Mitsuba
+    is at work.
+    """
     import fcntl  # Windows has none
 
     fcntl.fcntl(life, fcntl.F_SETOWN, os.getpid())
@@ -58,7 +75,11 @@ def end_with_parent(life: int) -> None:
 
 def main(requests: int, replies: int, life: int) -> None:
     """Answer requests until there are no more."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the parent too, which kills this process
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+        signal.SIGHUP,
+    ):  # they reach the parent too, which kills this process
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGIO, signal.SIG_DFL)
     end_with_parent(life)
@@ -74,7 +95,11 @@ def main(requests: int, replies: int, life: int) -> None:
             except MemoryError:
                 reply = {"error": LACKS_MEMORY}
             except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
-                reply = {"error": f"unexpected {type(error).__name__} in the process that renders: {error}"}
+                reply = {
+                    "error": (
+                        f"unexpected {type(error).__name__} in the process that renders: {error}"
+                    )
+                }
             out.write(json.dumps(reply).encode() + b"\n")
             if picture is not None:
                 out.write(picture.data)

@@ -1,4 +1,5 @@
-"""Whether Mitsuba can trace on an NVIDIA graphics card here: a small picture is tried once in a child process, and remembered.
+"""Whether Mitsuba can trace on an NVIDIA graphics card here: a small picture is tried once in a
+child process, and remembered.
 
 A driver may abort or hang, so that only the child process that traces on the card starts it.
 """
@@ -21,7 +22,9 @@ from pixsim.scene.trial import attempt
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
 DRIVER_VARIABLE, DRIVER = "DRJIT_LIBCUDA_PATH", "libcuda.so.1"
-DRIVER_FILES = Path("/proc/driver/nvidia")  # its version and its cards, which can be read without starting it
+DRIVER_FILES = Path(
+    "/proc/driver/nvidia"
+)  # its version and its cards, which can be read without starting it
 # Variables that change what the driver shows of its cards, or which driver it is.
 DRIVER_SETTINGS = (
     "CUDA_VISIBLE_DEVICES",
@@ -34,7 +37,10 @@ DRIVER_SETTINGS = (
 PICTURE_S = 90.0  # the first picture on a card compiles everything
 KIND = "cards"
 NO_CARD = "no NVIDIA card is here (no /dev/nvidiactl)"
-NEEDS = "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1, and compute capability 7.5"
+NEEDS = (
+    "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1,"
+    " and compute capability 7.5"
+)
 NOT_CACHED = f"the cache cannot hold the result of a trial; --variant {CUDA} takes the card untried"
 
 
@@ -50,7 +56,8 @@ class GraphicsTrial:
 def without_driver() -> Iterator[None]:
     """Keep Dr.Jit from starting the driver while it is imported for the first time.
 
-    Else it takes memory of every card in each process, also for LLVM, and ends the process if that fails.
+    Else it takes memory of every card in each process, also for LLVM, and ends the process if that
+    fails.
     """
     if sys.platform != "linux" or "drjit" in sys.modules:
         yield
@@ -65,7 +72,9 @@ def without_driver() -> Iterator[None]:
 
 
 def absent() -> str | None:
-    """Return why there is nothing to try here; None if there is. It takes a few system calls, and no process."""
+    """Return why there is nothing to try here; None if there is. It takes a few system calls, and
+    no process.
+    """
     if not any(os.path.exists(node) for node in NODES):
         return NO_CARD
     driver = os.environ.get(DRIVER_VARIABLE) or DRIVER
@@ -77,17 +86,28 @@ def absent() -> str | None:
 
 
 def verdict(again: bool = False) -> GraphicsTrial:
-    """Return whether the graphics card works, from the cache or a trial; `again`: in any case from a trial."""
+    """Return whether the graphics card works, from the cache or a trial; `again`: in any case from
+    a trial.
+    """
     if fault := absent():
         return GraphicsTrial(fault, tried=False)
     has_cache = cache.limit_bytes() > 0 and cache.can_hold(KIND)
     if not again and not has_cache:
-        return GraphicsTrial(NOT_CACHED, tried=False)  # or each process, and each worker of a study, would try
+        return GraphicsTrial(
+            NOT_CACHED, tried=False
+        )  # or each process, and each worker of a study, would try
 
     settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
-    files = [machine.text_of(path) for path in (DRIVER_FILES / "version", *sorted(DRIVER_FILES.glob("gpus/*/information")))]
+    files = [
+        machine.text_of(path)
+        for path in (DRIVER_FILES / "version", *sorted(DRIVER_FILES.glob("gpus/*/information")))
+    ]
     key = content_hash([files, settings, cache.version_fingerprint("mitsuba", "drjit")])
-    trial = None if again else cache.value_of(KIND, key, lambda content: GraphicsTrial(content["fault"]))
+    trial = (
+        None
+        if again
+        else cache.value_of(KIND, key, lambda content: GraphicsTrial(content["fault"]))
+    )
     if trial is not None:
         return trial
 
@@ -96,7 +116,10 @@ def verdict(again: bool = False) -> GraphicsTrial:
     if has_cache:
         cache.store_value(KIND, key, {"fault": trial.fault})
     if not again:
-        passed = "the graphics card passed its trial: scenes are traced on it from now on, unless --variant is given"
+        passed = (
+            "the graphics card passed its trial: scenes are traced on it from now on, unless"
+            " --variant is given"
+        )
         failed = f"the graphics card is not used: {trial.fault}; `pixsim doctor` tries it again"
         warn(Note("machine", words=failed if fault else passed))
     return trial

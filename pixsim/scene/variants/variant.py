@@ -1,7 +1,8 @@
 """Choose a Mitsuba variant that runs on this machine, before Mitsuba is imported.
 
-Mitsuba 3.9 with LLVM 15 or 16 aborts the process at the first render. The LLVM version is therefore read with ctypes first;
-`LLVMGetVersion` is missing below LLVM 16. Dr.Jit reads DRJIT_LIBLLVM_PATH when it is imported, not later.
+Mitsuba 3.9 with LLVM 15 or 16 aborts the process at the first render. The LLVM version is therefore
+read with ctypes first; `LLVMGetVersion` is missing below LLVM 16. Dr.Jit reads DRJIT_LIBLLVM_PATH
+when it is imported, not later.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ SYSTEM_PATTERNS = (  # of Debian, Fedora and Arch, in /usr
 class ChosenVariant:
     """A variant, its LLVM library if any, and why it was chosen.
 
-    processors : where a graphics card traces, what reads the scene and its spectra in this process: the driver never runs here
+    processors : where a graphics card traces, what reads the scene and its spectra in this process:
+        the driver never runs here
     """
 
     variant: str
@@ -52,12 +54,15 @@ class ChosenVariant:
 
     @property
     def reading(self) -> str:
-        """The variant that reads the scene and its spectra: the one that traces, unless a graphics card does."""
+        """The variant that reads the scene and its spectra: the one that traces, unless a graphics
+        card does.
+        """
         return self.variant if self.processors is None else self.processors.variant
 
 
 def llvm_version(path: str) -> int:
-    """Return the major version of a libLLVM; 0 if it is older than 16. Raises OSError if it cannot be loaded.
+    """Return the major version of a libLLVM; 0 if it is older than 16. Raises OSError if it cannot
+    be loaded.
 
     It is loaded with ctypes, which does not abort where Mitsuba would.
     """
@@ -70,16 +75,24 @@ def llvm_version(path: str) -> int:
 
 
 def cached_version(path: str) -> int:
-    """Return `llvm_version`, cached for a library's size and time of change: loading it takes 50 ms, in vain without a render.
+    """Return `llvm_version`, cached for a library's size and time of change: loading it takes 50
+    ms, in vain without a render.
 
-    Raises OSError if it cannot be loaded, which is not cached: it may need another library that is missing.
+    Raises OSError if it cannot be loaded, which is not cached: it may need another library that is
+    missing.
     """
     if not os.path.exists(path):  # the system may find its name in a folder for libraries
         return llvm_version(path)
     file = os.stat(path)
-    key = content_hash([os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()])
+    key = content_hash(
+        [os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()]
+    )
     return cache.load_or_compute(
-        "llvm", key, lambda content: int(content["major"]), lambda: llvm_version(path), lambda major: {"major": major}
+        "llvm",
+        key,
+        lambda content: int(content["major"]),
+        lambda: llvm_version(path),
+        lambda major: {"major": major},
     )
 
 
@@ -88,12 +101,18 @@ def library_fault(path: str) -> str | None:
     try:
         version = cached_version(path)
     except OSError:
-        return "cannot be loaded (no library for this machine)" if os.path.exists(path) else "cannot be loaded (no such file)"
+        return (
+            "cannot be loaded (no library for this machine)"
+            if os.path.exists(path)
+            else "cannot be loaded (no such file)"
+        )
     return None if version >= OLDEST_LLVM else f"is version {version or '15 or older'}"
 
 
 def candidates() -> Iterator[tuple[str, str]]:
-    """Iterate over path and origin of libLLVM candidates in the order of preference, without loading them."""
+    """Iterate over path and origin of libLLVM candidates in the order of preference, without
+    loading them.
+    """
     if asked := os.environ.get(LLVM_VARIABLE):
         yield asked, LLVM_VARIABLE
     yield from ((path, SYSTEM) for path in _system_candidates())
@@ -103,7 +122,11 @@ def candidates() -> Iterator[tuple[str, str]]:
 def _newest_first(paths: Iterable[Path]) -> list[str]:
     """Resolve links and sort by the numbers in the names, so that 21 comes before 9."""
     files = {str(path.resolve()) for path in paths}
-    return sorted(files, key=lambda path: ([int(number) for number in re.findall(r"\d+", Path(path).name)], path), reverse=True)
+    return sorted(
+        files,
+        key=lambda path: ([int(number) for number in re.findall(r"\d+", Path(path).name)], path),
+        reverse=True,
+    )
 
 
 def _system_candidates() -> list[str]:
@@ -115,14 +138,17 @@ def _wheel_candidates() -> list[str]:
         files = importlib.metadata.files(LLVM_WHEEL) or []
     except importlib.metadata.PackageNotFoundError:
         return []
-    return _newest_first(Path(str(file.locate())) for file in files if file.name.startswith("libLLVM.so."))
+    return _newest_first(
+        Path(str(file.locate())) for file in files if file.name.startswith("libLLVM.so.")
+    )
 
 
 _reasons: dict[str, str] = {}  # of libraries that `choose`, not the user, wrote into the variable
 
 
 def find_llvm() -> tuple[str | None, str]:
-    """Return a usable libLLVM and its origin (the user's variable, the system or the wheel), or None and the reason.
+    """Return a usable libLLVM and its origin (the user's variable, the system or the wheel), or
+    None and the reason.
 
     Raises PixsimError if the user's variable names a library that would abort the process.
     """
@@ -135,23 +161,29 @@ def find_llvm() -> tuple[str | None, str]:
             return path, f"{origin}, LLVM {cached_version(path)}"
         if origin == LLVM_VARIABLE:
             hint = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
-            raise invalid(LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {OLDEST_LLVM} or newer", hint)
+            raise invalid(
+                LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {OLDEST_LLVM} or newer", hint
+            )
     return None, f"no LLVM {OLDEST_LLVM} or newer was found"
 
 
 @lru_cache
 def choose(asked: str | None = None) -> ChosenVariant:
-    """Choose a variant, or check the requested one, and prepare its LLVM library; call before Mitsuba is imported.
+    """Choose a variant, or check the requested one, and prepare its LLVM library; call before
+    Mitsuba is imported.
 
-    A graphics card that passed its trial is preferred, then LLVM. Falls back to `scalar_spectral` with a warning. Raises
-    PixsimError for an unknown variant, for an LLVM variant without a usable LLVM, and for a CUDA variant without a driver.
+    A graphics card that passed its trial is preferred, then LLVM. Falls back to `scalar_spectral`
+    with a warning. Raises PixsimError for an unknown variant, for an LLVM variant without a usable
+    LLVM, and for a CUDA variant without a driver.
     """
     if asked is not None and asked not in VARIANTS:
         raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS), did_you_mean(asked, VARIANTS))
     if asked == SCALAR:
         return ChosenVariant(SCALAR, None, "requested")
     if asked == CUDA and (fault := graphics.absent()):
-        raise invalid("variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT)
+        raise invalid(
+            "variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT
+        )
     processors, lacks = _for_processors(asked)
     if asked == CUDA:
         return ChosenVariant(CUDA, processors.llvm_path, "requested", processors)
@@ -159,7 +191,9 @@ def choose(asked: str | None = None) -> ChosenVariant:
         return processors
     card = graphics.verdict()
     if card.fault is None:
-        return ChosenVariant(CUDA, processors.llvm_path, "the graphics card passed its trial", processors)
+        return ChosenVariant(
+            CUDA, processors.llvm_path, "the graphics card passed its trial", processors
+        )
     if lacks:
         warn(Note("machine", words=f"rendering with {SCALAR}, since {lacks}"))
     return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
@@ -179,5 +213,10 @@ def _for_processors(asked: str | None) -> tuple[ChosenVariant, str]:
         _reasons[path] = reason
         return ChosenVariant(LLVM, path, reason), ""
     if asked == LLVM:
-        raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"To mend it, {hint}.")
+        raise invalid(
+            "variant",
+            f"'{asked}', but {reason}",
+            f"LLVM {OLDEST_LLVM} or newer",
+            f"To mend it, {hint}.",
+        )
     return ChosenVariant(SCALAR, None, reason), f"{reason}; {hint}"

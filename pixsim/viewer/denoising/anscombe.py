@@ -1,11 +1,13 @@
 """The generalised Anscombe transform and its exact unbiased inverse.
 
-A value z of Poisson electrons of mean λ plus Gaussian noise of variance σ² becomes f(z) = 2 √(z + 3/8 + σ²), 0 where the root has
-none, whose variance is nearly 1 from a few electrons on. What a filter makes of such values are expectations E{f(z) | λ, σ}, and
-f⁻¹ of an expectation is not λ, since f is curved. The exact unbiased inverse is the λ for which the expectation is that value.
+A value z of Poisson electrons of mean λ plus Gaussian noise of variance σ² becomes f(z) = 2 √(z +
+3/8 + σ²), 0 where the root has none, whose variance is nearly 1 from a few electrons on. What a
+filter makes of such values are expectations E{f(z) | λ, σ}, and f⁻¹ of an expectation is not λ,
+since f is curved. The exact unbiased inverse is the λ for which the expectation is that value.
 
-F. Murtagh, J.-L. Starck & A. Bijaoui, Astron. Astrophys. Suppl. Ser. 112 (1995) 179; M. Mäkitalo & A. Foi, "Optimal inversion of
-the generalized Anscombe transformation for Poisson-Gaussian noise", IEEE Trans. Image Process. 22 (2013) 91.
+F. Murtagh, J.-L. Starck & A. Bijaoui, Astron. Astrophys. Suppl. Ser. 112 (1995) 179; M. Mäkitalo &
+A. Foi, "Optimal inversion of the generalized Anscombe transformation for Poisson-Gaussian noise",
+IEEE Trans. Image Process. 22 (2013) 91.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ TABLE_END = 2e3  # of f, a million electrons: beyond, the correction is constant
 
 
 def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
-    """Return 2 √(z + 3/8 + σ²), the values (...) whose noise has nearly variance 1; 0 where the root has none.
+    """Return 2 √(z + 3/8 + σ²), the values (...) whose noise has nearly variance 1; 0 where the
+    root has none.
 
-    signal_e : (...) z, electrons of light and dark together, as read: with noise, and below 0 where that is larger
+    signal_e : (...) z, electrons of light and dark together, as read: with noise, and below 0 where
+        that is larger
     gaussian_variance_e2 : σ², of the noise that does not grow with the signal
 
     >>> float(forward(100.0, 0.0)).__round__(3)
@@ -49,8 +53,9 @@ def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
 def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     """Return the mean electrons λ, (...), of which the expectation of `forward` is each value.
 
-    Exact for values without noise. Of values that have kept noise of variance v, such as those of a weak filter, the mean is about
-    v/4 e- too large, since the inverse is curved, too. Below the expectation at λ = 0 it goes on straight, to negative electrons.
+    Exact for values without noise. Of values that have kept noise of variance v, such as those of a
+    weak filter, the mean is about v/4 e- too large, since the inverse is curved, too. Below the
+    expectation at λ = 0 it goes on straight, to negative electrons.
 
     values : (...) filtered values of `forward`
     gaussian_variance_e2 : that of `forward`
@@ -66,11 +71,16 @@ def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     base -= OFFSET_E + gaussian_variance_e2
     base += np.interp(values, knots, corrections)
     below = values < knots[0]
-    return np.asarray(np.where(below, slope * (values - knots[0]), base)) if below.any() else np.asarray(base)
+    return (
+        np.asarray(np.where(below, slope * (values - knots[0]), base))
+        if below.any()
+        else np.asarray(base)
+    )
 
 
 def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tuple[Array, Array]:
-    """Return the expectation and the variance of `forward` over Poisson electrons with Gaussian noise, (...) each.
+    """Return the expectation and the variance of `forward` over Poisson electrons with Gaussian
+    noise, (...) each.
 
     mean_e : (...) λ, of light and dark together
     gaussian_variance_e2 : σ²
@@ -95,12 +105,20 @@ def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     centres, spread = counts + OFFSET_E + variance_e2, math.sqrt(variance_e2)
     if spread:
         # E √u over Gaussian u > 0, by r = √u, in which the integrand 2 r² φ is smooth
-        ends = np.sqrt(np.maximum(np.stack([centres - TAIL * spread, centres + TAIL * spread]), 0.0))
-        root = ends[0] + (ends[1] - ends[0]) * (np.arange(GAUSSIAN_STEPS + 1.0)[:, None] / GAUSSIAN_STEPS)
-        density = np.exp(-(((root**2 - centres) / spread) ** 2) / 2) / (spread * math.sqrt(2 * math.pi))
+        ends = np.sqrt(
+            np.maximum(np.stack([centres - TAIL * spread, centres + TAIL * spread]), 0.0)
+        )
+        root = ends[0] + (ends[1] - ends[0]) * (
+            np.arange(GAUSSIAN_STEPS + 1.0)[:, None] / GAUSSIAN_STEPS
+        )
+        density = np.exp(-(((root**2 - centres) / spread) ** 2) / 2) / (
+            spread * math.sqrt(2 * math.pi)
+        )
         roots = (2 * root**2 * density).sum(axis=0) * (ends[1] - ends[0]) / GAUSSIAN_STEPS
         at = centres / spread
-        squares = centres * ndtr(at) + spread * np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)  # E u over u > 0
+        squares = centres * ndtr(at) + spread * np.exp(-(at**2) / 2) / math.sqrt(
+            2 * math.pi
+        )  # E u over u > 0
     else:
         roots, squares = np.sqrt(centres), centres
     mean = 2 * (shares * roots).sum(axis=1)
@@ -116,7 +134,10 @@ def _series(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     cumulants = {1: 0.0 * total, 2: total} | dict.fromkeys(range(3, 9), mean_e)
     central = {0: 1.0 + 0.0 * total}
     for order in range(1, 9):
-        terms = (math.comb(order - 1, k - 1) * cumulants[k] * central[order - k] for k in range(1, order + 1))
+        terms = (
+            math.comb(order - 1, k - 1) * cumulants[k] * central[order - k]
+            for k in range(1, order + 1)
+        )
         central[order] = sum(terms, 0.0 * total)
     relative = {order: moment / centre**order for order, moment in central.items()}
     root = {order: _binomial(order) * relative[order] for order in range(9)}

@@ -1,12 +1,13 @@
-"""Denoising of a plane of electrons: transform to white noise of variance 1, filter, exact unbiased inverse.
+"""Denoising of a plane of electrons: transform to white noise of variance 1, filter, exact unbiased
+inverse.
 
-The filters are those of scikit-image, with the known noise in place of an estimate; or a function of one's own. A plane holds the
-pixels of one channel. The fixed pattern is noise of the picture too: it has another variance than the filters are told, and that of
-columns is not white.
+The filters are those of scikit-image, with the known noise in place of an estimate; or a function
+of one's own. A plane holds the pixels of one channel. The fixed pattern is noise of the picture
+too: it has another variance than the filters are told, and that of columns is not white.
 
-A. Buades, B. Coll & J.-M. Morel, CVPR (2005) 60, in the fast form of J. Darbon et al., ISBI (2008) 1331: non-local means.
-S. G. Chang, B. Yu & M. Vetterli, IEEE Trans. Image Process. 9 (2000) 1532: BayesShrink; R. R. Coifman & D. L. Donoho, Wavelets and
-Statistics (1995) 125: the mean over shifts.
+A. Buades, B. Coll & J.-M. Morel, CVPR (2005) 60, in the fast form of J. Darbon et al., ISBI (2008)
+1331: non-local means. S. G. Chang, B. Yu & M. Vetterli, IEEE Trans. Image Process. 9 (2000) 1532:
+BayesShrink; R. R. Coifman & D. L. Donoho, Wavelets and Statistics (1995) 125: the mean over shifts.
 """
 
 from __future__ import annotations
@@ -23,12 +24,17 @@ from pixsim.base.bounds import FINITE, Axes, NotNegative
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.viewer.denoising import anscombe
 
-Denoiser = Callable[[Array, float], Array]  # of a plane whose noise has variance 1, and of how strong that is to be taken
+Denoiser = Callable[
+    [Array, float], Array
+]  # of a plane whose noise has variance 1, and of how strong that is to be taken
 Named = Literal["nlm", "wavelet"]
 PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
 NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
-WAVELET, WAVELET_LEVELS = "db2", 4  # whatever the size of the plane, from 48 pixels on: scikit-image's default grows with it
+WAVELET, WAVELET_LEVELS = (
+    "db2",
+    4,
+)  # whatever the size of the plane, from 48 pixels on: scikit-image's default grows with it
 LEAST_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 
@@ -46,13 +52,17 @@ def denoised_plane(
 ) -> Array:
     """Return a plane (H, W) of the expected electrons that a filter finds in one with noise.
 
-    raw_e : (H, W) electrons of light and dark together, of one channel, in which the variance of the noise is that of a Poisson
-        number plus the next; of several frames their sum
-    gaussian_variance_e2 : of the noise that does not grow with the signal: reset, read noise and rounding
-    method : nlm, wavelet, or a function of a plane whose noise has variance 1, and of `strength`, that returns such a plane
-    strength : of the noise that the filter takes away, relative to the known one; 0 leaves the plane as it is
+    raw_e : (H, W) electrons of light and dark together, of one channel, in which the variance of
+        the noise is that of a Poisson number plus the next; of several frames their sum
+    gaussian_variance_e2 : of the noise that does not grow with the signal: reset, read noise and
+        rounding
+    method : nlm, wavelet, or a function of a plane whose noise has variance 1, and of `strength`,
+        that returns such a plane
+    strength : of the noise that the filter takes away, relative to the known one; 0 leaves the
+        plane as it is
 
-    Raises PixsimError if scikit-image is missing, the plane is smaller than the filter's window, or a function fails.
+    Raises PixsimError if scikit-image is missing, the plane is smaller than the filter's window, or
+    a function fails.
     """
     if not strength:
         return raw_e.copy()
@@ -61,7 +71,10 @@ def denoised_plane(
         if min(raw_e.shape) < least:
             got = f"a plane of {' × '.join(map(str, raw_e.shape))} pixels"
             raise invalid(
-                f"denoise '{method}'", got, f"{least} pixels or more along each axis", "Take smaller pixels or no filter."
+                f"denoise '{method}'",
+                got,
+                f"{least} pixels or more along each axis",
+                "Take smaller pixels or no filter.",
             )
         if missing := lacks_packages():
             raise PixsimError(f"denoise '{method}' needs {missing}.")
@@ -77,18 +90,25 @@ def _filter_of(method: Named | Denoiser) -> Denoiser:
 
 
 def non_local_means(plane: Array, sigma: float) -> Array:
-    """Return scikit-image's `denoise_nl_means`, fast mode, of a plane (H, W) with white noise of standard deviation sigma."""
+    """Return scikit-image's `denoise_nl_means`, fast mode, of a plane (H, W) with white noise of
+    standard deviation sigma.
+    """
     from skimage.restoration import denoise_nl_means  # imported here: it takes 0.3 s
 
-    sizes: dict[str, Any] = {"patch_size": NLM_PATCH, "patch_distance": NLM_DISTANCE, "fast_mode": True}
+    sizes: dict[str, Any] = {
+        "patch_size": NLM_PATCH,
+        "patch_distance": NLM_DISTANCE,
+        "fast_mode": True,
+    }
     return np.asarray(denoise_nl_means(plane, h=NLM_CUT_OFF * sigma, sigma=sigma, **sizes))
 
 
 def wavelet_shrinkage(plane: Array, sigma: float) -> Array:
-    """Return the mean of scikit-image's `denoise_wavelet` of a plane (H, W), and of it shifted by a pixel down, across, and both.
+    """Return the mean of scikit-image's `denoise_wavelet` of a plane (H, W), and of it shifted by a
+    pixel down, across, and both.
 
-    One alone would depend on where the picture lies on the wavelets' grid. Borders are reflected. Waves of up to 16 pixels are
-    shrunk, and in planes of less than 48 pixels fewer.
+    One alone would depend on where the picture lies on the wavelets' grid. Borders are reflected.
+    Waves of up to 16 pixels are shrunk, and in planes of less than 48 pixels fewer.
 
     sigma : standard deviation of the white noise
     """
@@ -96,11 +116,18 @@ def wavelet_shrinkage(plane: Array, sigma: float) -> Array:
     from skimage.restoration import denoise_wavelet
 
     levels = min(WAVELET_LEVELS, dwt_max_level(min(plane.shape), WAVELET))
-    how: dict[str, Any] = {"wavelet": WAVELET, "wavelet_levels": levels, "method": "BayesShrink", "mode": "soft"}
+    how: dict[str, Any] = {
+        "wavelet": WAVELET,
+        "wavelet_levels": levels,
+        "method": "BayesShrink",
+        "mode": "soft",
+    }
     (height, width), padded = plane.shape, np.pad(plane, 1, mode="symmetric")
     total = np.zeros(plane.shape)
     for down, across in product((0, 1), repeat=2):
-        part = denoise_wavelet(padded[down : height + 1 + down, across : width + 1 + across], sigma=sigma, **how)
+        part = denoise_wavelet(
+            padded[down : height + 1 + down, across : width + 1 + across], sigma=sigma, **how
+        )
         total += part[1 - down : 1 - down + height, 1 - across : 1 - across + width]
     return total / 4
 
@@ -111,7 +138,11 @@ def _checked(function: Denoiser) -> Denoiser:
     def call(plane: Array, sigma: float) -> Array:
         values = values_of("denoise", function, plane.shape, plane, sigma)
         if (place := first_where(~np.isfinite(values))) is not None:
-            raise invalid("denoise", f"one that returns {values[place]} at {place}", "a function that returns finite numbers")
+            raise invalid(
+                "denoise",
+                f"one that returns {values[place]} at {place}",
+                "a function that returns finite numbers",
+            )
         return np.broadcast_to(values, plane.shape)
 
     return call

@@ -1,12 +1,15 @@
-"""The linear, shift-invariant filter of least mean square error, which knows the true spectra of picture and noise.
+"""The linear, shift-invariant filter of least mean square error, which knows the true spectra of
+picture and noise.
 
-A filter with a kernel that is even along both axes, on a picture that goes on beyond its borders by half-sample reflection,
-multiplies the coefficients of its DCT-II. For those of a picture C and of noise with variances N, the factors H have the error
-(1 - H)² C² + H² N; the least, S N/(S + N) with S = C², is at H = S/(S + N), for each coefficient and hence for all filters of this
-kind. It bounds no other filters, such as those that adapt to the picture, and no other measure than the mean square error.
+A filter with a kernel that is even along both axes, on a picture that goes on beyond its borders by
+half-sample reflection, multiplies the coefficients of its DCT-II. For those of a picture C and of
+noise with variances N, the factors H have the error (1 - H)² C² + H² N; the least, S N/(S + N) with
+S = C², is at H = S/(S + N), for each coefficient and hence for all filters of this kind. It bounds
+no other filters, such as those that adapt to the picture, and no other measure than the mean square
+error.
 
-N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series (1949); A. K. Jain, Fundamentals of Digital Image
-Processing (1989) 8.3.
+N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series (1949); A. K. Jain,
+Fundamentals of Digital Image Processing (1989) 8.3.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ Power = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 
 
 def signal_power(plane: Plane) -> Array:
-    """Return the squares of the orthonormal DCT-II coefficients of a picture without noise, (H, W), in its unit squared."""
+    """Return the squares of the orthonormal DCT-II coefficients of a picture without noise, (H, W),
+    in its unit squared.
+    """
     power = dct(plane, in_place=False)  # 2 Σ cos along each axis
     power *= power
     power /= 4 * power.size
@@ -33,11 +38,14 @@ def signal_power(plane: Plane) -> Array:
     return power
 
 
-def noise_power(variance: Power, *, column_variance: NotNegative = 0.0, row_variance: NotNegative = 0.0) -> Array:
-    """Return the variances of the orthonormal DCT-II coefficients of noise, (H, W), in the unit of the variances.
+def noise_power(
+    variance: Power, *, column_variance: NotNegative = 0.0, row_variance: NotNegative = 0.0
+) -> Array:
+    """Return the variances of the orthonormal DCT-II coefficients of noise, (H, W), in the unit of
+    the variances.
 
-    Exact, for any course of the variance over the picture: cos² in the sum over pixels is (1 + cos 2…)/2, and that of the variance
-    itself is its own DCT.
+    Exact, for any course of the variance over the picture: cos² in the sum over pixels is (1 + cos
+    2…)/2, and that of the variance itself is its own DCT.
 
     variance : (H, W) of each pixel on its own, such as the signal's shot noise and the read noise
     column_variance, row_variance : of an offset that all pixels of a column, or a row, share
@@ -53,11 +61,15 @@ def noise_power(variance: Power, *, column_variance: NotNegative = 0.0, row_vari
 
 
 def _at_doubled(cosines: Array, axis: int) -> Array:
-    """Return values (at 0, and at twice each index) summed, along an axis: of orthonormal DCT-II functions squared."""
+    """Return values (at 0, and at twice each index) summed, along an axis: of orthonormal DCT-II
+    functions squared.
+    """
     along = np.moveaxis(cosines, axis, 0)
     count = len(along)
     index = 2 * np.arange(count)
-    sign = np.where(index > count, -1.0, 1.0) * (index != count)  # cos π(2y + 1) k/n is odd about k = n/2
+    sign = np.where(index > count, -1.0, 1.0) * (
+        index != count
+    )  # cos π(2y + 1) k/n is odd about k = n/2
     folded = along[np.where(index > count, 2 * count - index, np.minimum(index, count - 1))]
     result = folded * sign[:, None]
     result += along[0]
@@ -66,7 +78,8 @@ def _at_doubled(cosines: Array, axis: int) -> Array:
 
 
 def response(signal: Power, noise: Power) -> Array:
-    """Return the factors S/(S + N) of the coefficients, (H, W); 1 where there is neither picture nor noise.
+    """Return the factors S/(S + N) of the coefficients, (H, W); 1 where there is neither picture
+    nor noise.
 
     signal, noise : (H, W) `signal_power` and `noise_power`, or those of an ensemble of pictures
 
@@ -78,7 +91,8 @@ def response(signal: Power, noise: Power) -> Array:
 
 
 def mean_square_error(signal: Power, noise: Power) -> float:
-    """Return the mean square error of a pixel behind the filter, the mean of S N/(S + N), in the unit of the powers.
+    """Return the mean square error of a pixel behind the filter, the mean of S N/(S + N), in the
+    unit of the powers.
 
     signal, noise : as of `response`
 
@@ -107,14 +121,18 @@ def wiener_plane(
     column_variance_e2: NotNegative = 0.0,
     row_variance_e2: NotNegative = 0.0,
 ) -> Array:
-    """Return a noisy plane (H, W) behind the filter of least mean square error to what is expected of it.
+    """Return a noisy plane (H, W) behind the filter of least mean square error to what is expected
+    of it.
 
     raw_e : (H, W) with noise
-    expected_e : (H, W) without: the picture behind lens and pixel, which the filter does not make sharper
+    expected_e : (H, W) without: the picture behind lens and pixel, which the filter does not make
+        sharper
     variance_e2 : (H, W) of each pixel's noise, with that of fixed patterns, if they are in `raw_e`
     column_variance_e2, row_variance_e2 : as of `noise_power`
     """
-    noise = noise_power(variance_e2, column_variance=column_variance_e2, row_variance=row_variance_e2)
+    noise = noise_power(
+        variance_e2, column_variance=column_variance_e2, row_variance=row_variance_e2
+    )
     return filtered(raw_e, response(signal_power(expected_e), noise))
 
 

@@ -1,8 +1,9 @@
 """Judges of frames and pictures beside ΔE, `pixsim.metrics`: pure functions of arrays and numbers.
 
-`linear_observer` (a target in a raw frame) and `non_prewhitening` (one in a shown picture), `information_density` (bits per area of
-the sensor), `sharpness` (MTF of an edge, MTF50, acutance), `visible_noise` (of the shown picture), `snr_illuminance` (the light for
-an SNR of 10), `interpretability` (NIIRS). Names are imported on first use.
+`linear_observer` (a target in a raw frame) and `non_prewhitening` (one in a shown picture),
+`information_density` (bits per area of the sensor), `sharpness` (MTF of an edge, MTF50, acutance),
+`visible_noise` (of the shown picture), `snr_illuminance` (the light for an SNR of 10),
+`interpretability` (NIIRS). Names are imported on first use.
 """
 
 TYPE_CHECKING = False
@@ -14,15 +15,24 @@ if TYPE_CHECKING:
         neq as neq,
         radial_spectrum as radial_spectrum,
     )
-    from pixsim.viewer.judges.interpretability import niirs as niirs, relative_edge_response as relative_edge_response
+    from pixsim.viewer.judges.interpretability import (
+        niirs as niirs,
+        relative_edge_response as relative_edge_response,
+    )
     from pixsim.viewer.judges.linear_observer import detectability as detectability
     from pixsim.viewer.judges.non_prewhitening import npwe as npwe, npwe_template as npwe_template
-    from pixsim.viewer.judges.sharpness import acutance as acutance, edge_mtf as edge_mtf, mtf50 as mtf50
+    from pixsim.viewer.judges.sharpness import (
+        acutance as acutance,
+        edge_mtf as edge_mtf,
+        mtf50 as mtf50,
+    )
     from pixsim.viewer.judges.snr_illuminance import snr10_lx as snr10_lx
     from pixsim.viewer.judges.visible_noise import visual_noise as visual_noise
 
 _NAMES_OF = {
-    "information_density": "folded_spectrum information_bits_per_mm2 natural_spectrum neq radial_spectrum",
+    "information_density": (
+        "folded_spectrum information_bits_per_mm2 natural_spectrum neq radial_spectrum"
+    ),
     "interpretability": "niirs relative_edge_response",
     "linear_observer": "detectability",
     "non_prewhitening": "npwe npwe_template",

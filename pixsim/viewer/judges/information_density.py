@@ -1,8 +1,10 @@
-"""Information per area of the sensor: what the spectra of a scene, of noise and of aliases leave of it.
+"""Information per area of the sensor: what the spectra of a scene, of noise and of aliases leave of
+it.
 
 Spectra are two-sided, in signal² mm²: independent noise of variance σ² in each pixel has σ² pitch².
 
-C. L. Fales & F. O. Huck, "An information theory of image gathering", Information Sciences 57 (1991) 245.
+C. L. Fales & F. O. Huck, "An information theory of image gathering", Information Sciences 57 (1991)
+245.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ Axis = Annotated[Array, FINITE, Axes(1)]
 
 
 def axis_weights(frequency: Array) -> Array:
-    """Return the width of the cell of each frequency of an axis (n,), as `information_bits_per_mm2` takes them, in their unit.
+    """Return the width of the cell of each frequency of an axis (n,), as `information_bits_per_mm2`
+    takes them, in their unit.
 
     The ends of a sorted axis have half a cell (trapezium), those of `np.fft.fftfreq` a whole one.
 
@@ -39,32 +42,50 @@ def axis_weights(frequency: Array) -> Array:
         tolerance = WITHIN * step
         is_sorted = bool((frequency == ordered).all())
         of_fft = not is_sorted and bool((frequency == np.fft.ifftshift(ordered)).all())
-        # -Nyquist stands for both ends of an even number; an odd one has its ends half a cell inside.
+        # -Nyquist stands for both ends of an even number; an odd one has its ends half a cell
+        # inside.
         misses = first + last + step if frequency.size % 2 == 0 else first + last
-        if (of_fft or (is_sorted and frequency.size % 2 == 0)) and abs(misses) <= tolerance and np.ptp(steps) <= tolerance:
+        if (
+            (of_fft or (is_sorted and frequency.size % 2 == 0))
+            and abs(misses) <= tolerance
+            and np.ptp(steps) <= tolerance
+        ):
             return np.full(frequency.size, step)
         if is_sorted and (first == 0 or abs(first + last) <= tolerance):
             trapezium = (np.append(0.0, steps) + np.append(steps, 0.0)) / 2
             return trapezium * (2 if first == 0 else 1)
-    hint = "Take np.linspace(-1, 1, n) / (2 * pitch_mm), np.linspace(0, 1, n) / (2 * pitch_mm) or np.fft.fftfreq(n, pitch_mm)."
+    hint = (
+        "Take np.linspace(-1, 1, n) / (2 * pitch_mm), np.linspace(0, 1, n) / (2 * pitch_mm) or"
+        " np.fft.fftfreq(n, pitch_mm)."
+    )
     got = f"{frequency.size} from {frequency.min():g} to {frequency.max():g}"
-    raise invalid("frequency_cy_per_mm", got, "rising frequencies from -Nyquist or 0 to the Nyquist frequency", hint)
+    raise invalid(
+        "frequency_cy_per_mm",
+        got,
+        "rising frequencies from -Nyquist or 0 to the Nyquist frequency",
+        hint,
+    )
 
 
 def information_bits_per_mm2(
     frequency_cy_per_mm: Axis, signal: NotNegatives, noise: Positives, folded: NotNegatives = 0.0
 ) -> float:
-    """Return the information in bits per mm² of sensor, ½ ∬ log₂(1 + signal/(noise + folded)), over the Nyquist square.
+    """Return the information in bits per mm² of sensor, ½ ∬ log₂(1 + signal/(noise + folded)), over
+    the Nyquist square.
 
-    Exact for constant spectra; Fales & Huck (1991). Per square degree of field it is (focal length in mm · π/180)² times that.
+    Exact for constant spectra; Fales & Huck (1991). Per square degree of field it is (focal length
+    in mm · π/180)² times that.
 
-    frequency_cy_per_mm : (n,) of either axis: rising from minus the Nyquist frequency 1/(2 pitch) to it, both included; or from 0
-        to it, a quadrant that stands for all four; or as `np.fft.fftfreq(n, pitch)` has them
-    signal : S |T|² of the scene's spectrum and the MTF T, (n, n) along y and x, or a number, in signal² mm²
+    frequency_cy_per_mm : (n,) of either axis: rising from minus the Nyquist frequency 1/(2 pitch)
+        to it, both included; or from 0 to it, a quadrant that stands for all four; or as
+        `np.fft.fftfreq(n, pitch)` has them
+    signal : S |T|² of the scene's spectrum and the MTF T, (n, n) along y and x, or a number, in
+        signal² mm²
     noise : of everything that is no signal, fixed pattern too, likewise
     folded : aliases of the scene, `folded_spectrum`, likewise
 
-    Raises PixsimError if the axis does not end at the Nyquist frequency in one of these ways, or a shape is another one.
+    Raises PixsimError if the axis does not end at the Nyquist frequency in one of these ways, or a
+    shape is another one.
 
     >>> square = np.linspace(-100.0, 100.0, 33)  # of 5 µm pixels: ½ · 200² mm⁻² · log₂(1 + 3)
     >>> information_bits_per_mm2(square, 3.0, 1.0)
@@ -73,31 +94,49 @@ def information_bits_per_mm2(
     weights, count = axis_weights(frequency_cy_per_mm), frequency_cy_per_mm.size
     for name, values in (("signal", signal), ("noise", noise), ("folded", folded)):
         if np.shape(values) not in ((), (count, count)):
-            raise invalid(name, f"an array of shape {np.shape(values)}", f"({count}, {count}), as the frequencies, or a number")
+            raise invalid(
+                name,
+                f"an array of shape {np.shape(values)}",
+                f"({count}, {count}), as the frequencies, or a number",
+            )
     with np.errstate(over="ignore"):
-        bits = np.log1p(np.asarray(signal, float) / (np.asarray(noise, float) + folded)) / math.log(2)
-    return float(((np.broadcast_to(bits, (count, count)) * weights).sum(axis=1) * weights).sum() / 2)
+        bits = np.log1p(np.asarray(signal, float) / (np.asarray(noise, float) + folded)) / math.log(
+            2
+        )
+    return float(
+        ((np.broadcast_to(bits, (count, count)) * weights).sum(axis=1) * weights).sum() / 2
+    )
 
 
-def natural_spectrum(frequency_cy_per_mm: Finites, level: NotNegative, corner_cy_per_mm: Positive) -> Array:
-    """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in the unit of C times mm².
+def natural_spectrum(
+    frequency_cy_per_mm: Finites, level: NotNegative, corner_cy_per_mm: Positive
+) -> Array:
+    """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in the unit of
+    C times mm².
 
-    D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379, found 1/f²; a corner, the reciprocal of the largest things, bounds it.
+    D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379, found 1/f²; a corner, the reciprocal of the
+    largest things, bounds it.
 
     frequency_cy_per_mm : |f|, `np.hypot` of both axes
-    level : C, the signal in any unit, squared; frequencies up to f have the variance π C ln(1 + f²/f₀²)
+    level : C, the signal in any unit, squared; frequencies up to f have the variance π C ln(1 +
+        f²/f₀²)
     corner_cy_per_mm : f₀, on the sensor
     """
     with np.errstate(over="ignore"):
-        return np.asarray(level / (np.asarray(frequency_cy_per_mm, float) ** 2 + corner_cy_per_mm**2))
+        return np.asarray(
+            level / (np.asarray(frequency_cy_per_mm, float) ** 2 + corner_cy_per_mm**2)
+        )
 
 
-def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positive) -> tuple[Array, Array]:
-    """Return the spectrum of a picture over all directions: frequencies (n,) in cy/mm, and power (n,), its unit squared times mm².
+def radial_spectrum(
+    picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positive
+) -> tuple[Array, Array]:
+    """Return the spectrum of a picture over all directions: frequencies (n,) in cy/mm, and power
+    (n,), its unit squared times mm².
 
-    A periodogram without the mean, behind Hann's window (P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70), averaged in
-    rings as wide as the window resolves: the logarithm of a raw one is biased. The blur of the cells, of which the samples are
-    means, is undone.
+    A periodogram without the mean, behind Hann's window (P. D. Welch, IEEE Trans. Audio
+    Electroacoust. 15 (1967) 70), averaged in rings as wide as the window resolves: the logarithm of
+    a raw one is biased. The blur of the cells, of which the samples are means, is undone.
 
     picture : (H, W) expected light, means over square cells
     pitch_um : of the cells
@@ -105,7 +144,11 @@ def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positi
     Raises PixsimError for a picture of less than 8 cells along an axis.
     """
     if min(picture.shape) < MIN_CELLS:
-        raise invalid("picture", f"an array of shape {picture.shape}", f"{MIN_CELLS} cells or more along each axis")
+        raise invalid(
+            "picture",
+            f"an array of shape {picture.shape}",
+            f"{MIN_CELLS} cells or more along each axis",
+        )
     pitch_mm, largest = pitch_um / UM_PER_MM, float(np.abs(picture).max()) or 1.0
     windows = [np.hanning(count + 2)[1:-1] for count in picture.shape]
     weight = windows[0][:, None] * windows[1]
@@ -113,8 +156,14 @@ def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positi
     values = (values - float((values * weight).sum() / weight.sum())) * weight
     along_y, along_x = np.fft.fftfreq(picture.shape[0]), np.fft.rfftfreq(picture.shape[1])
     blur = np.sinc(along_y)[:, None] * np.sinc(along_x)
-    power = np.abs(np.fft.rfft2(values) / blur) ** 2 * (pitch_mm * largest) ** 2 / float((weight**2).sum())
-    twice = np.where((along_x == 0) | (along_x == 0.5), 1.0, 2.0)  # for the half of the plane that is left out
+    power = (
+        np.abs(np.fft.rfft2(values) / blur) ** 2
+        * (pitch_mm * largest) ** 2
+        / float((weight**2).sum())
+    )
+    twice = np.where(
+        (along_x == 0) | (along_x == 0.5), 1.0, 2.0
+    )  # for the half of the plane that is left out
     ring_px = 2 / min(picture.shape)
     ring = (np.hypot(along_y[:, None], along_x) / ring_px + 0.5 + WITHIN).astype(
         int
@@ -131,18 +180,24 @@ def folded_spectrum(
     pitch_um: Positive,
     orders: Annotated[int, Bounds(1, MAX_ORDERS)] = 2,
 ) -> Array:
-    """Return the aliases Σ P(f + k/pitch), k ≠ 0, of a spectrum that pixels sample, (n, n) in the unit of the power.
+    """Return the aliases Σ P(f + k/pitch), k ≠ 0, of a spectrum that pixels sample, (n, n) in the
+    unit of the power.
 
     They are noise to what is at f itself. Fales & Huck (1991).
 
-    power : function of two arrays that broadcast, (n, 1) and (n,), frequencies along y and x in cy/mm: S |T|², also beyond Nyquist
+    power : function of two arrays that broadcast, (n, 1) and (n,), frequencies along y and x in
+        cy/mm: S |T|², also beyond Nyquist
     frequency_cy_per_mm : (n,) of either axis, in any order
     pitch_um : of the pixels
     orders : how many multiples of 1/pitch on either side of 0, in both axes
 
     Raises PixsimError if the function fails, or returns another shape.
     """
-    along_y, along_x, folded = frequency_cy_per_mm[:, None], frequency_cy_per_mm, np.zeros((frequency_cy_per_mm.size,) * 2)
+    along_y, along_x, folded = (
+        frequency_cy_per_mm[:, None],
+        frequency_cy_per_mm,
+        np.zeros((frequency_cy_per_mm.size,) * 2),
+    )
     for j, i in product(range(-orders, orders + 1), repeat=2):
         if i or j:
             shifted = along_y + j * UM_PER_MM / pitch_um, along_x + i * UM_PER_MM / pitch_um
@@ -151,12 +206,15 @@ def folded_spectrum(
 
 
 def neq(mtf: Finites, noise_power: Positives, mean: NotNegative) -> Array:
-    """Return the noise-equivalent quanta, mean² |T|²/N, per unit area; it has the shape to which MTF and noise broadcast.
+    """Return the noise-equivalent quanta, mean² |T|²/N, per unit area; it has the shape to which
+    MTF and noise broadcast.
 
-    The quanta that an ideal detector would need for the same ratio of signal to noise at a frequency. Of mm⁻² for noise in mm².
-    R. Shaw, J. Photogr. Sci. 11 (1963) 199; ICRU Report 54 (1996).
+    The quanta that an ideal detector would need for the same ratio of signal to noise at a
+    frequency. Of mm⁻² for noise in mm². R. Shaw, J. Photogr. Sci. 11 (1963) 199; ICRU Report 54
+    (1996).
 
-    mtf, noise_power : broadcast together; noise power in signal² mm², as of `information_bits_per_mm2`
+    mtf, noise_power : broadcast together; noise power in signal² mm², as of
+        `information_bits_per_mm2`
     mean : of the signal, in its unit
 
     Raises PixsimError if the shapes do not broadcast.

@@ -1,17 +1,19 @@
-"""The ideal linear observer of a target at a known place: how many standard deviations apart frames with and without it are.
+"""The ideal linear observer of a target at a known place: how many standard deviations apart frames
+with and without it are.
 
-Fixed patterns that the observer does not know are noise as any other: per pixel in the variance, and offsets that the pixels of a
-column or a row share. With w = 1/variance, d′² = Δᵀ K⁻¹ Δ is the least value over the offsets a and b of
+Fixed patterns that the observer does not know are noise as any other: per pixel in the variance,
+and offsets that the pixels of a column or a row share. With w = 1/variance, d′² = Δᵀ K⁻¹ Δ is the
+least value over the offsets a and b of
 
     Σ w (Δ - a - b)² + Σ a²/column_variance + Σ b²/row_variance
 
-a sum without cancellation, in which errors of the offsets count squared only. For any b the best a is known; b is found by
-conjugate gradients on the smaller axis, without a matrix of the pixels, and without BLAS, whose rounding depends on the number of
-threads.
+a sum without cancellation, in which errors of the offsets count squared only. For any b the best a
+is known; b is found by conjugate gradients on the smaller axis, without a matrix of the pixels, and
+without BLAS, whose rounding depends on the number of threads.
 
-Where codes clip, an offset comes through by a slope s, which differs between the pictures with and without the target. The mean of
-both covariances, σ² (s₁s₁ᵀ + s₂s₂ᵀ)/2, is σ² (mmᵀ + hhᵀ) with m = (s₁ + s₂)/2 and h = (s₁ - s₂)/2: two offsets a line, with the
-gains m and h.
+Where codes clip, an offset comes through by a slope s, which differs between the pictures with and
+without the target. The mean of both covariances, σ² (s₁s₁ᵀ + s₂s₂ᵀ)/2, is σ² (mmᵀ + hhᵀ) with m =
+(s₁ + s₂)/2 and h = (s₁ - s₂)/2: two offsets a line, with the gains m and h.
 
 H. H. Barrett & K. J. Myers, Foundations of Image Science (2004), 13.2.12.
 """
@@ -24,7 +26,14 @@ from typing import Annotated
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.bounds import FINITE, LARGEST, NOT_NEGATIVE, POSITIVE_OR_INFINITE, Axes, NotNegative
+from pixsim.base.bounds import (
+    FINITE,
+    LARGEST,
+    NOT_NEGATIVE,
+    POSITIVE_OR_INFINITE,
+    Axes,
+    NotNegative,
+)
 from pixsim.base.errors import invalid
 
 STEPS_PER_OFFSET = 4  # of conjugate gradients, at most: in exact arithmetic one would do
@@ -45,14 +54,19 @@ def detectability(
 ) -> float:
     """Return d′ = √(Δᵀ K⁻¹ Δ), the signal-to-noise ratio of the best linear observer of a target.
 
-    For normal noise two alternatives, with and without the target, are told apart in Φ(d′/√2) of all pairs of frames. Other noise,
-    as that of pixels that clip, has the same ratio, but not that share. Rose (1948) takes 5 as seen. It is exact for any variances.
-    Barrett & Myers (2004), 13.2.12.
+    For normal noise two alternatives, with and without the target, are told apart in Φ(d′/√2) of
+    all pairs of frames. Other noise, as that of pixels that clip, has the same ratio, but not that
+    share. Rose (1948) takes 5 as seen. It is exact for any variances. Barrett & Myers (2004),
+    13.2.12.
 
-    difference : (rows, columns) expected signal with the target less that without it, in one unit, such as DN
-    variance : (rows, columns), or a number, of each pixel on its own, in the unit squared; inf for pixels that count nothing
-    column_variance, row_variance : of an offset that all pixels of a column, or a row, share, in the unit squared
-    offset_slopes : (2, rows, columns) change of the expected signal with such an offset, with and without the target; None: 1
+    difference : (rows, columns) expected signal with the target less that without it, in one unit,
+        such as DN
+    variance : (rows, columns), or a number, of each pixel on its own, in the unit squared; inf for
+        pixels that count nothing
+    column_variance, row_variance : of an offset that all pixels of a column, or a row, share, in
+        the unit squared
+    offset_slopes : (2, rows, columns) change of the expected signal with such an offset, with and
+        without the target; None: 1
 
     Raises PixsimError if a variance is not positive, or the shapes differ.
 
@@ -62,7 +76,11 @@ def detectability(
     4.0
     """
     if variance.shape not in ((), difference.shape):
-        raise invalid("variance", f"an array of shape {variance.shape}", f"that of difference, {difference.shape}, or a number")
+        raise invalid(
+            "variance",
+            f"an array of shape {variance.shape}",
+            f"that of difference, {difference.shape}, or a number",
+        )
     if offset_slopes is not None and offset_slopes.shape != (2, *difference.shape):
         allowed = f"two of the shape of difference, {(2, *difference.shape)}"
         raise invalid("offset_slopes", f"an array of shape {offset_slopes.shape}", allowed)
@@ -73,15 +91,24 @@ def detectability(
     weight = np.broadcast_to(np.divide(smallest, variance, dtype=float), delta.shape)
     gains = np.ones((1, 1, 1)) if offset_slopes is None else _gains(*offset_slopes)
     # 1 / variance of the offsets, in the unit of the smallest variance
-    of_columns, of_rows = (smallest / each if each > smallest / LARGEST else math.inf for each in (column_variance, row_variance))
+    of_columns, of_rows = (
+        smallest / each if each > smallest / LARGEST else math.inf
+        for each in (column_variance, row_variance)
+    )
     if delta.shape[0] > delta.shape[1]:  # offsets of the rows are solved for, which then are fewer
         delta, weight, gains = delta.T, weight.T, gains.transpose(0, 2, 1)
         of_columns, of_rows = of_rows, of_columns
-    return largest / math.sqrt(smallest) * math.sqrt(_squared(delta, weight, gains, of_columns, of_rows))
+    return (
+        largest
+        / math.sqrt(smallest)
+        * math.sqrt(_squared(delta, weight, gains, of_columns, of_rows))
+    )
 
 
 def _gains(slopes: Array, background_slopes: Array) -> Array:
-    """Return the gains m and h of the module, (2, rows, columns), for slopes with and without a target; m alone if they agree."""
+    """Return the gains m and h of the module, (2, rows, columns), for slopes with and without a
+    target; m alone if they agree.
+    """
     mean, half = (slopes + background_slopes) / 2, (slopes - background_slopes) / 2
     return np.stack([mean, half] if half.any() else [mean])
 
@@ -100,7 +127,9 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
         normal = (weighted[:, None] * gains).sum(axis=3)  # (n, n, rows)
         normal[range(count), range(count)] += of_rows
         diagonal = normal[range(count), range(count)]
-        rest = (weighted * (delta - _through(columns[:, None], gains))).sum(axis=2)  # minus half of the gradient at 0
+        rest = (weighted * (delta - _through(columns[:, None], gains))).sum(
+            axis=2
+        )  # minus half of the gradient at 0
         along = step = rest / diagonal
         size = float((rest * step).sum())
         enough = RESIDUAL * float((weight * delta**2).sum())
@@ -108,7 +137,9 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
             if size <= enough:
                 break
             fitted = _columns(_through(along[..., None], gains), weighted, gains, of_columns)
-            image = (normal * along).sum(axis=1) - (weighted * _through(fitted[:, None], gains)).sum(axis=2)
+            image = (normal * along).sum(axis=1) - (
+                weighted * _through(fitted[:, None], gains)
+            ).sum(axis=2)
             length = size / float((along * image).sum())
             rows += length * along
             rest = rest - length * image
@@ -129,12 +160,15 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
 
 
 def _through(offsets: Array, gains: Array) -> Array:
-    """Return what offsets, (n, 1, columns) or (n, rows, 1), make of the pixels by their gains; it broadcasts to (rows, columns)."""
+    """Return what offsets, (n, 1, columns) or (n, rows, 1), make of the pixels by their gains; it
+    broadcasts to (rows, columns).
+    """
     return np.asarray((offsets * gains).sum(axis=0))
 
 
 def _columns(delta: Array, weighted: Array, gains: Array, of_columns: float) -> Array:
-    """Return the best offsets of columns for a difference (rows, columns), (n, columns); 0 if there are none.
+    """Return the best offsets of columns for a difference (rows, columns), (n, columns); 0 if there
+    are none.
 
     weighted : the gains, (n, rows, columns), times the weights of the pixels
     """
@@ -149,4 +183,7 @@ def _columns(delta: Array, weighted: Array, gains: Array, of_columns: float) -> 
     # Cramer's rule: the penalty keeps the determinant away from 0.
     (first, mixed), (_, second) = normal
     determinant = first * second - mixed**2
-    return np.stack([second * right[0] - mixed * right[1], first * right[1] - mixed * right[0]]) / determinant
+    return (
+        np.stack([second * right[0] - mixed * right[1], first * right[1] - mixed * right[0]])
+        / determinant
+    )

@@ -1,8 +1,9 @@
-"""The non-prewhitening observer with an eye filter (NPWE): a human viewer of a target in a shown picture.
+"""The non-prewhitening observer with an eye filter (NPWE): a human viewer of a target in a shown
+picture.
 
-Unlike the ideal observer it does not undo the colour of the noise: it compares the picture with the target as the eye's filter
-leaves it. A. E. Burgess, "Statistically defined backgrounds: performance of a modified nonprewhitening observer model",
-J. Opt. Soc. Am. A 11 (1994) 1237.
+Unlike the ideal observer it does not undo the colour of the noise: it compares the picture with the
+target as the eye's filter leaves it. A. E. Burgess, "Statistically defined backgrounds: performance
+of a modified nonprewhitening observer model", J. Opt. Soc. Am. A 11 (1994) 1237.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ Difference = Annotated[Array, FINITE, Axes(2)]
 
 
 def eye_filter(shape: tuple[int, ...], samples_per_deg: float) -> Array:
-    """Return Burgess's eye filter f^1.3 e^(-c f²), relative, at the frequencies of a picture's DFT, (H, W)."""
+    """Return Burgess's eye filter f^1.3 e^(-c f²), relative, at the frequencies of a picture's DFT,
+    (H, W).
+    """
     along_y, along_x = (np.fft.fftfreq(count, 1 / samples_per_deg) for count in shape)
     frequency = np.hypot(along_y[:, None], along_x)
     with np.errstate(over="ignore", under="ignore"):
@@ -32,44 +35,67 @@ def eye_filter(shape: tuple[int, ...], samples_per_deg: float) -> Array:
 
 
 def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
-    """Return what the observer multiplies a picture with and sums, (H, W) relative: the difference, twice through the eye's filter.
+    """Return what the observer multiplies a picture with and sums, (H, W) relative: the difference,
+    twice through the eye's filter.
 
-    Burgess (1994). With it d′ is known in any noise, as that of simulated frames: the sum of template times difference over the
-    standard deviation of the sum of template times noise.
+    Burgess (1994). With it d′ is known in any noise, as that of simulated frames: the sum of
+    template times difference over the standard deviation of the sum of template times noise.
 
-    difference : (H, W) expected picture with the target less that without it, in relative luminance; it ends at the borders
+    difference : (H, W) expected picture with the target less that without it, in relative
+        luminance; it ends at the borders
     samples_per_deg : of the display
     """
     gain = eye_filter(difference.shape, samples_per_deg) ** 2
     return np.asarray(np.fft.ifft2(np.fft.fft2(difference) * gain).real)
 
 
-def npwe(difference: Difference, noise_power: Annotated[Array, NOT_NEGATIVE], samples_per_deg: Positive) -> float:
-    """Return d′, the ratio of signal to noise of the NPWE observer, for noise that is the same all over the picture.
+def npwe(
+    difference: Difference, noise_power: Annotated[Array, NOT_NEGATIVE], samples_per_deg: Positive
+) -> float:
+    """Return d′, the ratio of signal to noise of the NPWE observer, for noise that is the same all
+    over the picture.
 
         d′² = (∬ |ΔS|² E²)²/∬ |ΔS|² E⁴ N,  E = f^1.3 e^(-c f²), highest at 4 cy/deg
 
-    Burgess (1994). His internal noise is left out. 0 where the eye sees nothing of the target; inf where it sees no noise.
+    Burgess (1994). His internal noise is left out. 0 where the eye sees nothing of the target; inf
+    where it sees no noise.
 
-    difference : (H, W) expected picture with the target less that without it, in relative luminance; it ends at the borders
-    noise_power : (H, W) at the frequencies of `np.fft.fftfreq`, in relative luminance² deg²; or a number, of white noise:
-        the variance of a dot over samples_per_deg²
+    difference : (H, W) expected picture with the target less that without it, in relative
+        luminance; it ends at the borders
+    noise_power : (H, W) at the frequencies of `np.fft.fftfreq`, in relative luminance² deg²; or a
+        number, of white noise: the variance of a dot over samples_per_deg²
     samples_per_deg : of the display
 
     Raises PixsimError if the shapes differ.
     """
     if noise_power.shape not in ((), difference.shape):
         raise invalid(
-            "noise_power", f"an array of shape {noise_power.shape}", f"that of difference, {difference.shape}, or a number"
+            "noise_power",
+            f"an array of shape {noise_power.shape}",
+            f"that of difference, {difference.shape}, or a number",
         )
     eye = eye_filter(difference.shape, samples_per_deg)
-    largest, highest, loudest = float(np.abs(difference).max()), float(eye.max()), float(noise_power.max())
+    largest, highest, loudest = (
+        float(np.abs(difference).max()),
+        float(eye.max()),
+        float(noise_power.max()),
+    )
     if not largest or not highest:
         return 0.0
     if not loudest:
         return math.inf
     eye /= highest
     seen = np.abs(np.fft.fft2(difference / largest) * eye) ** 2
-    signal = float(seen.sum()) / difference.size / samples_per_deg**2  # of unit cells of frequency, samples_per_deg²/(H W)
-    noise = float((seen * eye**2 * (noise_power / loudest)).sum()) / difference.size / samples_per_deg**2
-    return largest / math.sqrt(loudest) * signal / math.sqrt(noise) if noise else (math.inf if signal else 0.0)
+    signal = (
+        float(seen.sum()) / difference.size / samples_per_deg**2
+    )  # of unit cells of frequency, samples_per_deg²/(H W)
+    noise = (
+        float((seen * eye**2 * (noise_power / loudest)).sum())
+        / difference.size
+        / samples_per_deg**2
+    )
+    return (
+        largest / math.sqrt(loudest) * signal / math.sqrt(noise)
+        if noise
+        else (math.inf if signal else 0.0)
+    )

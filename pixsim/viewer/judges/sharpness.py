@@ -1,4 +1,6 @@
-"""Sharpness: the MTF of an edge without noise, where it falls to one half, and acutance, its mean as the eye weights it."""
+"""Sharpness: the MTF of an edge without noise, where it falls to one half, and acutance, its mean
+as the eye weights it.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ from pixsim.base.arrays import Array, NotNegativeArray, NotNegatives
 from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, Bounds
 from pixsim.base.errors import invalid
 
-# Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013, annex B: 3 at its peak, 4 cy/deg.
-# G. M. Johnson & M. D. Fairchild, "A top down description of S-CIELAB and CIEDE2000", Color Res. Appl. 28 (2003) 425.
+# Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013,
+# annex B: 3 at its peak, 4 cy/deg. G. M. Johnson & M. D. Fairchild, "A top down description of
+# S-CIELAB and CIEDE2000", Color Res. Appl. 28 (2003) 425.
 CSF_SCALE, CSF_POWER, CSF_DECAY = 75 / 34.05, 0.8, 0.2
 STEEPEST_DEG = 45.0
 
@@ -26,26 +29,38 @@ def curve_from_0(name: str, frequency: Array, mtf: Array) -> tuple[Array, Array]
     Raises PixsimError if there is not one MTF for each frequency, or these do not rise.
     """
     if mtf.shape != frequency.shape:
-        raise invalid(f"{name} and mtf", f"shapes {frequency.shape} and {mtf.shape}", "equal shapes")
+        raise invalid(
+            f"{name} and mtf", f"shapes {frequency.shape} and {mtf.shape}", "equal shapes"
+        )
     if frequency[0]:
         frequency, mtf = np.append(0.0, frequency), np.append(1.0, mtf)
     if frequency.size < 2 or np.diff(frequency).min() <= 0:
-        raise invalid(name, f"{frequency.size} numbers from {frequency[0]:g}", "rising numbers, and one above 0")
+        raise invalid(
+            name,
+            f"{frequency.size} numbers from {frequency[0]:g}",
+            "rising numbers, and one above 0",
+        )
     return np.asarray(frequency, float), np.asarray(mtf, float)
 
 
 def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
-    """Frequency at which a curve first falls to `level`, by linear interpolation; None if it does not."""
+    """Frequency at which a curve first falls to `level`, by linear interpolation; None if it does
+    not.
+    """
     below = np.flatnonzero(sfr < level)
     if not below.size or below[0] == 0:
         return None
     right = int(below[0])
     left = right - 1
-    return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
+    return float(
+        frequency[left]
+        + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left])
+    )
 
 
 def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
-    """Return the frequency at which an MTF first falls to one half, in its unit, linear between frequencies; None if it does not.
+    """Return the frequency at which an MTF first falls to one half, in its unit, linear between
+    frequencies; None if it does not.
 
     frequency : (n,) rising, in any unit
     mtf : (n,) 1 at frequency 0
@@ -61,10 +76,12 @@ def luminance_csf(frequency_cy_per_deg: Array) -> Array:
 
 
 def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
-    """Return ∫ MTF · CSF/∫ CSF, a number from 0 to 1 for a picture that is not sharpened. CPIQ, IEEE 1858.
+    """Return ∫ MTF · CSF/∫ CSF, a number from 0 to 1 for a picture that is not sharpened. CPIQ,
+    IEEE 1858.
 
-    The CSF is 75 ν^0.8 e^(-0.2 ν)/34.05. The upper integral ends at the last frequency, which is to be the display's Nyquist
-    frequency, the lower one is over all frequencies. Exact for an MTF that is straight between the frequencies.
+    The CSF is 75 ν^0.8 e^(-0.2 ν)/34.05. The upper integral ends at the last frequency, which is to
+    be the display's Nyquist frequency, the lower one is over all frequencies. Exact for an MTF that
+    is straight between the frequencies.
 
     frequency_cy_per_deg : (n,) rising
     mtf : (n,) of all from the scene to the display, 1 at frequency 0
@@ -76,7 +93,9 @@ def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     """
     frequency, mtf = curve_from_0("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
     shape = CSF_POWER + 1
-    share = np.diff(gammainc(shape, CSF_DECAY * frequency))  # of the CSF in each interval, and its first moment
+    share = np.diff(
+        gammainc(shape, CSF_DECAY * frequency)
+    )  # of the CSF in each interval, and its first moment
     moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency)) * shape / CSF_DECAY
     slope = np.diff(mtf) / np.diff(frequency)
     return float((mtf[:-1] * share + slope * (moment - frequency[:-1] * share)).sum())
@@ -89,12 +108,14 @@ def edge_mtf(
 ) -> Array:
     """Return the MTF of a straight edge without noise, (...) as the frequencies, 0 to 1.
 
-    All samples in the order of their distance from the edge are one edge spread function, as in ISO 12233, without its bins: the
-    Fourier transform of its slope, straight between the samples, is summed as it is. A slanted edge shows frequencies beyond
-    Nyquist; an upright one has a sample a pixel. The edge is known, not measured: `pixsim.edge_response` measures one in noise.
+    All samples in the order of their distance from the edge are one edge spread function, as in ISO
+    12233, without its bins: the Fourier transform of its slope, straight between the samples, is
+    summed as it is. A slanted edge shows frequencies beyond Nyquist; an upright one has a sample a
+    pixel. The edge is known, not measured: `pixsim.edge_response` measures one in noise.
 
     picture : (H, W) with the edge, flat on either side of it
-    angle_deg : of the edge from the vertical, clockwise with row 0 on top, as of the packaged `slanted_edge`
+    angle_deg : of the edge from the vertical, clockwise with row 0 on top, as of the packaged
+        `slanted_edge`
     frequency_cy_per_px : along the normal of the edge
 
     Raises PixsimError if both sides are equally bright.
@@ -111,6 +132,8 @@ def edge_mtf(
 
     def modulus(one: float) -> float:
         part, phase = rise * np.sinc(one * width), 2 * np.pi * one * middle
-        return math.hypot(float((part * np.cos(phase)).sum()), float((part * np.sin(phase)).sum())) / abs(total)
+        return math.hypot(
+            float((part * np.cos(phase)).sum()), float((part * np.sin(phase)).sum())
+        ) / abs(total)
 
     return np.array([modulus(one) for one in frequency.ravel().tolist()]).reshape(frequency.shape)

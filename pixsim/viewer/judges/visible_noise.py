@@ -1,11 +1,14 @@
-"""Visual noise of an even patch, as ISO 15739:2013, annex B, has it: what the eye leaves of noise, in CIELUV.
+"""Visual noise of an even patch, as ISO 15739:2013, annex B, has it: what the eye leaves of noise,
+in CIELUV.
 
-XYZ adapted to equal energy (Bradford) → opponent channels A = Y, C₁ = X - Y, C₂ = 0.4 (Y - Z) → the eye's contrast sensitivity for
-each, which keeps their means → back → CIELUV → standard deviations, weighted. The patch is reflected at its edges (DCT), where the
-standard's FFT repeats it.
+XYZ adapted to equal energy (Bradford) → opponent channels A = Y, C₁ = X - Y, C₂ = 0.4 (Y - Z) → the
+eye's contrast sensitivity for each, which keeps their means → back → CIELUV → standard deviations,
+weighted. The patch is reflected at its edges (DCT), where the standard's FFT repeats it.
 
-[ISO] ISO 15739:2013, annex B. Its edition of 2023 has other sensitivities, and CIELAB; numbers of the two do not compare.
-[BCEP] D. Baxter, F. Cao, H. Eliasson & J. Phillips, "Development of the I3A CPIQ spatial metrics", Proc. SPIE 8293 (2012) 829302.
+[ISO] ISO 15739:2013, annex B. Its edition of 2023 has other sensitivities, and CIELAB; numbers of
+    the two do not compare.
+[BCEP] D. Baxter, F. Cao, H. Eliasson & J. Phillips, "Development of the I3A CPIQ spatial metrics",
+    Proc. SPIE 8293 (2012) 829302.
 """
 
 from __future__ import annotations
@@ -23,20 +26,28 @@ from pixsim.viewer.scielab import CIE_LAB, checked_white
 
 WEIGHTS = (1.0, 0.852, 0.323)  # of the deviations of L*, u* and v* [ISO]
 OPPONENT = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.4, -0.4]])
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-# (weight, decay, power) of the terms w e^(-d ν^p) of C₁ and C₂, and what they are divided by [BCEP].
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+# (weight, decay, power) of the terms w e^(-d ν^p) of C₁ and C₂, and what they are divided by
+# [BCEP].
 CHROMA = (
     (((109.1413, 0.00038, 3.4244), (93.5971, 0.00367, 2.1677)), 202.7384),
     (((7.0328, 0.000004, 4.2582), (40.6910, 0.10391, 1.6487)), 40.6910),
 )
 
 
-def visual_noise(picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: Positives | None = None) -> float:
-    """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of an even patch behind the eye's filters, a number in units of CIELUV. [ISO]
+def visual_noise(
+    picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: Positives | None = None
+) -> float:
+    """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of an even patch behind the eye's filters, a number
+    in units of CIELUV. [ISO]
 
-    The filters keep the mean, and of noise what is near 4 cy/deg, threefold. Below 0 filtered XYZ is taken as 0.
+    The filters keep the mean, and of noise what is near 4 cy/deg, threefold. Below 0 filtered XYZ
+    is taken as 0.
 
-    picture : (H, W) relative luminance of a grey patch, 1 for white, or (H, W, 3) XYZ in the unit of the white
+    picture : (H, W) relative luminance of a grey patch, 1 for white, or (H, W, 3) XYZ in the unit
+        of the white
     samples_per_deg : of the display
     white_xyz : (3,) None means that of D65 with Y = 100
 
@@ -46,21 +57,41 @@ def visual_noise(picture: Annotated[Array, FINITE], samples_per_deg: Positive, w
     0.0
     """
     if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
-        raise invalid("picture", f"an array of shape {picture.shape}", "(H, W), or (H, W, 3) for XYZ, not empty")
+        raise invalid(
+            "picture",
+            f"an array of shape {picture.shape}",
+            "(H, W), or (H, W, 3) for XYZ, not empty",
+        )
     white = checked_white(WHITE_XYZ if white_xyz is None else white_xyz)
     if picture.ndim == 2:
-        return float(_lightness(_filtered(np.asarray(picture, float)[None], samples_per_deg)[0]).std())
-    adapted = np.linalg.inv(BRADFORD) @ np.diag(BRADFORD.sum(axis=1) / (BRADFORD @ white)) @ BRADFORD
+        return float(
+            _lightness(_filtered(np.asarray(picture, float)[None], samples_per_deg)[0]).std()
+        )
+    adapted = (
+        np.linalg.inv(BRADFORD) @ np.diag(BRADFORD.sum(axis=1) / (BRADFORD @ white)) @ BRADFORD
+    )
     to_opponent = OPPONENT @ adapted
-    channels = mixed(to_opponent, [np.ascontiguousarray(picture[..., channel], float) for channel in range(3)])
-    x, y, z = np.maximum(mixed(np.linalg.inv(to_opponent), list(_filtered(channels, samples_per_deg))), 0.0)
-    lightness, sum_of_three, of_white = _lightness(y / white[1]), x + 15 * y + 3 * z, white[0] + 15 * white[1] + 3 * white[2]
+    channels = mixed(
+        to_opponent, [np.ascontiguousarray(picture[..., channel], float) for channel in range(3)]
+    )
+    x, y, z = np.maximum(
+        mixed(np.linalg.inv(to_opponent), list(_filtered(channels, samples_per_deg))), 0.0
+    )
+    lightness, sum_of_three, of_white = (
+        _lightness(y / white[1]),
+        x + 15 * y + 3 * z,
+        white[0] + 15 * white[1] + 3 * white[2],
+    )
     colour = sum_of_three > 0
     deviations = [lightness.std()]
     for plane, factor, of_light in ((x, 4.0, white[0]), (y, 9.0, white[1])):
-        chromaticity = np.divide(plane, sum_of_three, out=np.full(y.shape, of_light / of_white), where=colour)
+        chromaticity = np.divide(
+            plane, sum_of_three, out=np.full(y.shape, of_light / of_white), where=colour
+        )
         deviations.append((13 * lightness * factor * (chromaticity - of_light / of_white)).std())
-    return float(sum(weight * deviation for weight, deviation in zip(WEIGHTS, deviations, strict=True)))
+    return float(
+        sum(weight * deviation for weight, deviation in zip(WEIGHTS, deviations, strict=True))
+    )
 
 
 def _lightness(relative: Array) -> Array:
@@ -76,11 +107,19 @@ def _filtered(channels: Array, samples_per_deg: float) -> Array:
     planes = empty_planes(count, height, width)
     planes[...] = channels
     coefficients = dct(planes)
-    along_y, along_x = (np.arange(samples) / (2 * samples) * samples_per_deg for samples in (height, width))
+    along_y, along_x = (
+        np.arange(samples) / (2 * samples) * samples_per_deg for samples in (height, width)
+    )
     frequency = np.hypot(along_y[:, None], along_x)
     gains = [luminance_csf(frequency)]
     for terms, scale in CHROMA[: count - 1]:
-        gains.append(sum((part * np.exp(-decay * frequency**power) for part, decay, power in terms), np.zeros(())) / scale)
+        gains.append(
+            sum(
+                (part * np.exp(-decay * frequency**power) for part, decay, power in terms),
+                np.zeros(()),
+            )
+            / scale
+        )
     for plane, gain in zip(coefficients, gains, strict=True):
         gain[0, 0] = 1.0
         plane *= gain

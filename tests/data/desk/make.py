@@ -13,9 +13,14 @@ FOLDER = Path(__file__).parent
 
 def torus(around: int = 20, across: int = 10, radius: float = 0.011, tube: float = 0.005) -> str:
     """A torus about the y axis with texture coordinates, as OBJ."""
-    u, v = np.meshgrid(np.arange(around + 1) / around, np.arange(across + 1) / across, indexing="ij")
+    u, v = np.meshgrid(
+        np.arange(around + 1) / around, np.arange(across + 1) / across, indexing="ij"
+    )
     ring = radius + tube * np.cos(2 * np.pi * v)
-    places = np.stack([ring * np.cos(2 * np.pi * u), tube * np.sin(2 * np.pi * v), ring * np.sin(2 * np.pi * u)], axis=-1)
+    places = np.stack(
+        [ring * np.cos(2 * np.pi * u), tube * np.sin(2 * np.pi * v), ring * np.sin(2 * np.pi * u)],
+        axis=-1,
+    )
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in places.reshape(-1, 3)]
     lines += [f"vt {x:.4f} {y:.4f}" for x, y in np.stack([4 * u, v], axis=-1).reshape(-1, 2)]
     for i in range(around):
@@ -27,14 +32,21 @@ def torus(around: int = 20, across: int = 10, radius: float = 0.011, tube: float
 
 def pebble(rows: int = 10, columns: int = 20) -> str:
     """A sphere of 9 mm with bumps, as ASCII PLY."""
-    theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), 2 * np.pi * np.arange(columns) / columns, indexing="ij")
+    theta, phi = np.meshgrid(
+        np.linspace(0, np.pi, rows + 1), 2 * np.pi * np.arange(columns) / columns, indexing="ij"
+    )
     radius = 0.009 * (1 + 0.12 * np.sin(theta) ** 2 * np.cos(3 * phi))
-    places = radius[..., None] * np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=-1)
+    places = radius[..., None] * np.stack(
+        [np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], axis=-1
+    )
     corner = np.arange(places.shape[0] * columns).reshape(-1, columns)
     beside = np.roll(corner, -1, axis=1)
     halves = (corner[:-1], beside[:-1], beside[1:]), (corner[:-1], beside[1:], corner[1:])
     faces = np.concatenate([np.stack(half, axis=-1).reshape(-1, 3) for half in halves])
-    head = f"ply\nformat ascii 1.0\nelement vertex {corner.size}\nproperty float x\nproperty float y\nproperty float z\n"
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {corner.size}\nproperty float x\nproperty float"
+        " y\nproperty float z\n"
+    )
     head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     body = [f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in places.reshape(-1, 3)]
     body += [f"3 {a} {b} {c}" for a, b, c in faces]
@@ -44,7 +56,11 @@ def pebble(rows: int = 10, columns: int = 20) -> str:
 def sky(rows: int = 16, columns: int = 32) -> np.ndarray:
     """A blue sky with a bright window above a brown ground, (rows, columns, 3)."""
     height = np.linspace(1, -1, rows)[:, None, None]
-    picture = np.where(height > 0, [0.5, 0.7, 1.0], [0.35, 0.28, 0.2]) * (0.3 + 0.7 * np.abs(height)) * np.ones((1, columns, 1))
+    picture = (
+        np.where(height > 0, [0.5, 0.7, 1.0], [0.35, 0.28, 0.2])
+        * (0.3 + 0.7 * np.abs(height))
+        * np.ones((1, columns, 1))
+    )
     picture[3:6, 8:12] *= 6
     return np.ascontiguousarray(picture, np.float32)
 
