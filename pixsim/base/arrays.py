@@ -43,8 +43,8 @@ Picture = Annotated[Array, Axes(2)]
 Row = Annotated[Array, Axes(1)]
 NotNegativePicture = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 Item = TypeVar("Item")
-MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
-CACHE_LINE_BYTES = 64
+_MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
+_CACHE_LINE_BYTES = 64
 # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
 STRIP_SAMPLES = 1 << 15
 # float64, 1 MiB, of the fewer dots of a display: with shorter strips, an evaluation takes up to 3 %
@@ -59,18 +59,18 @@ def empty_planes(*shape: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     would take 3 times as long. Other rows lie one behind the other, since loops over gaps between
     rows take longer too.
     """
-    reuse_freed_memory()
+    _reuse_freed_memory()
     size = np.dtype(dtype).itemsize
     if not _strides_clash(shape[-1] * size):
         return np.empty(shape, dtype)
-    return np.empty((*shape[:-1], shape[-1] + CACHE_LINE_BYTES // size), dtype)[..., : shape[-1]]
+    return np.empty((*shape[:-1], shape[-1] + _CACHE_LINE_BYTES // size), dtype)[..., : shape[-1]]
 
 
 def _strides_clash(row_bytes: int) -> bool:
     """Return whether rows of a length in bytes begin in no more than half of the cache's sets, as
     an even number of lines do.
     """
-    return row_bytes % (2 * CACHE_LINE_BYTES) == 0
+    return row_bytes % (2 * _CACHE_LINE_BYTES) == 0
 
 
 def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice]:
@@ -142,18 +142,18 @@ def transposed(plane: NDArray[Any]) -> NDArray[Any]:
 
 
 @cache
-def reuse_freed_memory() -> None:
+def _reuse_freed_memory() -> None:
     """Make glibc reuse freed arrays of up to 32 MiB.
 
     glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of
     the time of an image of 512².
     """
-    np.empty(MAX_FREED, np.uint8)
+    np.empty(_MAX_FREED, np.uint8)
 
 
 WORTH_THREADS = 1 << 20  # numbers; fewer take less time than threads need to start
 
-WORTH_WORKERS = (
+_WORTH_WORKERS = (
     1 << 14
 )  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
 
@@ -164,7 +164,7 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
 
     The calls must not depend on their order. An error, or Ctrl-C, ends them before the next item.
     """
-    reuse_freed_memory()
+    _reuse_freed_memory()
     count = threads() if size >= WORTH_THREADS else 1
     if count == 1:
         for item in items:
@@ -208,7 +208,7 @@ def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
 
 
 def _dct_workers(planes: NDArray[Any]) -> int:
-    return threads() if planes.size >= WORTH_WORKERS else 1
+    return threads() if planes.size >= _WORTH_WORKERS else 1
 
 
 def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
@@ -220,8 +220,8 @@ def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
     return tuple(int(place) for place in np.unravel_index(mask.argmax(), mask.shape))
 
 
-MAX_ARRAYS = 4096
-PACKINGS = (
+_MAX_ARRAYS = 4096
+_PACKINGS = (
     zipfile.ZIP_STORED,
     zipfile.ZIP_DEFLATED,
 )  # of NumPy; the others allocate what a member declares
@@ -247,9 +247,9 @@ def read_arrays(
     """
     with _open_numpy(path, name, expected) as file, zipfile.ZipFile(file) as archive:
         members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
-        if len(archive.infolist()) > MAX_ARRAYS:
+        if len(archive.infolist()) > _MAX_ARRAYS:
             raise invalid(
-                f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {MAX_ARRAYS}"
+                f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {_MAX_ARRAYS}"
             )
         wanted = {array: members[array] for array in choose(list(members))}
         # zipfile reads no more than its directory lists.
@@ -258,7 +258,7 @@ def read_arrays(
 
         result = {}
         for array, entry in wanted.items():
-            if entry.compress_type not in PACKINGS:
+            if entry.compress_type not in _PACKINGS:
                 raise invalid(
                     name,
                     f"'{path}' with {array} packed by method {entry.compress_type}",

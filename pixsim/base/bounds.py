@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pixsim.base.errors import invalid
 
-MAX_SHOWN = 80  # characters of a value in a message
+_MAX_SHOWN = 80  # characters of a value in a message
 
 
 # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
@@ -155,4 +155,4 @@ def brief(value: object) -> str:
         text = reprlib.repr(value)
     except Exception:  # of another program's class
         text = f"a {type(value).__name__}"
-    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"
+    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "…"

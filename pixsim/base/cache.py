@@ -40,21 +40,21 @@ Arrays = dict[str, NDArray[Any]]
 Json = dict[str, Any]
 PACKAGE = Path(__file__).parents[1]
 LIMIT_VARIABLE = "PIXSIM_CACHE_GIB"
-DEFAULT_GIB = 4.0
+_DEFAULT_GIB = 4.0
 GIB = 1 << 30
 MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would displace all others
-TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
+_TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
 # Folders that Mitsuba and Matplotlib manage themselves, and the names of their files there.
 HELPERS = {
     "kernels": re.compile(r"[0-9a-f]{32}\.[\w.]+"),
     "matplotlib": re.compile(r"fontlist-v[\w.]+\.json"),
 }
 ENTRY = "entry"  # the name of a label in the header of an EXR
-HEAD_BYTES = 4096  # of a file, in which the label is looked for
+_HEAD_BYTES = 4096  # of a file, in which the label is looked for
 DIGITS = 64  # of a digest
 SUFFIXES = (".json", ".npz", ".exr")
-SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
-DAMAGE = (
+_SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
+_DAMAGE = (
     OSError,
     EOFError,
     ValueError,
@@ -73,7 +73,7 @@ def limit_bytes() -> int:
     """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it
     is not a size.
     """
-    return bytes_of_variable(LIMIT_VARIABLE, DEFAULT_GIB)
+    return bytes_of_variable(LIMIT_VARIABLE, _DEFAULT_GIB)
 
 
 @lru_cache
@@ -95,7 +95,7 @@ def _digest_of_sources() -> str:
     """
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in SOURCE_SUFFIXES:
+        if path.suffix in _SOURCE_SUFFIXES:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -186,7 +186,7 @@ def is_entry(path: Path) -> bool:
         if path.suffix not in SUFFIXES or _is_linked(path) or not path.is_file():
             return False
         with path.open("rb") as file:
-            return entry_label(path.parent.name, path.stem).encode() in file.read(HEAD_BYTES)
+            return entry_label(path.parent.name, path.stem).encode() in file.read(_HEAD_BYTES)
     except OSError:  # in a folder of another user, for example
         return False
 
@@ -210,14 +210,14 @@ def _load(kind: str, key: str, suffix: str, read: Callable[[IO[bytes]], Result])
         return None
     try:
         with path.open("rb") as file:
-            head = file.readline(HEAD_BYTES)
+            head = file.readline(_HEAD_BYTES)
             if head != _head(kind, key, _digest_of_rest(file)):
                 raise ValueError("it is not what was stored")
             file.seek(len(head))
             result = read(file)
     except FileNotFoundError:  # another process has just removed it
         return None
-    except DAMAGE as error:
+    except _DAMAGE as error:
         warn(
             Note(
                 "machine", words=f"cache entry '{path}' is damaged ({error}) and is computed again"
@@ -266,13 +266,13 @@ def _store(
         )
         return
     _written_bytes += size_bytes
-    if _written_bytes > TRIM_SHARE * limit_bytes():
+    if _written_bytes > _TRIM_SHARE * limit_bytes():
         trim()
         _written_bytes = 0
 
 
 @dataclass(frozen=True)
-class CacheFile:
+class _CacheFile:
     """A file of the cache; its kind is the name of its folder."""
 
     path: Path
@@ -284,7 +284,7 @@ class CacheFile:
         return self.path.parent.name
 
 
-def entries(kind: str | None = None) -> list[CacheFile]:
+def entries(kind: str | None = None) -> list[_CacheFile]:
     """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only
     if `kind` names them.
     """
@@ -296,7 +296,7 @@ def entries(kind: str | None = None) -> list[CacheFile]:
             with suppress(OSError):  # another process has removed it
                 status = path.lstat()
                 if stat.S_ISREG(status.st_mode):
-                    listed.append(CacheFile(path, status.st_size, status.st_mtime))
+                    listed.append(_CacheFile(path, status.st_size, status.st_mtime))
     return sorted(listed, key=lambda entry: (entry.used_s, entry.path))
 
 
@@ -332,7 +332,7 @@ def clear(kind: str | None = None) -> int:
     return sum(_remove(entry) for entry in entries(kind))
 
 
-def _remove(entry: CacheFile) -> int:
+def _remove(entry: _CacheFile) -> int:
     """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is
     gone.
     """

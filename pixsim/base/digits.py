@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 
 UNKNOWN = "–"
-MOST_DIGITS = 17  # which tell any two floats apart
+_MOST_DIGITS = 17  # which tell any two floats apart
 MAX_DIGITS = 4  # of a number with an error
 COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
-MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
+_MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
-SMALL_SIZE = 0.1  # of a pixel in micrometres; smaller ones have two digits
+_SMALL_SIZE = 0.1  # of a pixel in micrometres; smaller ones have two digits
 SURE = 0.999  # the largest probability that is stated
-WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
+_WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -40,7 +40,7 @@ def estimate(value: float, digits: int = 3) -> str:
     if not value or not math.isfinite(value):
         return "0" if value == 0 else UNKNOWN
     decade = _decade(value, digits)
-    if not WITHOUT_POWER[0] <= decade < WITHOUT_POWER[1]:
+    if not _WITHOUT_POWER[0] <= decade < _WITHOUT_POWER[1]:
         return f"{value:.{digits - 1}e}"
     return _to_decimals(value, digits - 1 - decade)
 
@@ -55,7 +55,7 @@ def pixel_size(side: float) -> str:
 
 
 def _micrometres(size: float) -> str:
-    return rounded(size) if size < SMALL_SIZE else f"{round(size, 2):.15g}"
+    return rounded(size) if size < _SMALL_SIZE else f"{round(size, 2):.15g}"
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -129,7 +129,9 @@ def setting_text(value: float) -> str:
     >>> setting_text(0.25), setting_text(632.816), setting_text(0.5019607843137254), setting_text(20000.0)
     ('0.25', '632.816', '0.502', '20000')
     """
-    return rounded(value, MAX_WRITTEN if float(f"{value:.{MAX_WRITTEN}g}") == value else MAX_DIGITS)
+    return rounded(
+        value, _MAX_WRITTEN if float(f"{value:.{_MAX_WRITTEN}g}") == value else MAX_DIGITS
+    )
 
 
 def exposure_time(seconds: float) -> str:
@@ -202,7 +204,7 @@ def with_error(value: float, error: float) -> str:
 
     largest = max(abs(value), error)
     power = _decade(largest, MAX_DIGITS)
-    if largest and not WITHOUT_POWER[0] <= power < WITHOUT_POWER[1]:
+    if largest and not _WITHOUT_POWER[0] <= power < _WITHOUT_POWER[1]:
         return " ± ".join(
             f"{text}e{power:+03d}"
             for text in with_error(value / 10.0**power, error / 10.0**power).split(" ± ")
@@ -285,7 +287,7 @@ def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
     >>> told_apart(13.2, 0.2, 1)
     ('10', '0.2')
     """
-    for count in range(digits, MOST_DIGITS + 1):
+    for count in range(digits, _MOST_DIGITS + 1):
         texts = rounded(value, count), rounded(limit, count)
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts

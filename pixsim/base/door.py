@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Class = TypeVar("Class", bound=type)
+_Class = TypeVar("_Class", bound=type)
 OURS = "allowed"  # the kind of error of the validators below
 
 
@@ -75,7 +75,7 @@ def checked(function: Function, name: str) -> Function:
     return call  # type: ignore[return-value]
 
 
-def checked_methods(kind: Class) -> Class:
+def checked_methods(kind: _Class) -> _Class:
     """Check the arguments of the public methods of a class that users have in hand, and of a
     constructor that it defines itself.
     """

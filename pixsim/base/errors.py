@@ -10,8 +10,8 @@ from collections.abc import Iterable
 # follows.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 # of a spreadsheet: it runs a cell that begins so, also in full width
-FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"
-MAX_LENGTH = 20_000  # characters of a message
+_FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"
+_MAX_LENGTH = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
@@ -32,7 +32,7 @@ class UnwritableError(PixsimError):
 def shown(text: str) -> str:
     """A message as it is safe to print: `printable`, and of bounded length."""
     text = printable(text)
-    return text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]} … ({len(text)} characters)"
+    return text if len(text) <= _MAX_LENGTH else f"{text[:_MAX_LENGTH]} … ({len(text)} characters)"
 
 
 def printable(text: str, json: bool = False) -> str:
@@ -111,7 +111,7 @@ def name_fault(name: str) -> str:
     """
     if CONTROL.search(name) or "\t" in name or "\n" in name:
         return "holds control characters, or marks that turn the direction of text"
-    if name[:1] in FORMULA and name:
+    if name[:1] in _FORMULA and name:
         try:
             float(name)
         except ValueError:

@@ -41,7 +41,7 @@ from pixsim.base.schema import KEY, check_not_newer, json_text
 from pixsim.base.version import VERSION
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
-STDERR = 2  # its file descriptor
+_STDERR = 2  # its file descriptor
 
 
 def cache_folder() -> Path:
@@ -63,7 +63,16 @@ def cache_folder() -> Path:
         ) from None
 
 
-DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
+_DEPENDENCIES = (
+    "mitsuba",
+    "drjit",
+    "numpy",
+    "scipy",
+    "OpenEXR",
+    "matplotlib",
+    "pydantic",
+    "joblib",
+)
 
 
 def missing(path: Path) -> str:
@@ -86,7 +95,7 @@ def resolved(path: Path) -> Path:
     return path if real == Path(os.path.abspath(path)) else real
 
 
-STREAMS = "/dev/fd"  # the folder of the streams of this process; /dev/stdout leads to one of them
+_STREAMS = "/dev/fd"  # the folder of the streams of this process; /dev/stdout leads to one of them
 
 
 def _open_stream(path: Path) -> IO[bytes] | None:
@@ -105,7 +114,7 @@ def _open_stream(path: Path) -> IO[bytes] | None:
 
     # A stream may be a file of the shell: the content goes where the shell stands in it. Its name
     # is a link to that file.
-    streams = os.path.realpath(STREAMS)
+    streams = os.path.realpath(_STREAMS)
     link = path
     while True:
         if os.path.realpath(link.parent) == streams and link.name.isdecimal():
@@ -241,7 +250,7 @@ def private_folder(name: str, quiet: bool = False) -> Path:
 
 
 # Of a disk that is full or fails, not of a wrong name.
-FAULTS_OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+_FAULTS_OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 
 
 @contextmanager
@@ -262,7 +271,7 @@ def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]
             f"{str(error).replace(str(folder), str(target))} {advice} {hint}"
         ) from None
     except OSError as error:
-        if error.errno not in FAULTS_OF_DISKS:
+        if error.errno not in _FAULTS_OF_DISKS:
             raise
         place = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
         raise UnwritableError(
@@ -298,9 +307,9 @@ def _digest_of(path: Path, _: tuple[int, ...]) -> str:
 
 LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
 LIST_OF_1_1 = "provenance.json"
-MAX_LIST = 1 << 24  # bytes
-PIXSIM = "pixsim"
-SHOWN_FILES = 6  # in a message
+_MAX_LIST = 1 << 24  # bytes
+_PIXSIM = "pixsim"
+_SHOWN_FILES = 6  # in a message
 
 
 def read_list(folder: Path) -> dict[str, Any]:
@@ -312,8 +321,8 @@ def read_list(folder: Path) -> dict[str, Any]:
     """
     path = folder / (LIST if os.path.lexists(folder / LIST) else LIST_OF_1_1)
     try:
-        content = json.loads(read_text(path, "list of files", "JSON", MAX_LIST))
-        content["versions"] = {PIXSIM: str(content["versions"][PIXSIM])}
+        content = json.loads(read_text(path, "list of files", "JSON", _MAX_LIST))
+        content["versions"] = {_PIXSIM: str(content["versions"][_PIXSIM])}
         content["files"] = [str(name) for name in content.get("files", ())]
     except (PixsimError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
@@ -326,7 +335,7 @@ def version_of_files(folder: Path) -> str:
     does not say.
     """
     with suppress(PixsimError):
-        return read_list(folder).get("versions", {}).get(PIXSIM, "")[:20]
+        return read_list(folder).get("versions", {}).get(_PIXSIM, "")[:20]
     return ""
 
 
@@ -351,8 +360,8 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
             if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode)
         )
     if others:
-        more = f" and {len(others) - SHOWN_FILES} more" if len(others) > SHOWN_FILES else ""
-        shown_names = ", ".join(sorted(others)[:SHOWN_FILES]) + more
+        more = f" and {len(others) - _SHOWN_FILES} more" if len(others) > _SHOWN_FILES else ""
+        shown_names = ", ".join(sorted(others)[:_SHOWN_FILES]) + more
         got = f"'{folder}', which holds {shown_names}, not written by this command"
         raise invalid(
             "output folder",
@@ -425,8 +434,8 @@ def versions() -> dict[str, str]:
     """Versions of Python, pixsim and the main dependencies."""
     return {
         "python": platform.python_version(),
-        PIXSIM: VERSION,
-        **{name: version_of(name) for name in DEPENDENCIES},
+        _PIXSIM: VERSION,
+        **{name: version_of(name) for name in _DEPENDENCIES},
     }
 
 
@@ -448,7 +457,7 @@ def write_json(path: Path, content: Mapping[str, Any], *, named: bool = True) ->
 
 MIB, GIB = 1 << 20, 1 << 30
 MAX_FILE_VARIABLE = "PIXSIM_MAX_FILE_GIB"
-DEFAULT_MAX_FILE_GIB = 4.0
+_DEFAULT_MAX_FILE_GIB = 4.0
 
 
 def bytes_of_variable(variable: str, default_gib: float) -> int:
@@ -474,7 +483,7 @@ def max_file_bytes() -> int:
     """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or
     else 4 GiB.
     """
-    return bytes_of_variable(MAX_FILE_VARIABLE, DEFAULT_MAX_FILE_GIB)
+    return bytes_of_variable(MAX_FILE_VARIABLE, _DEFAULT_MAX_FILE_GIB)
 
 
 def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
@@ -495,10 +504,10 @@ def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
 
 # A file may always declare this much content, and more only in proportion to its size: deflate
 # reaches 1032 : 1.
-ALWAYS_BYTES = 256 * MIB
-MAX_RATIO = 1100
+_ALWAYS_BYTES = 256 * MIB
+_MAX_RATIO = 1100
 MAX_PICTURE = 1 << 28  # samples of a PNG or TIFF
-PICTURE_FORMATS = (
+_PICTURE_FORMATS = (
     "PNG",
     "JPEG",
     "TIFF",
@@ -604,10 +613,13 @@ def check_compression(name: str, declared_bytes: int, stored_bytes: int) -> None
     `max_file_bytes`, before it is decoded.
     """
     check_size(name, declared_bytes, "bytes of content")
-    if declared_bytes > max(ALWAYS_BYTES, MAX_RATIO * stored_bytes):
+    if declared_bytes > max(_ALWAYS_BYTES, _MAX_RATIO * stored_bytes):
         got = f"{declared_bytes} bytes of content declared in a file of {stored_bytes}"
         raise invalid(
-            name, got, f"at most {MAX_RATIO} times its size", "Write the file again: it is damaged."
+            name,
+            got,
+            f"at most {_MAX_RATIO} times its size",
+            "Write the file again: it is damaged.",
         )
 
 
@@ -621,7 +633,7 @@ def judge_picture(path: Path) -> None:
             # Pillow has a limit of its own.
             with (
                 warnings.catch_warnings(action="ignore"),
-                Image.open(file, formats=PICTURE_FORMATS) as image,
+                Image.open(file, formats=_PICTURE_FORMATS) as image,
             ):
                 width, height = image.size
         except Image.DecompressionBombError as error:
@@ -653,10 +665,10 @@ def quiet_output() -> Iterator[None]:
     """
     with redirect_stdout(io.StringIO()), ExitStack() as restored:
         with suppress(OSError):  # there is no standard error
-            before = os.dup(STDERR)
+            before = os.dup(_STDERR)
             restored.callback(os.close, before)
             null = os.open(os.devnull, os.O_WRONLY)
             restored.callback(os.close, null)
-            os.dup2(null, STDERR)
-            restored.callback(os.dup2, before, STDERR)
+            os.dup2(null, _STDERR)
+            restored.callback(os.dup2, before, _STDERR)
         yield

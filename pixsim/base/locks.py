@@ -28,10 +28,10 @@ from pixsim.base.errors import invalid
 
 LOCK = ".pixsim.lock"  # in an output folder
 UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinished file or folder
-OTHER_FOLDER = "Move it away, or choose another folder with --out."
-TRIES = 20  # for a file that another process removes at the moment when it is locked
-JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
-NO_LOCKS = {
+_OTHER_FOLDER = "Move it away, or choose another folder with --out."
+_TRIES = 20  # for a file that another process removes at the moment when it is locked
+_JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
+_NO_LOCKS = {
     errno.ENOSYS,
     errno.ENOLCK,
     errno.EOPNOTSUPP,
@@ -86,7 +86,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
     path = Path(os.path.realpath(folder), LOCK)
     lock = FileLock(
-        path, timeout=JUST_ENDING_S, is_singleton=True, fallback_to_soft=False
+        path, timeout=_JUST_ENDING_S, is_singleton=True, fallback_to_soft=False
     )  # one a thread
     if lock.is_locked:
         yield
@@ -98,7 +98,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
             "output folder",
             f"'{folder}', where '{LOCK}' is no lock of pixsim",
             "a folder without it",
-            OTHER_FOLDER,
+            _OTHER_FOLDER,
         )
     try:
         lock.acquire()
@@ -111,7 +111,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
             hint,
         ) from None
     except OSError as error:
-        if error.errno not in NO_LOCKS:
+        if error.errno not in _NO_LOCKS:
             raise
     try:
         remove_leftovers(folder)
@@ -153,7 +153,7 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
     Raises PixsimError on Windows.
     """
     check_system()
-    for _ in range(TRIES):
+    for _ in range(_TRIES):
         path = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
         with suppress(FileExistsError):
             if is_folder:

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
+_NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
 
 
 @dataclass(frozen=True)
-class Processors:
+class _Processors:
     """Number of cores of the machine, of those allowed for this process, and of those granted to
     its container.
     """
@@ -50,7 +50,7 @@ class Memory:
         )
 
 
-def processors(root: Path = Path("/")) -> Processors:
+def processors(root: Path = Path("/")) -> _Processors:
     """Processors of this process; tests set `root`."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     granted = []
@@ -62,7 +62,7 @@ def processors(root: Path = Path("/")) -> Processors:
         )
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
-    return Processors(os.cpu_count(), allowed, min(granted, default=None))
+    return _Processors(os.cpu_count(), allowed, min(granted, default=None))
 
 
 MAX_THREADS = 16  # more wait for memory
@@ -98,7 +98,7 @@ def memory(root: Path = Path("/")) -> Memory:
     return Memory(
         total,
         available,
-        min((int(n) for n in limits if n.isdigit() and int(n) < NO_LIMIT_BYTES), default=None),
+        min((int(n) for n in limits if n.isdigit() and int(n) < _NO_LIMIT_BYTES), default=None),
     )
 
 

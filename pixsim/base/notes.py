@@ -151,7 +151,7 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
             _outer.reset(token)
 
 
-MAX_NOTES = 8
+_MAX_NOTES = 8
 
 
 def few(notes: Sequence[Sequence[Note]]) -> list[Note]:
@@ -159,12 +159,12 @@ def few(notes: Sequence[Sequence[Note]]) -> list[Note]:
     number of the others.
     """
     texts = list(dict.fromkeys(note for part in notes for note in part))
-    if len(texts) <= MAX_NOTES:
+    if len(texts) <= _MAX_NOTES:
         return texts
-    last = texts[MAX_NOTES - 1]
+    last = texts[_MAX_NOTES - 1]
     return [
-        *texts[: MAX_NOTES - 1],
+        *texts[: _MAX_NOTES - 1],
         Note.restored(
-            last.id, f"and {len(texts) - MAX_NOTES + 1} more notes of this kind, of other cases"
+            last.id, f"and {len(texts) - _MAX_NOTES + 1} more notes of this kind, of other cases"
         ),
     ]

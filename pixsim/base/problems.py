@@ -91,7 +91,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     if kind == "value_error":
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
     if kind == "model_type":
-        message = " of ".join(filter(None, ["a table", ", ".join(names_at(title, path))]))
+        message = " of ".join(filter(None, ["a table", ", ".join(_names_at(title, path))]))
 
     wrong = problem["input"]
     text = _value(wrong, layer)
@@ -115,7 +115,7 @@ def _unknown_name(title: str, path: Sequence[str], where: str, listed: set[str])
     *above, name = path
     hint = _hint_of_name(title, above, name.replace("-", "_"))
     table = where.rpartition(".")[0] if above else ""
-    allowed = "" if table in listed else f"; allowed: {', '.join(names_at(title, above))}"
+    allowed = "" if table in listed else f"; allowed: {', '.join(_names_at(title, above))}"
     listed.add(table)
     return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
 
@@ -168,7 +168,7 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     """What to write in place of an unknown name in a table; empty if nothing is similar."""
     meant = names_meant(title, above, name)
     if not meant:
-        return did_you_mean(name, names_at(title, above))
+        return did_you_mean(name, _names_at(title, above))
     if above and (words := words_of(_field(title, meant[0])).instead.get(name)):
         return words
     if _record(title, meant[0]):
@@ -231,7 +231,7 @@ def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Seque
     names = {
         name
         for length in range(len(loc))
-        for name in names_at(title, [str(part) for part in loc[:length]])
+        for name in _names_at(title, [str(part) for part in loc[:length]])
     }
     parts = [
         str(part) if isinstance(part, int) or part in names else _name_in(part, layer)
@@ -249,7 +249,7 @@ def _name_in(name: str, layer: Layer) -> str:
     )
 
 
-def names_at(title: str, path: list[str]) -> list[str]:
+def _names_at(title: str, path: list[str]) -> list[str]:
     """Field names of the record at a dotted path below the record named `title`."""
     record = _record(title, path)
     return [field.alias or name for name, field in record.model_fields.items()] if record else []

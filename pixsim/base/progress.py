@@ -168,7 +168,7 @@ def writer_to(stream: TextIO) -> Callable[[str], object]:
     return write
 
 
-TERMINAL_VARIABLES = (
+_TERMINAL_VARIABLES = (
     "FORCE_COLOR",
     "TTY_COMPATIBLE",
     "TTY_INTERACTIVE",
@@ -177,7 +177,7 @@ TERMINAL_VARIABLES = (
 
 def _bars() -> Any:
     """Bars for a terminal; None elsewhere."""
-    if not (sys.stderr.isatty() or any(name in os.environ for name in TERMINAL_VARIABLES)):
+    if not (sys.stderr.isatty() or any(name in os.environ for name in _TERMINAL_VARIABLES)):
         return None  # without the import of Rich, which takes 0.05 s
     from rich import console, progress
 

@@ -31,7 +31,7 @@ else:
     ModelMetaclass = type(BaseModel)  # it has no public name
 
 
-class RecordType(ModelMetaclass):
+class _RecordType(ModelMetaclass):
     """Calls of a record's class raise PixsimError; pydantic's own methods, such as
     `model_validate`, its ValidationError.
     """
@@ -51,7 +51,7 @@ class RecordType(ModelMetaclass):
             raise PixsimError(explain(error)) from None
 
 
-def not_tiny(value: object) -> object:
+def _not_tiny(value: object) -> object:
     """A value with 0 in place of -0, also in lists. ValueError if a number in it is below
     `SMALLEST`, and not 0.
     """
@@ -61,7 +61,7 @@ def not_tiny(value: object) -> object:
         return value + 0.0  # -0.0 + 0.0 is 0.0
     if isinstance(value, tuple):
         return (
-            tuple(map(not_tiny, value))
+            tuple(map(_not_tiny, value))
             if any(isinstance(each, float | tuple) for each in value)
             else value
         )
@@ -69,7 +69,7 @@ def not_tiny(value: object) -> object:
     return value
 
 
-class Record(BaseModel, metaclass=RecordType):
+class Record(BaseModel, metaclass=_RecordType):
     """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a
     ValueError.
     """
@@ -94,7 +94,7 @@ class Record(BaseModel, metaclass=RecordType):
         """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a
         processor divides by in usual time.
         """
-        return not_tiny(value)
+        return _not_tiny(value)
 
     # Groups of fields that state one quantity in several words: of each group one alternative, of
     # one or more fields, may be given.
@@ -155,7 +155,7 @@ def _free_number(value: object) -> object:
         raise ValueError(
             f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text"
         )
-    return not_tiny(value)
+    return _not_tiny(value)
 
 
 # Of a scene or an axis: a number of any quantity, or a text.
@@ -182,10 +182,10 @@ def as_list(value: object) -> object:
     return value.replace(",", " ").split()
 
 
-Model = TypeVar("Model", bound=Record)
+_Model = TypeVar("_Model", bound=Record)
 
 
-def checked(record: type[Model], layers: Sequence[Layer]) -> Model:
+def checked(record: type[_Model], layers: Sequence[Layer]) -> _Model:
     """Merge layers and validate the record. Raises PixsimError that lists every problem with the
     file that it comes from.
     """

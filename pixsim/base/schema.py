@@ -22,10 +22,10 @@ from pixsim.base.notes import Note
 SCHEMA = 2
 KEY = "schema"
 SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
-ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
+_ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
-def of_another(got: object) -> str:
+def _of_another(got: object) -> str:
     """Return what is said of a file that states another schema, or none (None, or an empty
     text).
     """
@@ -49,7 +49,7 @@ def result_data(
     *,
     settings: Mapping[str, Any],
     notes: Iterable[Note],
-    cases: Iterable[Mapping[str, Any]] = ONE_CASE,
+    cases: Iterable[Mapping[str, Any]] = _ONE_CASE,
     table: str | None = None,
     optima: Iterable[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:

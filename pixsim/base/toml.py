@@ -52,7 +52,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:
         raise invalid(source, f"tables nested {depth(table)} levels deep", f"at most {MAX_DEPTH}")
-    if stated := STATED.match(text):
+    if stated := _STATED.match(text):
         check_not_newer(f"settings '{path}'", int(stated[1]))
     return table
 
@@ -123,7 +123,7 @@ def kind_of_value(value: object) -> str:
 
 
 HEAD = "# The settings of this folder"  # first line of such a file
-STATED = re.compile(rf"{HEAD}, {KEY} (\d{{1,9}})\.")
+_STATED = re.compile(rf"{HEAD}, {KEY} (\d{{1,9}})\.")
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 

@@ -12,7 +12,7 @@ UNITS = {
     "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
     "_e": "electrons",
 }  # fmt: skip
-NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
+_NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
 
 
 def unit_of(name: str) -> str:
@@ -23,6 +23,6 @@ def unit_of(name: str) -> str:
     """
     return (
         ""
-        if name in NO_UNIT
+        if name in _NO_UNIT
         else next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
     )

@@ -39,9 +39,9 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.report.commands import DEFAULT_OUT
 from pixsim.viewer.setting import Run
 
-RawFormat = Literal["tiff", "png", "npz"]
-TWO_FOLDERS = 2  # of results that are compared
-SCENE_HELP = (
+_RawFormat = Literal["tiff", "png", "npz"]
+_TWO_FOLDERS = 2  # of results that are compared
+_SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target,"
     " macbeth, line_lamp, still_life, cornell_box, yard."
 )
@@ -59,9 +59,9 @@ def run_command(tokens: Sequence[str]) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
             stream.reconfigure(errors="backslashreplace")
-    widen_terminal()
+    _widen_terminal()
     arguments = common.verbosity.parse(tokens)
-    check_current_folder()
+    _check_current_folder()
     warnings.showwarning = lambda message, *_, **__: common.verbosity.warning(message)
     common.set_cache_folders()
     interruption.begin()
@@ -83,21 +83,21 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.end_or_raise()  # a library may have dropped an interruption
 
 
-LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
+_LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
 
 
-def widen_terminal() -> None:
+def _widen_terminal() -> None:
     """Let help and tables have some columns where the terminal, or COLUMNS, states none or very
     few: they would not end.
     """
     stated = os.environ.get("COLUMNS")
-    if shutil.get_terminal_size().columns < LEAST_WIDTH:
-        os.environ["COLUMNS"] = str(LEAST_WIDTH)
-    elif stated is not None and not (stated.isdecimal() and int(stated) >= LEAST_WIDTH):
+    if shutil.get_terminal_size().columns < _LEAST_WIDTH:
+        os.environ["COLUMNS"] = str(_LEAST_WIDTH)
+    elif stated is not None and not (stated.isdecimal() and int(stated) >= _LEAST_WIDTH):
         del os.environ["COLUMNS"]
 
 
-WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
+_WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
 
 
 def with_whole_options(arguments: Sequence[str]) -> list[str]:
@@ -108,14 +108,14 @@ def with_whole_options(arguments: Sequence[str]) -> list[str]:
     for argument in arguments:
         name, equals, value = argument.partition("=")
         written.append(
-            f"{WHOLE_OPTIONS.get(name, name)}{equals}{value}"
+            f"{_WHOLE_OPTIONS.get(name, name)}{equals}{value}"
             if argument.startswith("--")
             else argument
         )
     return written
 
 
-def check_current_folder() -> None:
+def _check_current_folder() -> None:
     """Raise PixsimError if the current folder is gone: paths are relative to it, and libraries fail
     to load.
     """
@@ -143,7 +143,7 @@ def run(
         str,
         Parameter(
             help=(
-                f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen"
+                f"{_SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen"
                 " by the camera."
             ),
             completer=common.complete_picture,
@@ -162,7 +162,7 @@ def run(
     variant: common.Variant = None,
     units: Units = None,
     raw: Annotated[
-        list[RawFormat] | None,
+        list[_RawFormat] | None,
         common.SEVERAL,
         Parameter(help="Also write the raw frame in these formats, as --raw tiff,png."),
     ] = None,
@@ -250,7 +250,7 @@ def explore(
     scene: Annotated[
         str,
         Parameter(
-            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).",
+            help=f"{_SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).",
             completer=common.complete_picture,
         ),
     ] = "csf",
@@ -294,7 +294,7 @@ def explore(
 
 @app.command(sort_key=4)
 def plan(
-    scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
+    scene: Annotated[str, Parameter(help=_SCENE_HELP, completer=common.complete_scene)],
     *,
     options: SceneOptions = common.NO_OPTIONS,
     tolerance_e: common.Tolerance = None,
@@ -332,7 +332,7 @@ def study(
     scene: Annotated[
         str | None,
         Parameter(
-            help=f"{SCENE_HELP} [default: that of the study]",
+            help=f"{_SCENE_HELP} [default: that of the study]",
             metavar="NAME|FILE",
             completer=common.complete_scene,
         ),
@@ -387,7 +387,7 @@ def compare(
     scene: Annotated[
         str | None,
         Parameter(
-            help=f"{SCENE_HELP} [default: that of --study, or csf]",
+            help=f"{_SCENE_HELP} [default: that of --study, or csf]",
             metavar="NAME|FILE",
             completer=common.complete_scene,
         ),
@@ -441,7 +441,7 @@ def compare(
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes
     compare.json, pictures, settings.toml, the settings of each sensor, and report.html.
     """
-    if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
+    if len(sensors) == _TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
         from pixsim.report.two_results import results_document
         from pixsim.show.render import write
         from pixsim.studies.compare import compare_results
@@ -472,7 +472,7 @@ def compare(
 
 @app.command(sort_key=8)
 def accuracy(
-    scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
+    scene: Annotated[str, Parameter(help=_SCENE_HELP, completer=common.complete_scene)],
     *,
     quick: Annotated[bool, Parameter(help="Fewer films.")] = False,
     options: SceneOptions = common.NO_OPTIONS,
@@ -1024,7 +1024,7 @@ def completion(
     )
 
 
-PROBLEM_FOUND = 1  # exit code
+_PROBLEM_FOUND = 1  # exit code
 
 
 @app.command(sort_key=13)
@@ -1050,4 +1050,4 @@ def doctor(
     document = doctor_document(examine(out or DEFAULT_OUT, limit_s))
     answer(document, json)
     if not document.data["ok"]:
-        sys.exit(PROBLEM_FOUND)
+        sys.exit(_PROBLEM_FOUND)

@@ -57,7 +57,7 @@ COMMON = frozenset(
 MANY = 30  # options: a command that has more shows the common ones first
 
 
-class CommonOptions(DefaultFormatter):
+class _CommonOptions(DefaultFormatter):
     """Prints the common options of each panel of a command's help."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
@@ -88,7 +88,7 @@ def print_help(app: App, arguments: Sequence[str]) -> str:
         if command is None
         else sum(argument.show for argument in app[command].assemble_argument_collection())
     )
-    app.help_formatter = CommonOptions() if number > MANY else None
+    app.help_formatter = _CommonOptions() if number > MANY else None
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     finally:

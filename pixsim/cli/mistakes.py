@@ -20,13 +20,13 @@ from pixsim.cli.options import app
 from pixsim.viewer.setting import Run
 
 # What takes a file of this suffix, where a command has it.
-TAKES = {
+_TAKES = {
     ".toml": ("--config", "-o"),
     ".xml": ("--scene", "-o"),
     ".exr": ("-o",),
     ".zmx": ("--lens",),
 }
-OTHER_NAME = {"-o": "--out", "--out": "-o"}  # a folder, or a single file
+_OTHER_NAME = {"-o": "--out", "--out": "-o"}  # a folder, or a single file
 
 
 def refusal(error: CycloptsError) -> str:
@@ -44,19 +44,17 @@ def refusal(error: CycloptsError) -> str:
         )
         text = (
             f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}."
-            f" {hint_of_word(first, options)}".rstrip()
+            f" {_hint_of_word(first, options)}".rstrip()
         )
     elif (
         isinstance(error, MissingArgumentError)
         and error.argument
         and error.argument.index is not None
     ):
-        text = (
-            f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
-        )
+        text = f"{command}: got no {_word_of(error.argument)}; allowed: {error.argument.parameter.help}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
-        if hint := hint_of_option(name, options, proposed="Did you mean" in text):
+        if hint := _hint_of_option(name, options, proposed="Did you mean" in text):
             text = f"Unknown option: {name}. {hint}"
     return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
 
@@ -66,17 +64,17 @@ def names_of(command: str) -> tuple[list[str], set[str]]:
     arguments = [
         argument for argument in app[command].assemble_argument_collection() if argument.parse
     ]
-    words = [word_of(argument) for argument in arguments if argument.index is not None]
+    words = [_word_of(argument) for argument in arguments if argument.index is not None]
     return words, {
         name for argument in arguments if argument.index is None for name in argument.names
     }
 
 
-def word_of(argument: Argument) -> str:
+def _word_of(argument: Argument) -> str:
     return argument.name.lstrip("-").upper()
 
 
-def hint_of_word(word: str, options: set[str]) -> str:
+def _hint_of_word(word: str, options: set[str]) -> str:
     """Return where a word belongs that is no argument of a command with these options; empty if
     that is not plain.
     """
@@ -86,7 +84,7 @@ def hint_of_word(word: str, options: set[str]) -> str:
         return f"Did you mean {option}{equals}{shlex.quote(value) if value else ''}?"
     if name and equals and "-D" in options:
         return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
-    for option in TAKES.get(Path(word).suffix.lower(), ()):
+    for option in _TAKES.get(Path(word).suffix.lower(), ()):
         if option in options:
             return f"Such a file goes after {option}: {option} {shlex.quote(word)}"
     if word.replace(".", "").isdecimal():
@@ -97,7 +95,7 @@ def hint_of_word(word: str, options: set[str]) -> str:
     return ""
 
 
-def hint_of_option(name: str, options: set[str], proposed: bool) -> str:
+def _hint_of_option(name: str, options: set[str], proposed: bool) -> str:
     """Return what an unknown option, such as --camera.resolution, means for a command with these
     options.
 
@@ -110,7 +108,7 @@ def hint_of_option(name: str, options: set[str], proposed: bool) -> str:
         "--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)
     ]
     meant += [option for option in sorted(options) if option.startswith(f"{name}-")]
-    meant += [OTHER_NAME[name]] if name in OTHER_NAME else []
+    meant += [_OTHER_NAME[name]] if name in _OTHER_NAME else []
     if meant := [option for option in meant if option in options]:
         return f"Did you mean {' or '.join(meant)}?"
     if "-D" in options and not (proposed or above) and name.startswith("--"):

@@ -114,7 +114,7 @@ def stages() -> Iterator[tuple[Stage, dict[str, float]]]:
         )
 
 
-OF_A_TECHNOLOGY = "from the technology"
+_OF_A_TECHNOLOGY = "from the technology"
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
@@ -163,7 +163,7 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
         default = (
             "that of the scene"
             if of_scene
-            else OF_A_TECHNOLOGY
+            else _OF_A_TECHNOLOGY
             if name in NUMBERS and NUMBERS[name].of_technology
             else "none"
         )
@@ -185,7 +185,7 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     return Parameter(**{**how, **more})
 
 
-NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
+_NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
 
 
 def _several(kind: Any, tokens: Sequence[Token]) -> Any:
@@ -197,7 +197,7 @@ def _several(kind: Any, tokens: Sequence[Token]) -> Any:
     values: list[Token] = []
     for token in tokens:
         parts: Any = (
-            NEXT_ASSIGNMENT.split(token.value) if "=" in token.value else as_list(token.value)
+            _NEXT_ASSIGNMENT.split(token.value) if "=" in token.value else as_list(token.value)
         )
         values += [token.evolve(value=part) for part in parts]
     return convert(kind, values)
@@ -208,7 +208,7 @@ SEVERAL = Parameter(
 )  # of every option of several values but names of files
 
 
-def packaged_or_files(
+def _packaged_or_files(
     names: Callable[[], Iterable[str]], *suffixes: str
 ) -> Callable[[Any], list[str]]:
     """A completer that offers packaged names, and the files and folders that a path may go on to.
@@ -238,42 +238,42 @@ def packaged_or_files(
     return complete
 
 
-def scene_names() -> Iterable[str]:
+def _scene_names() -> Iterable[str]:
     from pixsim.scene.packaged import packaged_scenes
 
     return packaged_scenes()
 
 
-def variant_names() -> Iterable[str]:
+def _variant_names() -> Iterable[str]:
     from pixsim.scene.variants.variant import VARIANTS
 
     return VARIANTS
 
 
-complete_scene = packaged_or_files(scene_names, ".xml")
-complete_picture = packaged_or_files(scene_names, ".xml", ".exr", ".npz", ".hdr")
-complete_study = packaged_or_files(lambda: packaged("data/studies"), ".toml")
-complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
-complete_technology = packaged_or_files(
+complete_scene = _packaged_or_files(_scene_names, ".xml")
+complete_picture = _packaged_or_files(_scene_names, ".xml", ".exr", ".npz", ".hdr")
+complete_study = _packaged_or_files(lambda: packaged("data/studies"), ".toml")
+complete_lens = _packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
+complete_technology = _packaged_or_files(
     lambda: [*packaged("data/technologies"), *packaged("data/sensors")], ".toml"
 )
-complete_sensor = packaged_or_files(
+_complete_sensor = _packaged_or_files(
     lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml"
 )
-complete_settings = packaged_or_files(lambda: packaged("data/sensors"), ".toml")
+_complete_settings = _packaged_or_files(lambda: packaged("data/sensors"), ".toml")
 
 
 Config = Annotated[
     list[Path] | None,
     Parameter(
-        completer=complete_settings,
+        completer=_complete_settings,
         help=(
             "TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477;"
             " later files take precedence."
         ),
     ),
 ]
-Define = Annotated[
+_Define = Annotated[
     list[str] | None,
     SEVERAL,
     Parameter(
@@ -299,7 +299,7 @@ Linear = Annotated[
         help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear)."
     ),
 ]
-Assets = Annotated[
+_Assets = Annotated[
     str | None,
     Parameter(
         help="Let the scene name files of this folder, besides those of its own (scene.assets).",
@@ -337,12 +337,12 @@ Variant = Annotated[
             " [default: the first that works]."
         ),
         metavar="NAME",
-        completer=lambda _: variant_names(),
+        completer=lambda _: _variant_names(),
     ),
 ]
 
 
-def option_table(record: type[Record], name: str, inside: str = "") -> object:
+def _option_table(record: type[Record], name: str, inside: str = "") -> object:
     """The fields of a record as dotted options, as text that the record validates; None if no
     option is given.
 
@@ -358,10 +358,12 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
         ]
         if records:
             fields.append(
-                (key, option_table(records[0], key.replace("_", "-"), name), field(default=None))
+                (key, _option_table(records[0], key.replace("_", "-"), name), field(default=None))
             )
             continue
-        more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
+        more = (
+            {"completer": _complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
+        )
         if record is LensOptions and key == "file":
             more = {
                 "name": ("--lens.file", "--lens"),
@@ -395,16 +397,16 @@ if TYPE_CHECKING:
     MetricTable: TypeAlias = object
     PitchTable: TypeAlias = object
 else:
-    CameraTable = option_table(CameraOptions, "camera")
-    LensTable = option_table(LensOptions, "lens")
-    PixelTable = option_table(Pixel, "pixel")
-    ExposureTable = option_table(Exposure, "exposure")
-    MotionTable = option_table(Motion, "motion")
-    CorrectionTable = option_table(Correction, "correction")
-    DevelopTable = option_table(Develop, "develop")
-    DisplayTable = option_table(Display, "display")
-    MetricTable = option_table(MetricOptions, "metric")
-    PitchTable = option_table(PitchRange, "pitch")
+    CameraTable = _option_table(CameraOptions, "camera")
+    LensTable = _option_table(LensOptions, "lens")
+    PixelTable = _option_table(Pixel, "pixel")
+    ExposureTable = _option_table(Exposure, "exposure")
+    MotionTable = _option_table(Motion, "motion")
+    CorrectionTable = _option_table(Correction, "correction")
+    DevelopTable = _option_table(Develop, "develop")
+    DisplayTable = _option_table(Display, "display")
+    MetricTable = _option_table(MetricOptions, "metric")
+    PitchTable = _option_table(PitchRange, "pitch")
 
 
 @Parameter(name="*")
@@ -415,9 +417,9 @@ class SceneOptions:
     """
 
     config: Config = None
-    define: Define = None
+    define: _Define = None
     linear: Linear = False
-    assets: Assets = None
+    assets: _Assets = None
     camera: CameraTable = None
     lens: LensTable = None
     pixel: PixelTable = None

@@ -20,21 +20,23 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
-ENDING = {
+_ENDING = {
     getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)
 }  # Windows has no SIGHUP
-IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
-SIGNAL_EXIT = (
+_IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
+_SIGNAL_EXIT = (
     128  # the exit code of a shell for a process that a signal ended, less the signal's number
 )
-PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
-WAIT_S = 0.02  # before another try to raise
-LONGEST_WAIT_S = 3.0
-IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
-ENTERING = ("__enter__", "__exit__", "enter_context")
+_PATIENCE_S = (
+    5.0  # for the clean-up after a signal; another one after that ends the process at once
+)
+_WAIT_S = 0.02  # before another try to raise
+_LONGEST_WAIT_S = 3.0
+_IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
+_ENTERING = ("__enter__", "__exit__", "enter_context")
 
 
-class Interruption:
+class _Interruption:
     """The first signal that asks this process to end, and what follows from it.
 
     Before the command begins, the process ends at once: nothing is written, nothing else runs.
@@ -52,10 +54,10 @@ class Interruption:
         """Take the signals, except those that whoever started this process has set to be ignored
         (nohup, background jobs).
         """
-        for number in ENDING:
+        for number in _ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._receive)
-        if IS_TIMED:
+        if _IS_TIMED:
             signal.signal(signal.SIGALRM, self._raise)
         sys.unraisablehook = self._unraisable
         atexit.register(self._ignore)  # the first one registered runs last
@@ -70,28 +72,28 @@ class Interruption:
         """
         self._done = True
         if self.received is not None:
-            raise_after(0)
+            _raise_after(0)
             raise KeyboardInterrupt
 
     def finish(self) -> None:
         """The command has ended: a signal does not disturb the clean-up of the process."""
         self._done = True
-        raise_after(0)
+        _raise_after(0)
 
     @property
     def words(self) -> str:
         """What happened, for a message; Python itself may have raised KeyboardInterrupt."""
-        return ENDING[signal.Signals(self.received or signal.SIGINT)]
+        return _ENDING[signal.Signals(self.received or signal.SIGINT)]
 
     @property
     def exit_code(self) -> int:
-        return SIGNAL_EXIT + (self.received or signal.SIGINT)
+        return _SIGNAL_EXIT + (self.received or signal.SIGINT)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
         now_s = time.monotonic()
         if self._first_s is None:
             self._first_s = now_s
-        if now_s - self._first_s > PATIENCE_S:
+        if now_s - self._first_s > _PATIENCE_S:
             self.received = number
             self._leave()
         elif not self._done and self.received is None:
@@ -106,8 +108,8 @@ class Interruption:
         waited_s = time.monotonic() - (self._first_s or 0.0)
         if self._done:
             return
-        if IS_TIMED and waited_s < LONGEST_WAIT_S and must_wait(frame):
-            raise_after(WAIT_S)
+        if _IS_TIMED and waited_s < _LONGEST_WAIT_S and _must_wait(frame):
+            _raise_after(_WAIT_S)
         else:
             raise KeyboardInterrupt
 
@@ -116,11 +118,11 @@ class Interruption:
         callback.
         """
         if (
-            IS_TIMED
+            _IS_TIMED
             and isinstance(failure.exc_value, KeyboardInterrupt)
             and self.received is not None
         ):
-            raise_after(WAIT_S)
+            _raise_after(_WAIT_S)
         else:
             sys.__unraisablehook__(failure)
 
@@ -129,7 +131,7 @@ class Interruption:
         """Ignore signals while Python clears its modules, 0.2 s: it takes our handlers away first,
         and its own would end the process as if the command had not ended.
         """
-        for number in ENDING:
+        for number in _ENDING:
             signal.signal(number, signal.SIG_IGN)
 
     def _leave(self) -> NoReturn:
@@ -138,27 +140,27 @@ class Interruption:
         os._exit(self.exit_code)
 
 
-def raise_after(seconds: float) -> None:
+def _raise_after(seconds: float) -> None:
     """Let `Interruption._raise` be called after a time, or no more (0)."""
-    if IS_TIMED:
+    if _IS_TIMED:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def must_wait(frame: FrameType | None) -> bool:
+def _must_wait(frame: FrameType | None) -> bool:
     """Whether a module is imported, or a context manager entered or left, in a frame or those that
     called it.
     """
     while frame is not None:
         code = frame.f_code
-        if code.co_filename == IMPORTING or (
-            code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")
+        if code.co_filename == _IMPORTING or (
+            code.co_name in _ENTERING and code.co_filename.endswith("contextlib.py")
         ):
             return True
         frame = frame.f_back
     return False
 
 
-interruption = Interruption()
+interruption = _Interruption()
 
 
 def open_closed_streams() -> None:

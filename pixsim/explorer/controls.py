@@ -48,7 +48,7 @@ OF_ALL = (
 )  # tables that two sensors share, so that both see and show the same
 LENS, NO_LENS = "lens.file", "thin lens"
 # What a field's name says in other words than a designer's.
-LABELS = {
+_LABELS = {
     "pitch": "pixel size", "f number": "f-number", "image": "motion of the image", "integration": "exposure time",
     "max integration": "longest exposure time", "": "viewing distance, as dots",
 }  # fmt: skip
@@ -146,7 +146,7 @@ def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:
     label = name.removesuffix(ending).replace("_", " ")
     return Control(
         path,
-        LABELS.get(label, label),
+        _LABELS.get(label, label),
         unit_of(name),
         declared.get("description", ""),
         least,

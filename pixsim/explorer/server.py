@@ -34,13 +34,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.explorer.session import PageRequest, Session
 
-HOST = "127.0.0.1"
+_HOST = "127.0.0.1"
 FILES = {
     "/": ("page.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
     "/page.css": ("page.css", "text/css"),
 }
-HEADERS = {
+_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
@@ -48,16 +48,16 @@ HEADERS = {
 MOST_BYTES = 1 << 16  # of a message
 FIRST_S, RELOAD_S = 10.0, 3.0  # for the token, and for a page that is loaded again
 REFUSED, REPLACED = 4403, 4409  # codes of a WebSocket that is closed
-REDIRECT = """<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>pixsim explore</title>
+_REDIRECT = """<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>pixsim explore</title>
 <meta name="referrer" content="no-referrer"><meta http-equiv="refresh" content="0; url={url}"><p><a href="{url}">pixsim</a>
 """
 
 
-class SamePage:
+class _SamePage:
     """Refuse what another host name, or the page of another origin, asks for."""
 
     def __init__(self, app: ASGIApp, port: int) -> None:
-        self.app, self.hosts = app, [f"{name}:{port}".encode() for name in (HOST, "localhost")]
+        self.app, self.hosts = app, [f"{name}:{port}".encode() for name in (_HOST, "localhost")]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
@@ -104,7 +104,7 @@ class Pages:
         return Response(
             (resources.files("pixsim") / "data/explorer" / name).read_bytes(),
             media_type=kind,
-            headers=HEADERS,
+            headers=_HEADERS,
         )
 
     async def socket(self, page: WebSocket) -> None:
@@ -145,11 +145,11 @@ class Pages:
 def served(session: Session) -> Iterator[Path]:
     """Serve the page of a session within the block, and give the private file that leads to it."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.bind((HOST, 0))
+    listening.bind((_HOST, 0))
     port, token = listening.getsockname()[1], secrets.token_urlsafe(32)
     pages = Pages(session, token)
     routes = [*(Route(path, pages.file) for path in FILES), WebSocketRoute("/socket", pages.socket)]
-    app = SamePage(Starlette(routes=routes), port)
+    app = _SamePage(Starlette(routes=routes), port)
     options: dict[str, Any] = {
         "log_level": "critical",
         "access_log": False,
@@ -166,7 +166,7 @@ def served(session: Session) -> Iterator[Path]:
     number, name = tempfile.mkstemp(".html", "pixsim-explore-")  # of mode 0600
     try:
         with os.fdopen(number, "w", encoding="utf-8") as file:
-            file.write(REDIRECT.format(url=html.escape(f"http://{HOST}:{port}/#{token}")))
+            file.write(_REDIRECT.format(url=html.escape(f"http://{_HOST}:{port}/#{token}")))
         thread.start()
         yield Path(name)
     finally:

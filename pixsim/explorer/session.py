@@ -55,14 +55,14 @@ CURVE_STEPS, A_DECADE = (
     4,
     12,
 )  # sizes on each side of the pixel's, and how many there are from one to ten times it
-TELL_S = 0.2  # between two words on what is being done
+_TELL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
 LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
     ("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True
 )
 
 
-class SupersededError(BaseException):
+class _SupersededError(BaseException):
     """Other settings came, or the page was closed: what is being computed is no longer asked
     for.
     """
@@ -167,7 +167,7 @@ class Session:
                 with warnings.catch_warnings():
                     warnings.showwarning = lambda *_, **__: None  # the page has them as notes
                     self.answer(asked)
-            except SupersededError:
+            except _SupersededError:
                 pass  # what came is next
             except (PixsimError, MemoryError) as error:
                 words = (
@@ -242,8 +242,8 @@ class Session:
         def stage(name: str) -> Progress:
             def progress(done: float = 0.0, note: str = "") -> None:
                 if self._asked not in (None, asked) or self._ended:
-                    raise SupersededError
-                if time.monotonic() - self._told_s > TELL_S:
+                    raise _SupersededError
+                if time.monotonic() - self._told_s > _TELL_S:
                     self._told_s = time.monotonic()
                     self.send({"number": asked.number, "busy": f"{name}: {100 * done:.0f} %{note}"})
 

@@ -30,7 +30,7 @@ from pixsim.light.tables import (
 EfficiencyCurve = tuple[
     tuple[float, float], ...
 ]  # (wavelength in nm, electrons per photon), wavelengths increasing
-ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
+_ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
 MAX_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = (
@@ -84,7 +84,7 @@ def read_curve(path: Path) -> EfficiencyCurve:
     """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are
     not a curve.
     """
-    table = read_table(path, "quantum efficiency", ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
+    table = read_table(path, "quantum efficiency", _ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
     return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
@@ -108,7 +108,7 @@ def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
     ]
 
 
-IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the title, as nm,QE (%)"
+_IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the title, as nm,QE (%)"
 
 
 def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
@@ -134,7 +134,7 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
                 f" {ALLOWED}.{hint}"
             )
         if not 0 <= efficiency <= 1:
-            hint = f" {IN_PER_CENT}." if 1 < efficiency <= 100 else ""
+            hint = f" {_IN_PER_CENT}." if 1 < efficiency <= 100 else ""
             raise ValueError(
                 f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}"
             )
@@ -143,7 +143,7 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     return pairs
 
 
-ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and such shares"
+_ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and such shares"
 
 
 def as_share(value: object) -> object:
@@ -151,13 +151,13 @@ def as_share(value: object) -> object:
     ValueError if it is none.
     """
     if value is None:
-        raise ValueError(f"got None; allowed: {ALLOWED_SHARE}")
+        raise ValueError(f"got None; allowed: {_ALLOWED_SHARE}")
     if isinstance(value, str | Path):
         try:
             value = float(str(value))
         except ValueError:
             table = read_table(
-                Path(str(value)), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM
+                Path(str(value)), "share", _ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM
             )
             columns = [
                 zip(map(float, table.nm), map(float, each.values), strict=True)
@@ -168,7 +168,7 @@ def as_share(value: object) -> object:
         value = as_float(value)
         if not 0 <= value < 1:
             hint = f". In per cent? {value:g} % is {value / 100:g}" if 1 <= value < 100 else ""
-            raise ValueError(f"got {value:g}; allowed: {ALLOWED_SHARE}{hint}")
+            raise ValueError(f"got {value:g}; allowed: {_ALLOWED_SHARE}{hint}")
         return value
     try:
         pairs = tuple(
@@ -177,7 +177,7 @@ def as_share(value: object) -> object:
         )
     except (TypeError, ValueError):
         raise ValueError(
-            f"got neither a number, nor a file, nor a list of pairs; allowed: {ALLOWED_SHARE}"
+            f"got neither a number, nor a file, nor a list of pairs; allowed: {_ALLOWED_SHARE}"
         ) from None
     return _check_shares(pairs, "a list")
 
@@ -193,16 +193,16 @@ def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
             " nm that increase"
         )
     if outside := [share for _, share in pairs if not 0 <= share < 1]:
-        hint = f" {IN_PER_CENT}." if 1 <= outside[0] < 100 else ""
+        hint = f" {_IN_PER_CENT}." if 1 <= outside[0] < 100 else ""
         raise ValueError(
-            f"got {source} with a share of {outside[0]:g}; allowed: {ALLOWED_SHARE}.{hint}"
+            f"got {source} with a share of {outside[0]:g}; allowed: {_ALLOWED_SHARE}.{hint}"
         )
     return pairs
 
 
-LARGEST_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
+_LARGEST_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
 Curves = dict[str, EfficiencyCurve]  # letter of a channel -> its curve
-COLOUR_WORDS = {
+_COLOUR_WORDS = {
     "red": "R",
     "green": "G",
     "blue": "B",
@@ -212,12 +212,12 @@ COLOUR_WORDS = {
     "magenta": "M",
     "yellow": "Y",
 }
-SURELY_SEEN_NM = (
+_SURELY_SEEN_NM = (
     400.0,
     700.0,
 )  # that curves of channels must cover: what lies outside is taken as 0
-LARGEST_STEP_NM = 20.0  # between their points there
-ALLOWED_CURVES = (
+_LARGEST_STEP_NM = 20.0  # between their points there
+_ALLOWED_CURVES = (
     "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as"
     " title"
 )
@@ -242,7 +242,7 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
             return _read_curves(Path(value), kind, highest)
         if not isinstance(value, Mapping) or not value:
             raise ValueError(
-                f"got {brief(value)}; allowed: {ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1],"
+                f"got {brief(value)}; allowed: {_ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1],"
                 " [700, 0.5]] }"
             )
         curves = {}
@@ -264,7 +264,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
     """Curves of channels from the columns of a table: in A/W those of quantum efficiencies are
     converted, sensitivities not.
     """
-    table = read_table(path, kind, ALLOWED_CURVES, 2, MAX_FILE_BYTES, ALLOWED_NM)
+    table = read_table(path, kind, _ALLOWED_CURVES, 2, MAX_FILE_BYTES, ALLOWED_NM)
     titles = [
         IN_BRACKETS.sub("", PERCENT.sub("", column.title)).strip(" _") for column in table.columns
     ]
@@ -273,7 +273,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
     if len(letters) != count:
         named = f"{len(letters)} channels in the title" if any(titles) else "no title"
         raise ValueError(
-            f"got '{path}' with {named} and {count} values; allowed: {ALLOWED_CURVES}, as"
+            f"got '{path}' with {named} and {count} values; allowed: {_ALLOWED_CURVES}, as"
             " wavelength_nm,R,G,B"
         )
     if twice := [letter for place, letter in enumerate(letters) if letter in letters[:place]]:
@@ -301,7 +301,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
 
 def _letter(name: str) -> str:
     """The letter of a channel, from a letter or a colour's name. ValueError if it is neither."""
-    letter = COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
+    letter = _COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
     if not re.fullmatch("[A-Z]", letter):
         raise ValueError(
             f"got a channel named {quoted(name)}; allowed: one letter, as R, G, B, C (clear) or W"
@@ -327,14 +327,14 @@ def _check_channel(
                 + (f" {unit}." if unit else "")
             )
         if not 0 <= value <= highest:
-            hint = f" {IN_PER_CENT}." if 1 < value <= 100 else ""
+            hint = f" {_IN_PER_CENT}." if 1 < value <= 100 else ""
             hint = (
                 " Set negative values, as noise of a measurement leaves them, to 0."
                 if value < 0
                 else hint
             )
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
-    low, high = SURELY_SEEN_NM
+    low, high = _SURELY_SEEN_NM
     seen = [nm for nm, _ in curve]
     if not seen or seen[0] > low or seen[-1] < high:
         covered = f"{seen[0]:g} to {seen[-1]:g} nm" if seen else "no values"
@@ -343,10 +343,10 @@ def _check_channel(
             " there is no response."
         )
     for nm, following in pairwise(seen):
-        if following - nm > LARGEST_STEP_NM and following > low and nm < high:
+        if following - nm > _LARGEST_STEP_NM and following > low and nm < high:
             gap = f"a gap from {nm:g} to {following:g} nm"
             raise ValueError(
-                f"got {source} with {gap}; allowed: steps of at most {LARGEST_STEP_NM:g} nm from"
+                f"got {source} with {gap}; allowed: steps of at most {_LARGEST_STEP_NM:g} nm from"
                 f" {low:g} to {high:g} nm"
             )
     if not any(value >= MIN_FRACTION for _, value in curve):
@@ -358,7 +358,7 @@ def _check_channel(
 
 # The three words for the responses of channels, with their validators.
 AS_CURVES: dict[str, Callable[[Any], Any]] = {
-    "sensitivities": as_curves("sensitivities", LARGEST_RELATIVE),
+    "sensitivities": as_curves("sensitivities", _LARGEST_RELATIVE),
     "quantum_efficiencies": as_curves("quantum efficiencies", 1.0),
     "transmittances": as_curves("transmittances", 1.0),
 }
@@ -412,7 +412,7 @@ Share = Annotated[
 def _curves_schema(*others: dict[str, Any]) -> WithJsonSchema:
     pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
     table = {"type": "object", "additionalProperties": {"type": "array", "items": pair}}
-    file = {"type": "string", "description": f"{ALLOWED_CURVES}, next to the TOML file"}
+    file = {"type": "string", "description": f"{_ALLOWED_CURVES}, next to the TOML file"}
     return WithJsonSchema({"anyOf": [*others, file, table]})
 
 

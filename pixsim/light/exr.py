@@ -31,19 +31,19 @@ from pixsim.light.spectral import (
     SpectralImage,
 )
 
-MAGIC = 20000630
-TILED = 0x200
-OTHER_KINDS = {0x800: "a deep image", 0x1000: "several parts"}
-MAX_HEADER_NAME = 255
-MAX_ATTRIBUTES = 4096
+_MAGIC = 20000630
+_TILED = 0x200
+_OTHER_KINDS = {0x800: "a deep image", 0x1000: "several parts"}
+_MAX_HEADER_NAME = 255
+_MAX_ATTRIBUTES = 4096
 MAX_CHANNELS = 4096
-MAX_ATTRIBUTE = 1 << 26  # bytes; pixsim's largest attribute takes less than one MiB
-MAX_SIDE = 1 << 20
-MAX_TILE_BYTES = 1 << 28
+_MAX_ATTRIBUTE = 1 << 26  # bytes; pixsim's largest attribute takes less than one MiB
+_MAX_SIDE = 1 << 20
+_MAX_TILE_BYTES = 1 << 28
 ALLOWED = "a readable OpenEXR file"
 
 
-def judge_exr(path: Path) -> None:
+def _judge_exr(path: Path) -> None:
     """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares
     implausible sizes or counts.
     """
@@ -62,9 +62,9 @@ def _damaged(path: Path, got: str) -> PixsimError:
 
 def _judge(path: Path, file: IO[bytes]) -> None:
     magic, version = struct.unpack("<2I", file.read(8))
-    if magic != MAGIC or version & 0xFF != 2:
+    if magic != _MAGIC or version & 0xFF != 2:
         raise invalid("EXR file", f"'{path}', which does not start like an EXR file", ALLOWED)
-    for flag, kind in OTHER_KINDS.items():
+    for flag, kind in _OTHER_KINDS.items():
         if version & flag:
             raise invalid(
                 "EXR file",
@@ -83,9 +83,9 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(attributes["channels"])
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+    if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE):
         raise invalid(
-            "EXR file", f"{width} × {height} values in '{path}'", f"1 to {MAX_SIDE} per side"
+            "EXR file", f"{width} × {height} values in '{path}'", f"1 to {_MAX_SIDE} per side"
         )
     check_size(
         f"EXR file '{path}'",
@@ -94,9 +94,9 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     )
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
-    if version & TILED:
+    if version & _TILED:
         across, down = struct.unpack("<2IB", attributes.get("tiles", b""))[:2]
-        if min(across, down) < 1 or 4 * across * down * count > MAX_TILE_BYTES:
+        if min(across, down) < 1 or 4 * across * down * count > _MAX_TILE_BYTES:
             raise _damaged(path, f"tiles of {across} × {down} samples")
     check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
 
@@ -104,24 +104,24 @@ def _judge(path: Path, file: IO[bytes]) -> None:
 def _attributes(path: Path, file: IO[bytes], stored: int) -> dict[str, bytes]:
     """Return the attributes that describe the channels and the layout; skip the others."""
     attributes: dict[str, bytes] = {}
-    for _ in range(MAX_ATTRIBUTES):
+    for _ in range(_MAX_ATTRIBUTES):
         name = _read_name(file)
         if not name:
             return attributes
         _read_name(file)
         (size,) = struct.unpack("<I", file.read(4))
-        if size > min(MAX_ATTRIBUTE, stored - file.tell()):
+        if size > min(_MAX_ATTRIBUTE, stored - file.tell()):
             raise _damaged(path, f"an attribute {name!r} of {size} bytes")
         if name in ("channels", "dataWindow", "compression", "tiles", "type"):
             attributes[name] = file.read(size)
         else:
             file.seek(size, os.SEEK_CUR)
-    raise _damaged(path, f"more than {MAX_ATTRIBUTES} attributes")
+    raise _damaged(path, f"more than {_MAX_ATTRIBUTES} attributes")
 
 
 def _read_name(file: IO[bytes]) -> str:
     """Read a text that ends with a zero byte."""
-    text = file.read(MAX_HEADER_NAME + 1)
+    text = file.read(_MAX_HEADER_NAME + 1)
     length = text.find(b"\0")
     if length < 0:
         raise EOFError
@@ -144,7 +144,7 @@ def _channel_count(content: bytes) -> int:
     return count
 
 
-def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
+def _checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has
     another type or value.
     """
@@ -158,7 +158,7 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     )
     if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
         raise ValueError("there must be one finite number for each band")
-    check_diffuser(header.get(DIFFUSER, {}), len(metadata["wavelength_nm"]))
+    _check_diffuser(header.get(DIFFUSER, {}), len(metadata["wavelength_nm"]))
     if not isinstance(lamps := header.get(WHITE_LAMPS, []), list) or not all(
         isinstance(name, str) for name in lamps
     ):
@@ -175,7 +175,7 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     return metadata
 
 
-def check_diffuser(stated: dict[str, Any], bands: int) -> None:
+def _check_diffuser(stated: dict[str, Any], bands: int) -> None:
     """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another
     type or value.
     """
@@ -246,7 +246,7 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     """Open an EXR file. Raises PixsimError if it is missing, damaged, not an EXR, or declares an
     implausible size.
     """
-    judge_exr(Path(path))
+    _judge_exr(Path(path))
     import OpenEXR
 
     try:
@@ -346,7 +346,7 @@ def _header(
         _name(name) + _name(kind) + struct.pack("<i", len(value)) + value
         for name, kind, value in attributes
     ]
-    return struct.pack("<2i", MAGIC, VERSION) + b"".join(packed) + b"\0"
+    return struct.pack("<2i", _MAGIC, VERSION) + b"".join(packed) + b"\0"
 
 
 def _name(text: str) -> bytes:
@@ -364,7 +364,7 @@ def shortest(value: float) -> float:
 MAX_BAND_BYTES = (
     1 << 30
 )  # of the band channels of a factored image; above it, one illuminance channel replaces them
-CHANNEL_WIDTH_NM = (
+_CHANNEL_WIDTH_NM = (
     10.0  # of the band channels of a factored image; its finer bands are in the header
 )
 
@@ -376,7 +376,7 @@ def _band_channel(wavelength_nm: float) -> str:
 
 MAX_REDUCED_COLUMNS, MAX_REDUCED_BYTES = 1024, 60_000_000
 NEAR = 8  # among the most columns and an eighth less, some divide a usual height to 2 % of a sample
-MAX_CUT = 0.01  # of the height
+_MAX_CUT = 0.01  # of the height
 
 
 def reduced_to_fit(image: SpectralImage) -> SpectralImage:
@@ -405,7 +405,7 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
         return (height * columns / width + EDGE) % 1
 
     best = min(range(most, most - most // NEAR - 1, -1), key=cut)
-    return image.box_reduced(best) if cut(best) * width / best <= MAX_CUT * height else image
+    return image.box_reduced(best) if cut(best) * width / best <= _MAX_CUT * height else image
 
 
 def write_exr(
@@ -475,7 +475,7 @@ def _merged(image: SpectralImage) -> SpectralImage:
     groups: list[list[int]] = []
     width = 0.0
     for band, band_nm in enumerate(image.band_width_nm):
-        if groups and width + band_nm <= CHANNEL_WIDTH_NM:
+        if groups and width + band_nm <= _CHANNEL_WIDTH_NM:
             groups[-1].append(band)
             width += band_nm
         else:
@@ -523,7 +523,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
             hint,
         )
     try:
-        metadata = checked_own(json.loads(header["pixsim"]))
+        metadata = _checked_own(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
         within = (
             (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None

@@ -37,14 +37,14 @@ HOW_TO_STATE = (
 )
 PREFIXES = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1}
 PREFIXES |= {"d": -1, "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}
-PREFIX = "|".join(PREFIXES)
+_PREFIX = "|".join(PREFIXES)
 NM = PREFIXES["n"]
-TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
-UNIT = re.compile(rf"({PREFIX})?(W|m|[sS][rR])")
-AS_ASCII = str.maketrans("µμ·⋅.−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "uu***--0123456789")
+_TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
+UNIT = re.compile(rf"({_PREFIX})?(W|m|[sS][rR])")
+_AS_ASCII = str.maketrans("µμ·⋅.−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "uu***--0123456789")
 # Unknown symbols, missing operands, huge powers, deeply nested brackets.
-MAX_UNIT = 200  # characters; the time to take a text apart grows with the square of its factors
-NOT_A_UNIT = (AttributeError, IndexError, ValueError, OverflowError, RecursionError)
+_MAX_UNIT = 200  # characters; the time to take a text apart grows with the square of its factors
+_NOT_A_UNIT = (AttributeError, IndexError, ValueError, OverflowError, RecursionError)
 Powers = NDArray[np.int64]  # of watt, metre, steradian and ten
 
 
@@ -76,13 +76,13 @@ def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> Ligh
 
     Raises PixsimError if the text does not parse, or is neither an irradiance nor a radiance.
     """
-    if len(text) > MAX_UNIT:
+    if len(text) > _MAX_UNIT:
         raise invalid(what, excerpt(text), ALLOWED_UNITS, HOW_TO_STATE)
-    plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(AS_ASCII).replace("**", "^"))
+    plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(_AS_ASCII).replace("**", "^"))
     watt = metre = steradian = ten = 0
-    tokens = re.findall(TOKEN, plain)
+    tokens = re.findall(_TOKEN, plain)
     if "".join(tokens) == "".join(plain.split()):
-        with suppress(*NOT_A_UNIT):
+        with suppress(*_NOT_A_UNIT):
             watt, metre, steradian, ten = _product(tokens).tolist()
         if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
             spectral = metre == -3  # per area and per wavelength
@@ -115,23 +115,23 @@ def _factor(tokens: list[str]) -> Powers:
     return powers
 
 
-SHOWN_NAMES = 12
+_SHOWN_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
-CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
+CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({_PREFIX})?(m|Hz)")
 # Mitsuba 0.6 and its kin: 400.00-420.00nm, the edges of a band; others: 550nm, or a word and a dot
 # before it.
 EDGES = re.compile(
     r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*-\s*(\d{2,4}(?:[.,]\d{1,9})?)\s*nm",
     re.IGNORECASE,
 )
-CENTRE = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
-NPZ_NEEDED = ("data", "wavelength_nm", "units")
-NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
-NPZ_SHAPES = "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)"
-MAX_METADATA = 1 << 16  # bytes of every array but the picture
+_CENTRE = re.compile(r"(?:[A-Za-z]\w*\.)?(\d{2,4}(?:[.,]\d{1,9})?)\s*nm", re.IGNORECASE)
+_NPZ_NEEDED = ("data", "wavelength_nm", "units")
+_NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
+_NPZ_SHAPES = "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)"
+_MAX_METADATA = 1 << 16  # bytes of every array but the picture
 MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
-GAP_VALUES = 1 << 22  # of a strip
-ENVI_DAMAGE: tuple[type[Exception], ...] = (
+_GAP_VALUES = 1 << 22  # of a strip
+_ENVI_DAMAGE: tuple[type[Exception], ...] = (
     OSError,
     ValueError,
     KeyError,
@@ -140,9 +140,9 @@ ENVI_DAMAGE: tuple[type[Exception], ...] = (
     OverflowError,
     IndexError,
 )
-ENVI_INTERLEAVES = ("bsq", "bil", "bip")
-ENVI_ORDER = re.compile(r"^[ \t]*byte order[ \t]*=", re.MULTILINE | re.IGNORECASE)
-ENVI_ASCII = {
+_ENVI_INTERLEAVES = ("bsq", "bil", "bip")
+_ENVI_ORDER = re.compile(r"^[ \t]*byte order[ \t]*=", re.MULTILINE | re.IGNORECASE)
+_ENVI_ASCII = {
     ord("µ"): "u",
     ord("μ"): "u",
     ord("Å"): "Angstrom",
@@ -151,10 +151,14 @@ ENVI_ASCII = {
     ord("¹"): "1",
     ord("·"): " ",
 }
-ENVI_COMPLEX = ("6", "9")  # data types
+_ENVI_COMPLEX = ("6", "9")  # data types
 # Header fields that change the meaning of the stored values, with the value that changes nothing.
-ENVI_NEUTRAL = {"data gain values": 1.0, "data offset values": 0.0, "reflectance scale factor": 1.0}
-ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 marks a bad band
+_ENVI_NEUTRAL = {
+    "data gain values": 1.0,
+    "data offset values": 0.0,
+    "reflectance scale factor": 1.0,
+}
+_ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 marks a bad band
 
 
 @dataclass(frozen=True)
@@ -177,8 +181,8 @@ class Cube:
 
 
 def shortened(items: Sequence[object]) -> str:
-    """Format a list for a message, with at most `SHOWN_NAMES` items."""
-    return ", ".join(map(str, items[:SHOWN_NAMES])) + (" …" if len(items) > SHOWN_NAMES else "")
+    """Format a list for a message, with at most `_SHOWN_NAMES` items."""
+    return ", ".join(map(str, items[:_SHOWN_NAMES])) + (" …" if len(items) > _SHOWN_NAMES else "")
 
 
 def read_cube(path: Path) -> Cube:
@@ -228,7 +232,7 @@ def _check_size(path: Path, shape: tuple[int, ...]) -> None:
     )
 
 
-def read_spectral_exr(path: Path) -> Cube:
+def _read_spectral_exr(path: Path) -> Cube:
     """Read an EXR in the layout of Fichet et al. (JCGT 10(3), 2021), which pbrt-v4's SpectralFilm
     and ART write.
 
@@ -258,7 +262,7 @@ def read_spectral_exr(path: Path) -> Cube:
             centre_nm = {
                 name: float(match[1].replace(",", "."))
                 for name in names
-                if (match := CENTRE.fullmatch(name))
+                if (match := _CENTRE.fullmatch(name))
             }
     if not centre_nm:
         hint = (
@@ -298,7 +302,7 @@ def read_spectral_exr(path: Path) -> Cube:
         for key, value in header.items()
         if isinstance(value, str | int | float | np.ndarray)
     }
-    optional: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
+    optional: dict[str, Any] = {key: plain.get(key) for key in _NPZ_OPTIONAL}
     centres = np.array([centre_nm[name] for name in order])
     if edges_nm and optional["band_width_nm"] is None:
         optional["band_width_nm"] = np.array(
@@ -329,14 +333,14 @@ def _channel_nm(match: re.Match[str]) -> float:
     return LIGHT_SPEED_M_PER_S * 1e9 / float(number) if float(number) else math.inf
 
 
-def read_npz(path: Path) -> Cube:
+def _read_npz(path: Path) -> Cube:
     """Read the arrays that `write_npz` writes, `data` as (rows, columns, bands); pickled objects
     are not loaded.
     """
 
     def choose(names: list[str]) -> list[str]:
-        if {"data", "wavelength_nm"} - set(names) or set(names) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
-            allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
+        if {"data", "wavelength_nm"} - set(names) or set(names) - {*_NPZ_NEEDED, *_NPZ_OPTIONAL}:
+            allowed = f"{', '.join(_NPZ_NEEDED)}; optional: {', '.join(_NPZ_OPTIONAL)}"
             raise invalid(f"arrays in '{path}'", shortened(names_in(names)) or "none", allowed)
         return names
 
@@ -345,18 +349,18 @@ def read_npz(path: Path) -> Cube:
         if name == "data":
             if values.ndim != 3 or values.dtype.kind not in "iuf":
                 raise invalid(
-                    f"arrays in '{path}'", f"data {values.dtype} {values.shape}", NPZ_SHAPES
+                    f"arrays in '{path}'", f"data {values.dtype} {values.shape}", _NPZ_SHAPES
                 )
-        elif values.nbytes > MAX_METADATA:
+        elif values.nbytes > _MAX_METADATA:
             raise invalid(
-                f"{name} in '{path}'", f"{values.size} values", f"up to {MAX_METADATA} bytes"
+                f"{name} in '{path}'", f"{values.size} values", f"up to {_MAX_METADATA} bytes"
             )
 
     expected = "a readable file from numpy.savez without pickled objects"
     arrays: dict[str, Any] = read_arrays(path, "npz file", expected, choose, check)
     data, nm = arrays.pop("data"), arrays.pop("wavelength_nm")
     if nm.ndim != 1 or nm.dtype.kind not in "iuf":
-        raise invalid(f"arrays in '{path}'", f"wavelength_nm {nm.dtype} {nm.shape}", NPZ_SHAPES)
+        raise invalid(f"arrays in '{path}'", f"wavelength_nm {nm.dtype} {nm.shape}", _NPZ_SHAPES)
     if data.shape[2] != nm.size and (hint := bands_last_hint(data.shape, nm.size)):
         raise invalid(
             f"data in '{path}'",
@@ -367,7 +371,7 @@ def read_npz(path: Path) -> Cube:
     return Cube(data, nm.astype(float), str(arrays.pop("units", "")), **arrays)
 
 
-def read_envi(path: Path) -> Cube:
+def _read_envi(path: Path) -> Cube:
     """Read an ENVI header and its raw file with SPy.
 
     The unit is the header's `data units`, which ENVI's radiometric calibration writes, or
@@ -411,7 +415,7 @@ def read_envi(path: Path) -> Cube:
         )
     except PixsimError:
         raise
-    except (*ENVI_DAMAGE, spectral.SpyException) as error:
+    except (*_ENVI_DAMAGE, spectral.SpyException) as error:
         text = (
             error if isinstance(error, spectral.SpyException) else reason(error)
         )  # SPy's own texts do not quote the file
@@ -427,7 +431,7 @@ def read_envi(path: Path) -> Cube:
         raise invalid(
             f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them."
         )
-    if ENVI_ORDER.search(as_text(content) or "") is None:
+    if _ENVI_ORDER.search(as_text(content) or "") is None:
         words = (
             f"'{path.name}' states no byte order: it is read as 0, the least significant byte first"
         )
@@ -458,18 +462,18 @@ def _plain_envi(path: Path, content: bytes) -> Iterator[tuple[str, str | None]]:
     nearly all machines, in ASCII.
     """
     text = as_text(content)
-    has_order = text is None or ENVI_ORDER.search(text) is not None
+    has_order = text is None or _ENVI_ORDER.search(text) is not None
     if text is None or (has_order and text.isascii()):
         yield str(path.absolute()), None
         return
-    suffixes = ("", ".img", ".dat", *(f".{kind}" for kind in ENVI_INTERLEAVES), ".raw")
+    suffixes = ("", ".img", ".dat", *(f".{kind}" for kind in _ENVI_INTERLEAVES), ".raw")
     others = (path.with_suffix(suffix) for end in suffixes for suffix in (end, end.upper()))
     raw = next((str(other.absolute()) for other in others if other.is_file()), None)
     if not has_order:
         text += "\nbyte order = 0\n"
     with TemporaryDirectory() as folder:
         name = Path(folder) / path.with_suffix(".hdr").name
-        name.write_text(text.translate(ENVI_ASCII), encoding="ascii", errors="replace")
+        name.write_text(text.translate(_ENVI_ASCII), encoding="ascii", errors="replace")
         yield str(name), raw
 
 
@@ -477,7 +481,7 @@ def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | Non
     """Row, column and band of the first value that stands for no data; a strip of the file is in
     memory at a time.
     """
-    for rows in strips(len(data), math.prod(data.shape[1:]), GAP_VALUES):
+    for rows in strips(len(data), math.prod(data.shape[1:]), _GAP_VALUES):
         if at := first_where(data[rows] == ignored):
             return rows.start + at[0], at[1], at[2]
     return None
@@ -492,9 +496,9 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
     ]
     if (
         kind != "envi standard"
-        or interleave not in ENVI_INTERLEAVES
+        or interleave not in _ENVI_INTERLEAVES
         or order not in "01"
-        or number in ENVI_COMPLEX
+        or number in _ENVI_COMPLEX
     ):
         got = (
             ", ".join(
@@ -506,7 +510,7 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
         raise invalid(
             "ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers"
         )
-    for field, neutral in ENVI_NEUTRAL.items():
+    for field, neutral in _ENVI_NEUTRAL.items():
         stated = (float(value) for value in np.atleast_1d(header.get(field, [])))
         if (other := next((number for number in stated if number != neutral), None)) is not None:
             allowed, hint = (
@@ -533,7 +537,7 @@ def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
 
 
 READERS: dict[str, Callable[[Path], Cube]] = {
-    ".exr": read_spectral_exr,
-    ".npz": read_npz,
-    ".hdr": read_envi,
+    ".exr": _read_spectral_exr,
+    ".npz": _read_npz,
+    ".hdr": _read_envi,
 }

@@ -668,7 +668,7 @@ LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
 MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
 FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
-COARSE_SPACING_NM = (
+_COARSE_SPACING_NM = (
     0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
 )
 
@@ -732,7 +732,7 @@ class Spectrum:
             return STEPS_NM[0]
         return (
             STEPS_NM[1]
-            if np.diff(self.nodes_nm).min(initial=1.0) >= COARSE_SPACING_NM
+            if np.diff(self.nodes_nm).min(initial=1.0) >= _COARSE_SPACING_NM
             else STEPS_NM[2]
         )
 

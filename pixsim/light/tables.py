@@ -22,9 +22,9 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.files import read_bytes
 from pixsim.base.notes import Note, warn
 
-COMMENT = "#"
+_COMMENT = "#"
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
-BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
+_BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
 # Between titles that blanks part: two blanks, one that is neither before nor within brackets, a
 # comma, one after a bracket.
 WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
@@ -41,10 +41,10 @@ UNIT_WORDS = {
     **dict.fromkeys(("m", "meter", "metre"), "m"),
 }
 POWERS = {"nm": 0, "µm": 3, "Å": -1, "pm": -3, "m": 9}  # of ten, to nm; the likelier first
-NO_WAVELENGTH = {"ev": "eV", "cm": "cm⁻¹", "wavenumber": "cm⁻¹", "thz": "THz", "hz": "Hz"}
+_NO_WAVELENGTH = {"ev": "eV", "cm": "cm⁻¹", "wavenumber": "cm⁻¹", "thz": "THz", "hz": "Hz"}
 IN_BRACKETS = re.compile(r"[(\[]([^)\]]*)[)\]]")
 PERCENT = re.compile(r"%|(?<![a-z])(per ?cent|pct|prozent|pourcent)(?![a-z])", re.IGNORECASE)
-AMPERE_PER_WATT = re.compile(
+_AMPERE_PER_WATT = re.compile(
     r"(?<![^\W_])([mµμu]?)A(?:\s*/\s*W|[\s·.*]?W\s*\^?\(?[-−]1\)?|⋅?W⁻¹|[\s_]per[\s_]W)(?![a-z])"
 )
 PREFIXES = {"": 0, "m": -3, "u": -6, "µ": -6, "μ": -6}
@@ -54,7 +54,7 @@ PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = (
     299792458.0,
     1.602176634e-19,
 )  # SI 2019, exact
-HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
+_HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
 
 
 @dataclass(frozen=True)
@@ -130,13 +130,13 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
     if text is None:
         raise ValueError(f"got '{path}', which is no text; allowed: {allowed}")
     lines = text.replace("−", "-").splitlines()
-    plain = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENT)]
-    separator = _separator([line for line in plain if BEGINS_NUMBER.match(line)] or plain)
+    plain = [line for line in lines if line.strip() and not line.lstrip().startswith(_COMMENT)]
+    separator = _separator([line for line in plain if _BEGINS_NUMBER.match(line)] or plain)
     if separator is None:
         rows = [
             (
                 re.sub(r"(?<=\d)\s+%", "%", line).split()
-                if BEGINS_NUMBER.match(line)
+                if _BEGINS_NUMBER.match(line)
                 else [line.strip()]
             )
             for line in lines
@@ -151,16 +151,16 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
     used = [
         (number, row)
         for number, row in enumerate(rows, 1)
-        if any(row) and not row[0].startswith(COMMENT)
+        if any(row) and not row[0].startswith(_COMMENT)
     ]
     for _, row in used:
         while not row[-1]:
             row.pop()
-    start = next((number for number, row in used if BEGINS_NUMBER.match(row[0])), len(lines) + 1)
+    start = next((number for number, row in used if _BEGINS_NUMBER.match(row[0])), len(lines) + 1)
     comments = [
-        line.strip().lstrip(COMMENT).strip()
+        line.strip().lstrip(_COMMENT).strip()
         for line in lines[: start - 1]
-        if line.lstrip().startswith(COMMENT)
+        if line.lstrip().startswith(_COMMENT)
     ]
     return Cells(used, separator, comments[-1] if comments else "")
 
@@ -324,7 +324,9 @@ def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
     """
     unit = unit_of_wavelength(title)
     if not unit and (
-        other := next((NO_WAVELENGTH[word] for word in _words(title) if word in NO_WAVELENGTH), "")
+        other := next(
+            (_NO_WAVELENGTH[word] for word in _words(title) if word in _NO_WAVELENGTH), ""
+        )
     ):
         raise ValueError(
             f"got '{path}' in {other}, by its title; allowed: {allowed}. Convert it to wavelength"
@@ -350,7 +352,7 @@ def _value_unit(title: str) -> tuple[str, int] | None:
     """Unit that the title of values states, and the power of ten that converts to it; None without
     one.
     """
-    if found := AMPERE_PER_WATT.search(title):
+    if found := _AMPERE_PER_WATT.search(title):
         return A_PER_W, PREFIXES[found[1]]
     if PERCENT.search(title):
         return "%", -2
@@ -362,7 +364,8 @@ def _is_of_units(titles: Sequence[str]) -> bool:
     """Whether a row below the titles has the units alone, as nm and %."""
     bare = [title.strip("()[] ") for title in titles]
     return unit_of_wavelength(titles[0]) != "" and all(
-        not re.search(r"[^\W\d]", PERCENT.sub("", AMPERE_PER_WATT.sub("", one))) for one in bare[1:]
+        not re.search(r"[^\W\d]", PERCENT.sub("", _AMPERE_PER_WATT.sub("", one)))
+        for one in bare[1:]
     )
 
 
@@ -401,6 +404,6 @@ def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float,
     if column.unit != A_PER_W:
         return tuple(map(float, column.values))
     return tuple(
-        float(value) * HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan
+        float(value) * _HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan
         for value, at in zip(column.values, nm, strict=True)
     )

@@ -34,17 +34,17 @@ from pixsim.viewer.develop_options import DEVELOP
 from pixsim.viewer.display import XYZ_FROM_RGB
 
 LAMP = "D55"  # the default of ISO 17321-1
-WHITE_SHARE = 0.13 / 0.18  # of saturation
+_WHITE_SHARE = 0.13 / 0.18  # of saturation
 GREY = 0.18  # reflectance
 PAIRS = 2  # frames of each field
-LEAST_WHITE = 5.0  # standard errors of a channel's white: with fewer, its balance is not known
-ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
+_LEAST_WHITE = 5.0  # standard errors of a channel's white: with fewer, its balance is not known
+_ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
 # of the measured means within their standard errors, for those of what follows: known to 15 %
-REDRAWS = 24
+_REDRAWS = 24
 
 
 @dataclass(frozen=True)
-class ColourTruth:
+class _ColourTruth:
     """What follows from the parameters: the chart under the lamp as the channels record it,
     crosstalk included.
 
@@ -72,7 +72,7 @@ class Colour:
 
     readout: Readout
     integration_s: float
-    truth: ColourTruth
+    truth: _ColourTruth
     patches_dn: Array = field(repr=False)
     patches_error_dn: Array = field(repr=False)
     white_dn: Array = field(repr=False)
@@ -99,7 +99,7 @@ class Colour:
     def redrawn(self) -> list[Rendition]:
         """The same with the means of patches and white redrawn within their standard errors."""
         draws, rng = [], stream("datasheet", self.seed, "colour errors")
-        for _ in range(REDRAWS):
+        for _ in range(_REDRAWS):
             patches = self.patches_dn + self.patches_error_dn * rng.standard_normal(
                 self.patches_dn.shape
             )
@@ -138,7 +138,7 @@ class Colour:
         """Mean luminance of grey over the noise of luminance, and over that of R - Y and B - Y
         together.
         """
-        opponent = opponents(self.measured)
+        opponent = _opponents(self.measured)
         luminance = float((opponent[0] * self.grey_dn / self.white_dn).sum())
         noise = (opponent[:, None, :] * (self.grey_noise_dn / self.white_dn)).sum(axis=2)  # (3, n)
         variances = noise.var(axis=1)
@@ -159,7 +159,7 @@ class Colour:
 
     def true_snr(self) -> tuple[float, float]:
         """The same from the parameters, mean temporal variance of the pixels."""
-        p, opponent = self.readout, opponents(self.truth.rendition)
+        p, opponent = self.readout, _opponents(self.truth.rendition)
         variance = frame_variance_dn2(
             GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False
         )
@@ -189,7 +189,7 @@ def noise_gain(rendition: Rendition, primary: int) -> float:
     return float(np.sqrt(np.square(matrix_to_display(rendition)[primary]).sum()))
 
 
-def opponents(rendition: Rendition) -> Array:
+def _opponents(rendition: Rendition) -> Array:
     """Return the matrix from balanced channels to Y, R - Y and B - Y of the display's linear light,
     (3, C).
     """
@@ -199,7 +199,7 @@ def opponents(rendition: Rendition) -> Array:
     return np.stack([luminance, red - luminance, blue - luminance])
 
 
-def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
+def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
     """Return what follows from the parameters of a colour pixel as it is read.
 
     Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix
@@ -233,7 +233,7 @@ def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
     check_told_apart(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)
     largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
-    return ColourTruth(rendition, white * (WHITE_SHARE * largest_e / white.max()))
+    return _ColourTruth(rendition, white * (_WHITE_SHARE * largest_e / white.max()))
 
 
 def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
@@ -287,7 +287,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     ]
     white, white_variance = means(field_of("white", truth.white_e))
     signal, error = white - dark, np.sqrt(white_variance + dark_variance)
-    faint = np.flatnonzero(signal <= LEAST_WHITE * np.maximum(error, ROUNDING_DN))
+    faint = np.flatnonzero(signal <= _LEAST_WHITE * np.maximum(error, _ROUNDING_DN))
     if faint.size:
         first = int(faint[0])
         got = (
@@ -299,7 +299,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
             " or gain."
         )
         raise invalid(
-            "colour", got, f"more than {LEAST_WHITE:g} standard errors in each channel", hint
+            "colour", got, f"more than {_LEAST_WHITE:g} standard errors in each channel", hint
         )
     grey = field_of("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)

@@ -61,11 +61,11 @@ from pixsim.viewer.without_effect import (
     warn_of_settings_without_effect,
 )
 
-LEAST_NOISE_DN = (
+_LEAST_NOISE_DN = (
     0.1  # of light at saturation: below it, most frames of even light have one code and no noise
 )
-GREY_FRAMES = 16  # ISO 15739 requires at least 8
-GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
+_GREY_FRAMES = 16  # ISO 15739 requires at least 8
+_GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
 
 
 def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> tuple[float, float]:
@@ -82,7 +82,7 @@ def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> t
     return mean * p.dn_per_e + p.adc.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
 
 
-def expected_curve(mean_e: Array, integration_s: float, readout: Readout) -> tuple[Array, Array]:
+def _expected_curve(mean_e: Array, integration_s: float, readout: Readout) -> tuple[Array, Array]:
     """`expected_moments` at (n,) signals: (n,) means (DN) and (n,) temporal variances (DN²)."""
     mean, variance = np.array(
         [expected_moments(electrons, integration_s, readout) for electrons in mean_e.tolist()]
@@ -97,7 +97,7 @@ def variance_peak_e(readout: Readout, integration_s: float, brightest_e: float) 
     )
 
 
-def row_noise(experiment: Experiment) -> RowNoise:
+def _row_noise(experiment: Experiment) -> RowNoise:
     """Temporal noise that the pixels of a row of the device share, by the pixel's parameters."""
     readout = experiment.readout
     return RowNoise(
@@ -161,7 +161,7 @@ class DataSheet(Result):
     @property
     def of_rows(self) -> RowNoise:
         """Temporal noise that the pixels of a row share, by the pixel's parameters."""
-        return row_noise(self.experiment)
+        return _row_noise(self.experiment)
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
@@ -252,8 +252,8 @@ class DataSheet(Result):
         minus those in the dark.
         """
         e = self.experiment
-        mean, variance = expected_curve(e.photons * e.efficiency, e.integration_s, e.readout)
-        dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.readout)
+        mean, variance = _expected_curve(e.photons * e.efficiency, e.integration_s, e.readout)
+        dark_mean, dark_variance = _expected_curve(np.zeros(1), e.integration_s, e.readout)
         return mean - dark_mean, variance - dark_variance
 
     @cached_property
@@ -425,13 +425,13 @@ def measure(
         float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False))
         - QUANTISATION_DN2
     )
-    if largest_dn2 < LEAST_NOISE_DN**2:
+    if largest_dn2 < _LEAST_NOISE_DN**2:
         got = (
             f"{p.adc.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from"
             " which K is measured"
         )
         allowed = (
-            f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at"
+            f"codes of at most {1 / _LEAST_NOISE_DN:g} standard deviations of the temporal noise at"
             " saturation"
         )
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
@@ -447,7 +447,7 @@ def measure(
     dim = pairs("dim light", experiment.dim_photons)
     report_progress("stacks")
     saturation = float(light.at[estimators.saturation_index(light.variance_dn2)])
-    bright, grey = saturation / 2, GREY_SHARE * saturation
+    bright, grey = saturation / 2, _GREY_SHARE * saturation
     count = experiment.stack_frames
     stacks = [
         estimators.stack(experiment.frames(count, level, name))
@@ -464,7 +464,7 @@ def measure(
         channels[letter] = (
             own,
             estimators.photon_transfer(
-                series_, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise(own)
+                series_, dark.mean_dn, dark.variance_dn2, pixels, spread, _row_noise(own)
             ),
         )
     report_progress("dark series")
@@ -480,7 +480,7 @@ def measure(
         },
         dark_stack=stacks[0],
         bright_stack=stacks[1],
-        grey=np.stack([*experiment.frames(GREY_FRAMES, grey, "grey")]).astype(float),
+        grey=np.stack([*experiment.frames(_GREY_FRAMES, grey, "grey")]).astype(float),
         grey_photons=grey,
         bright_photons=bright,
         channels=channels,
@@ -557,7 +557,7 @@ def line(
     return Entry(standard, name, symbol, unit, measured.value, measured.error, true, source, note)
 
 
-def decibel(ratio: Estimate) -> Estimate:
+def _decibel(ratio: Estimate) -> Estimate:
     """20 log₁₀ of a ratio, dB."""
     return Estimate(20 * math.log10(ratio.value), 20 / math.log(10) * ratio.error / ratio.value)
 
@@ -590,13 +590,13 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
         line(EMVA, "absolute sensitivity threshold", "μ_e.min", "e-", t.threshold_e, threshold_e, "η μ_p.min", limited),
         line(EMVA, "saturation capacity", "μ_p.sat", "p", t.saturation_p, saturation_e / eta, peak, step),
         line(EMVA, "saturation capacity", "μ_e.sat", "e-", t.saturation_e, saturation_e, peak, step),
-        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", decibel(t.snr_max), 10 * math.log10(saturation_e),
+        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", _decibel(t.snr_max), 10 * math.log10(saturation_e),
              "√μ_e.sat"),
-        line(EMVA, "dynamic range", "DR", "dB", decibel(t.dynamic_range), 20 * math.log10(saturation_e / threshold_e),
+        line(EMVA, "dynamic range", "DR", "dB", _decibel(t.dynamic_range), 20 * math.log10(saturation_e / threshold_e),
              "μ_p.sat / μ_p.min", limited),
-        line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.error, of_line),
-        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
-        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
+        line(EMVA, "linearity error, mean", "LE", "%", _linearity_estimate(sheet, "error"), 100 * true.error, of_line),
+        line(EMVA, "linearity error, lowest", "LE_min", "%", _linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
+        line(EMVA, "linearity error, highest", "LE_max", "%", _linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
     ]  # fmt: skip
 
 
@@ -657,7 +657,7 @@ def colour(sheet: DataSheet) -> list[Entry]:
                 name,
                 symbol,
                 "dB",
-                decibel(measured),
+                _decibel(measured),
                 20 * math.log10(expected),
                 f"{grey}; temporal noise of {of}",
             )
@@ -665,7 +665,7 @@ def colour(sheet: DataSheet) -> list[Entry]:
     return lines
 
 
-def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
+def _linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
     """A linearity error in per cent; its standard error is the mean (LE) or largest one of the
     fitted signals.
     """
@@ -713,7 +713,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     ]  # fmt: skip
 
 
-def doubling_from(physics: PixelPhysics) -> str:
+def _doubling_from(physics: PixelPhysics) -> str:
     if physics.pixel.dark_current and physics.pixel.dark_current.doubling_k:
         return "pixel.dark_current.doubling_k"
     return (
@@ -750,7 +750,7 @@ def dark(sheet: DataSheet) -> list[Entry]:
             temperatures, *np.array([(current.value, current.error) for current in warm]).T
         )
         name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
-        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, doubling_from(p)))
+        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, _doubling_from(p)))
     return entries
 
 
@@ -760,7 +760,7 @@ def mean_offset_e(experiment: Experiment) -> float:
     return float(sum(each.mean() for each in offsets if each is not None))
 
 
-def highest_dn(experiment: Experiment) -> float:
+def _highest_dn(experiment: Experiment) -> float:
     """Full scale of the device in DN: the ADC's top code, or the level of a full well below it."""
     p = experiment.readout
     full_e = p.full_well_e + mean_offset_e(experiment)
@@ -771,7 +771,7 @@ def highest_dn(experiment: Experiment) -> float:
     )
 
 
-def largest_light_e(experiment: Experiment) -> float:
+def _largest_light_e(experiment: Experiment) -> float:
     """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset
     leave of well and ADC range.
     """
@@ -808,16 +808,16 @@ def noise(sheet: DataSheet) -> list[Entry]:
     dark_noise = Estimate(
         math.sqrt(sheet.dark_stack.temporal_dn2), of_variance_dn2 / (2 * math.sqrt(dark_dn2))
     )
-    full_dn = Estimate(highest_dn(e) - sheet.dark.mean_dn)
+    full_dn = Estimate(_highest_dn(e) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [
         line(NOISE, "temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
         line(NOISE, "fixed-pattern noise", "σ_fp", "DN", fixed, math.sqrt(fixed_dn2), "from this device's maps, at 13 %"),
         line(NOISE, "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at),
-        line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
+        line(NOISE, "signal over total noise at 13 %", "Q", "dB", _decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "from the parameters and this device's maps"),
-        line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise",
+        line(NOISE, "dynamic range", "DR_ISO", "dB", _decibel(full_dn / dark_noise),
+             20 * math.log10(k * _largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise",
              "quantisation-limited: the codes hide the noise" if sheet.transfer.limited else "")
     ]  # fmt: skip
 
@@ -827,12 +827,12 @@ def speed(sheet: DataSheet) -> list[Entry]:
     e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.readout
     per_lx_s = estimators.daylight_e_per_lx_s(e.physics)
     lx_s_per_photon = e.efficiency / per_lx_s
-    top = Estimate(highest_dn(e) - sheet.dark.mean_dn)
+    top = Estimate(_highest_dn(e) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
         line(SPEED, "saturation-based speed", "S_sat", "", Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
-             estimators.SATURATION_SPEED_LX_S * per_lx_s / largest_light_e(e), f"78 / H_sat; {of_daylight}")
+             estimators.SATURATION_SPEED_LX_S * per_lx_s / _largest_light_e(e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])

@@ -100,10 +100,10 @@ def series(at: Array, pairs: list[Pair]) -> PairSeries:
     return PairSeries(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
 
 
-SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
-LINEARITY_SHARES = 0.05, 0.95  # of saturation
+_SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
+_LINEARITY_SHARES = 0.05, 0.95  # of saturation
 QUANTISATION_DN2 = 1 / 12
-LIMITED_DN2 = 0.24  # temporal dark variance below which quantisation dominates (section 6.6)
+_LIMITED_DN2 = 0.24  # temporal dark variance below which quantisation dominates (section 6.6)
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,12 @@ class RowNoise:
         return replace(self, variance_dn2=self.variance_dn2 / frames)
 
 
-NO_ROW_NOISE = RowNoise()
+_NO_ROW_NOISE = RowNoise()
 
 
-def variance_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
+def variance_error(
+    variance: float | Array, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE
+) -> Array:
     """Standard error of the temporal variance from one pair of frames: √(2 [(o² + 2 o r)/pixels +
     r²/rows]) of the own part o.
 
@@ -172,7 +174,7 @@ def variance_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_
     return np.asarray(np.sqrt(2 * (own**2 + 2 * own * row) / pixels + 2 * row**2 / of_rows.rows))
 
 
-def mean_error(variance: float | Array, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> Array:
+def mean_error(variance: float | Array, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE) -> Array:
     """Standard error of the mean of one pair of frames. The arguments are those of
     `variance_error`.
     """
@@ -264,7 +266,7 @@ def photon_transfer(
     dark_variance_dn2: float,
     pixels: int,
     gain_spread: float = 0.0,
-    of_rows: RowNoise = NO_ROW_NOISE,
+    of_rows: RowNoise = _NO_ROW_NOISE,
 ) -> PhotonTransfer:
     """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with
     that many pixels.
@@ -275,7 +277,7 @@ def photon_transfer(
     """
     signal, excess = light.mean_dn - dark_mean_dn, light.variance_dn2 - dark_variance_dn2
     saturated = saturation_index(light.variance_dn2)
-    fitted = signal <= SENSITIVITY_SHARE * signal[saturated]
+    fitted = signal <= _SENSITIVITY_SHARE * signal[saturated]
     fitted[saturated:] = False
     x, y, p = signal[fitted], excess[fitted], light.at[fitted]
     dark_error = float(variance_error(dark_variance_dn2, pixels, of_rows))
@@ -287,8 +289,8 @@ def photon_transfer(
         p, x, of_means, float(mean_error(dark_variance_dn2, pixels, of_rows))
     )
     efficiency = response / gain
-    limited = dark_variance_dn2 < LIMITED_DN2
-    dark_variance = Estimate(max(dark_variance_dn2, LIMITED_DN2), dark_error)
+    limited = dark_variance_dn2 < _LIMITED_DN2
+    dark_variance = Estimate(max(dark_variance_dn2, _LIMITED_DN2), dark_error)
     dark_noise = root(Estimate(dark_variance.value - QUANTISATION_DN2, dark_variance.error)) / gain
     threshold_e = root(dark_variance) / gain
     threshold_e = Estimate(threshold_e.value + 0.5, threshold_e.error)
@@ -337,7 +339,7 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     """Linearity error from a fit weighted by 1/signal², which minimises relative deviations
     (section 6.7).
     """
-    low, high = (share * signal_dn[saturated] for share in LINEARITY_SHARES)
+    low, high = (share * signal_dn[saturated] for share in _LINEARITY_SHARES)
     within = (signal_dn >= low) & (signal_dn <= high)
     within[saturated + 1 :] = False
     line = np.polynomial.Polynomial.fit(
@@ -350,16 +352,16 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     )
 
 
-def spatial_error(variance: float, residual: float, count: int) -> float:
+def _spatial_error(variance: float, residual: float, count: int) -> float:
     """Standard error of the spatial variance of `count` given pixels, each with a residual temporal
     variance.
     """
     return math.sqrt((4 * max(variance, 0.0) * residual + 2 * residual**2) / count)
 
 
-def spatial_error_dn2(images: FrameStack) -> float:
-    """`spatial_error` of a stack's mean image."""
-    return spatial_error(
+def _spatial_error_dn2(images: FrameStack) -> float:
+    """`_spatial_error` of a stack's mean image."""
+    return _spatial_error(
         images.spatial_dn2, images.temporal_dn2 / images.frames, images.mean_dn.size
     )
 
@@ -368,7 +370,7 @@ def dsnu_e(dark: FrameStack, gain: Estimate) -> Estimate:
     """DSNU1288 = s_dark/K: standard deviation of the mean dark image over the pixels, e- (section
     8.2).
     """
-    return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark))) / gain
+    return root(Estimate(dark.spatial_dn2, _spatial_error_dn2(dark))) / gain
 
 
 def prnu(dark: FrameStack, bright: FrameStack) -> Estimate:
@@ -376,12 +378,12 @@ def prnu(dark: FrameStack, bright: FrameStack) -> Estimate:
     fraction (section 8.2).
     """
     signal = float(bright.mean_dn.mean() - dark.mean_dn.mean())
-    error_dn2 = math.hypot(spatial_error_dn2(bright), spatial_error_dn2(dark))
+    error_dn2 = math.hypot(_spatial_error_dn2(bright), _spatial_error_dn2(dark))
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
 def parts(
-    images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE
+    images: FrameStack, of_rows: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0,
     section 8.3).
@@ -404,14 +406,14 @@ def parts(
     pixel_dn2 = rows * columns * (total - of_columns - rows_dn2) / rest
     return (
         # Temporal noise adds to the means themselves, with what single pixels leave in them.
-        Estimate(column_dn2, spatial_error(of_columns, noise / rows, columns)),
-        Estimate(row_dn2, spatial_error(rows_dn2, noise / columns + kept_dn2, rows)),
-        Estimate(pixel_dn2, spatial_error(pixel_dn2, noise, rows * columns)),
+        Estimate(column_dn2, _spatial_error(of_columns, noise / rows, columns)),
+        Estimate(row_dn2, _spatial_error(rows_dn2, noise / columns + kept_dn2, rows)),
+        Estimate(pixel_dn2, _spatial_error(pixel_dn2, noise, rows * columns)),
     )
 
 
 def dark_current(
-    dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE
+    dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate]:
     """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided
     by K and K² (section 7.1).
@@ -449,13 +451,13 @@ SATURATION_SPEED_LX_S = (
 )
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H, with H at the given S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
-MIN_FRAMES = 8
+_MIN_FRAMES = 8
 TINY = 1e-300
-DAYLIGHT_NM = np.arange(360.0, 831.0)
+_DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
 def noise_15739(
-    frames: Array, of_rows: RowNoise = NO_ROW_NOISE
+    frames: Array, of_rows: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO
     15739, section 6.2.3).
@@ -469,15 +471,15 @@ def noise_15739(
     Raises PixsimError for n < 8.
     """
     n = len(frames)
-    if n < MIN_FRAMES:
-        raise invalid("frames", n, f"{MIN_FRAMES} or more")
+    if n < _MIN_FRAMES:
+        raise invalid("frames", n, f"{_MIN_FRAMES} or more")
     pixels = frames[0].size
     average = frames.mean(axis=0)
     difference_dn2 = float(np.mean([(frame - average).var() for frame in frames]))
     temporal_dn2 = n / (n - 1) * difference_dn2
     fixed_dn2 = float(average.var(ddof=1)) - difference_dn2 / (n - 1)
     temporal_error = float(variance_error(temporal_dn2, pixels * (n - 1), of_rows.in_frames(n - 1)))
-    fixed_error = spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
+    fixed_error = _spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
     total = Estimate(temporal_dn2 + fixed_dn2, math.hypot(temporal_error, fixed_error))
     return (
         root(Estimate(temporal_dn2, temporal_error), 0.0),
@@ -488,16 +490,16 @@ def noise_15739(
 
 def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     """Electrons in a pixel per lx·s of CIE D65 on the sensor, 360-830 nm."""
-    step = np.ones_like(DAYLIGHT_NM)
-    spectrum = d65(DAYLIGHT_NM)
+    step = np.ones_like(_DAYLIGHT_NM)
+    spectrum = d65(_DAYLIGHT_NM)
     electrons = (
-        physics.band_quantum_efficiency(DAYLIGHT_NM, step)
-        * photons_per_joule(DAYLIGHT_NM)
+        physics.band_quantum_efficiency(_DAYLIGHT_NM, step)
+        * photons_per_joule(_DAYLIGHT_NM)
         * spectrum
     )
-    lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
+    lux = float((luminous_weight(_DAYLIGHT_NM, step) * spectrum).sum())
     area_um2 = (
-        collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
+        collected_area_um2(physics, even_light(_DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
     )
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 

@@ -43,13 +43,13 @@ from pixsim.sensor.technology import load_technology
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
-DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
-BEYOND_SATURATION = (
+_DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
+_BEYOND_SATURATION = (
     1.1  # of the light that fills the well, so that the series spans the peak of the variance
 )
 STACK = 64  # frames; the standard requires at least 16
 DARK_TIMES = 8  # the standard requires at least 6
-TEMPERATURE_STEPS_K = (
+_TEMPERATURE_STEPS_K = (
     0.0,
     5.0,
     10.0,
@@ -57,15 +57,15 @@ TEMPERATURE_STEPS_K = (
     20.0,
     25.0,
 )  # of the dark series, from the pixel's temperature
-MAX_TEMPERATURE_K = 400.0
-USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
+_MAX_TEMPERATURE_K = 400.0
+_USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
 # of saturation: limit of the dark charge in the light series, if no integration time is given
-DARK_SHARE = 0.02
-MAX_DARK_SHARE = 0.2  # of saturation, at the longest time of the dark series
-MAX_DARK_S = 3600.0
-SEARCH_NM = (200.0, 1200.0)  # range of the search for the peak of the response
-FULL_LEVEL = 0.999  # of saturation: a soft one counts as full from here
-MAX_LIGHT = 4.0  # times saturation, of generated charge: end of the search for soft saturation
+_DARK_SHARE = 0.02
+_MAX_DARK_SHARE = 0.2  # of saturation, at the longest time of the dark series
+_MAX_DARK_S = 3600.0
+_SEARCH_NM = (200.0, 1200.0)  # range of the search for the peak of the response
+_FULL_LEVEL = 0.999  # of saturation: a soft one counts as full from here
+_MAX_LIGHT = 4.0  # times saturation, of generated charge: end of the search for soft saturation
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Experiment:
         """
         physics = replace(self.physics, channel=letter)
         nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
-        efficiency = checked_efficiency(physics, nm)
+        efficiency = _checked_efficiency(physics, nm)
         photons = self.photons * (self.efficiency / efficiency)
         sensor = replace(self.sensor, readout=replace(self.readout, physics=physics))
         return replace(self, sensor=sensor, wavelength_nm=nm, photons=photons)
@@ -175,7 +175,7 @@ def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     return float(physics.quantum_efficiency(wavelength_nm)) * collected_fraction(physics, light)
 
 
-def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
+def _checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """`pixel_efficiency`; raises PixsimError at a wavelength without response."""
     efficiency = pixel_efficiency(physics, wavelength_nm) if 0 < wavelength_nm < math.inf else 0.0
     if not efficiency > 0:
@@ -185,7 +185,7 @@ def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     return efficiency
 
 
-def most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
+def _most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
     """A colour pixel with the channel that has the most pixels; a monochrome one as it is."""
     return (
         physics
@@ -196,15 +196,15 @@ def most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:
     """Wavelength of the highest response in whole nanometres; the middle one of a plateau."""
-    nm = np.arange(*SEARCH_NM)
+    nm = np.arange(*_SEARCH_NM)
     efficiency = physics.quantum_efficiency(nm)
     highest = nm[efficiency >= efficiency.max() * (1 - 1e-9)]
     return float(highest[highest.size // 2])
 
 
 # spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
-FINE_DN = 0.6
-MIDWAY_DN = (
+_FINE_DN = 0.6
+_MIDWAY_DN = (
     0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
 )
 
@@ -213,7 +213,7 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
     """The readout with a black level of at least 6 σ of its dark noise; raises PixsimError if its
     ADC has too few codes for it.
 
-    A device whose dark frame spreads over less than `FINE_DN` has every pixel at the same place
+    A device whose dark frame spreads over less than `_FINE_DN` has every pixel at the same place
     between two codes, and its measured temporal noise depends on that place (at σ = 0.46 DN by ±4
     %). The level is then set where it does not.
     """
@@ -239,14 +239,14 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
             "Raise pixel.bits, or reduce the dark noise.",
         )
     raised = replace(readout, adc=replace(adc, black_level_dn=float(least)))
-    if dark_spread_e(raised, integration_s) * raised.dn_per_e >= FINE_DN:
+    if dark_spread_e(raised, integration_s) * raised.dn_per_e >= _FINE_DN:
         return raised
     mean_dn = least + raised.dark_current_e_per_s * integration_s * raised.dn_per_e
-    level_dn = round(least + (MIDWAY_DN - mean_dn) % 1.0, 2)
+    level_dn = round(least + (_MIDWAY_DN - mean_dn) % 1.0, 2)
     return replace(readout, adc=replace(adc, black_level_dn=level_dn))
 
 
-def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
+def _usual_integration_s(readout: Readout, exposure: Exposure) -> float:
     """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of
     saturation.
 
@@ -256,9 +256,9 @@ def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
     chosen = exposure.integration_s
     if chosen is None:
         return (
-            min(USUAL_INTEGRATION_S, DARK_SHARE * readout.saturation_e / dark)
+            min(_USUAL_INTEGRATION_S, _DARK_SHARE * readout.saturation_e / dark)
             if dark
-            else USUAL_INTEGRATION_S
+            else _USUAL_INTEGRATION_S
         )
     if dark * chosen > readout.saturation_e / 2:
         expected = (
@@ -272,14 +272,14 @@ def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
     return chosen
 
 
-def filling_light_e(readout: Readout, integration_s: float) -> float:
+def _filling_light_e(readout: Readout, integration_s: float) -> float:
     """Mean photo-electrons that fill the well or reach the ADC's top code, including soft
     saturation.
     """
     dark_e = readout.dark_current_e_per_s * integration_s
-    grid = np.linspace(0.01, MAX_LIGHT, 400) * readout.saturation_e
+    grid = np.linspace(0.01, _MAX_LIGHT, 400) * readout.saturation_e
     level = stored_signal_e(grid, integration_s, readout)
-    full = np.flatnonzero(level >= FULL_LEVEL * readout.saturation_e)
+    full = np.flatnonzero(level >= _FULL_LEVEL * readout.saturation_e)
     return float(grid[full[0]] if full.size else grid[-1]) - dark_e
 
 
@@ -288,7 +288,9 @@ def dark_times_s(readout: Readout, integration_s: float) -> Array:
     hour.
     """
     dark = readout.dark_current_e_per_s
-    longest = min(MAX_DARK_SHARE * readout.saturation_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
+    longest = (
+        min(_MAX_DARK_SHARE * readout.saturation_e / dark, _MAX_DARK_S) if dark else _MAX_DARK_S
+    )
     return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
 
 
@@ -298,8 +300,8 @@ def temperatures_k(pixel: Pixel) -> tuple[float, ...]:
     """
     if pixel.dark_current_e_per_s is not None:
         return ()
-    sign = 1 if pixel.temperature_k + TEMPERATURE_STEPS_K[-1] <= MAX_TEMPERATURE_K else -1
-    return tuple(pixel.temperature_k + sign * step_k for step_k in TEMPERATURE_STEPS_K)
+    sign = 1 if pixel.temperature_k + _TEMPERATURE_STEPS_K[-1] <= _MAX_TEMPERATURE_K else -1
+    return tuple(pixel.temperature_k + sign * step_k for step_k in _TEMPERATURE_STEPS_K)
 
 
 def make_experiment(
@@ -333,13 +335,13 @@ def make_experiment(
     for note in pixel_notes(derived):
         warn(note)
     exposure = exposure or Exposure()
-    physics = most_frequent_channel(derived)
+    physics = _most_frequent_channel(derived)
     stated = replace(Readout.of(physics), gain_db=exposure.gain_db)
-    time_s = usual_integration_s(stated, exposure)
+    time_s = _usual_integration_s(stated, exposure)
     readout = with_black_level(stated, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
-    efficiency = checked_efficiency(physics, nm)
-    brightest = BEYOND_SATURATION * filling_light_e(readout, time_s) / efficiency
+    efficiency = _checked_efficiency(physics, nm)
+    brightest = _BEYOND_SATURATION * _filling_light_e(readout, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
     return Experiment(
         sensor=sample_sensor(readout, shape, stream("datasheet", seed, "sensor")),
@@ -347,7 +349,7 @@ def make_experiment(
         integration_s=time_s,
         photons=photons,
         dim_photons=np.geomspace(
-            min(1.0 / efficiency, photons[0] / 2), photons[0], DIM_EXPOSURES, endpoint=False
+            min(1.0 / efficiency, photons[0] / 2), photons[0], _DIM_EXPOSURES, endpoint=False
         ),
         dark_times_s=dark_times_s(readout, time_s),
         temperatures_k=temperatures_k(pixel),

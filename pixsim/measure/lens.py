@@ -38,28 +38,28 @@ from pixsim.optics.quantities import FNumberOrPinhole, Reflectance
 from pixsim.optics.ray_trace import sag_and_slope
 
 FIELDS = 9  # from the axis to the largest, of spots, PSFs and MTFs
-CURVE_FIELDS = 33
-SPOT_RINGS = 6  # of rays: 1, 6, 12 … in each
-FREQUENCIES = (10.0, 30.0, 60.0)  # lp/mm
-MTF_POINTS = 61
+_CURVE_FIELDS = 33
+_SPOT_RINGS = 6  # of rays: 1, 6, 12 … in each
+_FREQUENCIES = (10.0, 30.0, 60.0)  # lp/mm
+_MTF_POINTS = 61
 MTF_LINES = ("tangential", "sagittal")
-PSF_SPOTS = 6  # rms radii along a side of a PSF
-PSF_SAMPLES = 3  # of the width λN along a side
+_PSF_SPOTS = 6  # rms radii along a side of a PSF
+_PSF_SAMPLES = 3  # of the width λN along a side
 MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MOST_FINE = 3000  # samples along a side, on which waves interfere
-MOST_WIDTHS = (
+_MOST_WIDTHS = (
     300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 )
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
-RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
+_RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
 # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28
 # surfaces
-MOST_TRACED = 5e6
+_MOST_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
 CUT_FIELDS, CUT_HEIGHTS = (0.0, 0.7, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
-CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
+_CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
 CUT_POINTS = 81  # of a surface
-BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
+_BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class LensData(Result):
         """(F,) rms wavefront without piston and tilt, relative to the primary wavelength; NaN
         without light.
         """
-        return np.where(self.dark, np.nan, rms_wavefronts(self.lens, self.field_deg))
+        return np.where(self.dark, np.nan, _rms_wavefronts(self.lens, self.field_deg))
 
     @cached_property
     def ghosts(self) -> list[Ghost]:
@@ -182,7 +182,7 @@ class LensData(Result):
         of the primary one, (m,).
         """
         low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
-        nm = np.linspace(low, high, CURVE_FIELDS) if high > low else np.array([low])
+        nm = np.linspace(low, high, _CURVE_FIELDS) if high > low else np.array([low])
         focus_mm = np.array(
             [self.lens.first_order(float(each)).back_focal_length_mm for each in nm]
         )
@@ -191,7 +191,7 @@ class LensData(Result):
     @property
     def asked_lp_per_mm(self) -> tuple[float, ...]:
         """Frequencies of the tables: 10, 30 and 60 lp/mm, and the pixel's Nyquist frequency."""
-        return asked_frequencies(self.pitch_um)
+        return _asked_frequencies(self.pitch_um)
 
     def mtf_at(self, frequency_lp_per_mm: float) -> Array:
         """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2), 1 for full
@@ -213,9 +213,9 @@ class LensData(Result):
         )
 
 
-def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
+def _asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
     """Return the frequencies of the tables in lp/mm."""
-    return FREQUENCIES if pitch_um is None else tuple(sorted({*FREQUENCIES, 500 / pitch_um}))
+    return _FREQUENCIES if pitch_um is None else tuple(sorted({*_FREQUENCIES, 500 / pitch_um}))
 
 
 def lens_data(
@@ -239,10 +239,10 @@ def lens_data(
     primary = lens.primary_nm
     largest = lens.max_field_deg
     fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
-    curve = np.linspace(0.0, largest, CURVE_FIELDS) if largest else np.zeros(1)
+    curve = np.linspace(0.0, largest, _CURVE_FIELDS) if largest else np.zeros(1)
     x, y = spot_points()
     illumination = lens.projected_solid_angle_sr(curve, primary)
-    dark = np.asarray(illumination[:: (CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
+    dark = np.asarray(illumination[:: (_CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
     if dark[0]:
         got = "no light on the axis"
         raise invalid(
@@ -259,23 +259,23 @@ def lens_data(
         spots.append(
             Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off)))
         )
-    asked = asked_frequencies(pitch_um)
+    asked = _asked_frequencies(pitch_um)
     shortest, f_number = float(wavelengths.min()), lens.working_f_number
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
     highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
-    frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
+    frequency = np.unique(np.concatenate([np.linspace(0.0, highest, _MTF_POINTS), asked]))
     dark = dark | np.array(
         [math.isnan(spot.rms_um) for spot in spots]
     )  # or too little light for a ray
-    side = PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
-    geometric = side > MOST_WIDTHS * 1e-3 * shortest * f_number
+    side = _PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
+    geometric = side > _MOST_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(
-        max(1e-3 * shortest * f_number / PSF_SAMPLES, side / MOST_SAMPLES),
+        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MOST_SAMPLES),
         500 / min(highest, 1.05 * cutoff),
     )
     seen_fields = fields[~dark]
     if not geometric:
-        psfs = point_spreads(lens, seen_fields, wavelengths, pitch, side)
+        psfs = _point_spreads(lens, seen_fields, wavelengths, pitch, side)
         geometric = not psfs
     if geometric:
         pitch = side / MOST_SAMPLES
@@ -327,22 +327,22 @@ def lens_data(
 def spot_points() -> tuple[Array, Array]:
     """Return points of the stop of about equal areas, (rays,) each."""
     radius = np.concatenate(
-        [[0.0], *(np.full(6 * ring, ring / SPOT_RINGS) for ring in range(1, SPOT_RINGS + 1))]
+        [[0.0], *(np.full(6 * ring, ring / _SPOT_RINGS) for ring in range(1, _SPOT_RINGS + 1))]
     )
-    radius *= SPOT_RINGS / (SPOT_RINGS + 0.5)  # a ring is the middle of its area
+    radius *= _SPOT_RINGS / (_SPOT_RINGS + 0.5)  # a ring is the middle of its area
     angle = np.concatenate(
         [
             [0.0],
             *(
                 (np.arange(6 * ring) + 0.5) / (3 * ring) * np.pi
-                for ring in range(1, SPOT_RINGS + 1)
+                for ring in range(1, _SPOT_RINGS + 1)
             ),
         ]
     )
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
-def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
+def _rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
     """Return the rms wavefront at the primary wavelength without piston and tilt, (F,), in
     waves.
     """
@@ -361,7 +361,7 @@ def rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
     return np.array(found)
 
 
-def point_spreads(
+def _point_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, side_um: float
 ) -> list[Array]:
     """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the
@@ -394,17 +394,17 @@ def point_spreads(
 def ray_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
 ) -> tuple[list[Array], Array]:
-    """Return PSFs of rays, as `point_spreads` does, and MTFs (F, 2, n): those of the rays times the
+    """Return PSFs of rays, as `_point_spreads` does, and MTFs (F, 2, n): those of the rays times the
     limit of diffraction.
     """
     rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
-    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
+    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(_MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
     limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
     edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:
-        waves = lens.wavefront(angle, wavelength_nm, x, y, RAYS_AIMED)
+        waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)
         seen = waves.passed & np.isfinite(waves.opd_waves)
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
         across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
@@ -441,7 +441,7 @@ def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class CrossSection:
+class _CrossSection:
     """A lens cut along the y-z plane, and rays at the primary wavelength, in mm from the first
     vertex.
 
@@ -460,7 +460,7 @@ class CrossSection:
     rays: dict[float, list[tuple[float, Array, Array]]]
 
 
-def cross_section(lens: Lens) -> CrossSection:
+def cross_section(lens: Lens) -> _CrossSection:
     """Return a lens cut along the y-z plane, with rays through the centre of the stop, its edges
     and halfway between.
     """
@@ -475,7 +475,7 @@ def cross_section(lens: Lens) -> CrossSection:
     reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
     outlines = []
     for surface, vertex, most in zip(surfaces, vertices, reached, strict=False):
-        edge = surface.semi_diameter_mm or CUT_EDGE * float(most)
+        edge = surface.semi_diameter_mm or _CUT_EDGE * float(most)
         y = np.linspace(-edge, edge, CUT_POINTS)
         with np.errstate(invalid="ignore"):
             sag, _ = sag_and_slope(surface, np.square(y))
@@ -489,18 +489,18 @@ def cross_section(lens: Lens) -> CrossSection:
         ]
         z, y = path[passed, :, 2], path[passed, :, 1]
         if math.isinf(lens.object_distance_mm):
-            before = BEFORE_LENS * length_mm
+            before = _BEFORE_LENS * length_mm
             z = np.column_stack([z[:, 0] - before, z])
             y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
-    return CrossSection(
+    return _CrossSection(
         length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays
     )
 
 
-LEAST_LENGTH = 1e-6  # of an argument, in its unit; its reciprocal is the most
-MAX_WAVELENGTHS = 24  # as in design programs
-MANY_TO_TRACE = 150  # surfaces times wavelengths, which take more than about 5 s
+_LEAST_LENGTH = 1e-6  # of an argument, in its unit; its reciprocal is the most
+_MAX_WAVELENGTHS = 24  # as in design programs
+_MANY_TO_TRACE = 150  # surfaces times wavelengths, which take more than about 5 s
 
 
 def lens(
@@ -562,15 +562,15 @@ def lens(
         *(("wavelength_nm", nm) for nm in wavelength_nm),
     ]
     for name, value in positive:
-        if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
+        if value is not None and not _LEAST_LENGTH <= value <= 1 / _LEAST_LENGTH:
             raise invalid(
                 setting(name),
                 f"{value:g}",
-                f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}",
+                f"a number above 0, {_LEAST_LENGTH:g} to {1 / _LEAST_LENGTH:g}",
             )
-    if len(wavelength_nm) > MAX_WAVELENGTHS:
+    if len(wavelength_nm) > _MAX_WAVELENGTHS:
         raise invalid(
-            setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}"
+            setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {_MAX_WAVELENGTHS}"
         )
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
         raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
@@ -580,7 +580,7 @@ def lens(
         own = load_lens(
             file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass
         )
-        chosen = chosen_lens(
+        chosen = _chosen_lens(
             own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm
         )
     if progress:
@@ -590,13 +590,13 @@ def lens(
         )
         progress(
             f"trace {surfaces} surfaces at {wavelengths} wavelengths"
-            if surfaces * wavelengths > MANY_TO_TRACE
+            if surfaces * wavelengths > _MANY_TO_TRACE
             else "trace"
         )
     return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes), reflectance)
 
 
-def chosen_lens(
+def _chosen_lens(
     lens: Lens,
     focal_length_mm: float | None,
     f_number: float | None,

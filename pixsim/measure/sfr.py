@@ -51,69 +51,73 @@ from pixsim.viewer.judges.sharpness import first_crossing
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
 # error by the truncated tails of diffraction at 5.3 µm and f/8: ±20 0.010, ±48 0.0042, ±64 0.0032
-HALF_WINDOW_PX = 64
+_HALF_WINDOW_PX = 64
 MIN_HALF_WINDOW_PX = 8
-MIN_SIDE_PX = 24
-MIN_SLANT_DEG = 1.0
+_MIN_SIDE_PX = 24
+_MIN_SLANT_DEG = 1.0
 # Tapered fraction of the Tukey window. ISO's Hamming and Hann windows have no flat part and remove
 # 1.6 times as much of the tails of diffraction, which decay as 1/x².
 TAPER = 0.5
-MAX_CORRECTION = 10.0  # ISO 12233: the response of the central difference is 0 at 2 cy/px
-EDGE_SEARCH_PX = 4  # smoothing along a row for the first estimate of the edge
-CENTROID_HALF_PX = 8.0
-FIT_ROUNDS = 4
-MAX_DEGREE = 5  # ISO 12233:2023
-DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a curve
-MIN_BEND_PX = (
+_MAX_CORRECTION = 10.0  # ISO 12233: the response of the central difference is 0 at 2 cy/px
+_EDGE_SEARCH_PX = 4  # smoothing along a row for the first estimate of the edge
+_CENTROID_HALF_PX = 8.0
+_FIT_ROUNDS = 4
+_MAX_DEGREE = 5  # ISO 12233:2023
+_DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a curve
+_MIN_BEND_PX = (
     0.01  # RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %
 )
 # RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
-MAX_MISFIT_PX = 0.1
+_MAX_MISFIT_PX = 0.1
 PHASES = 8  # of the edge within a pixel
-MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which may be correlated
+_MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which may be correlated
 MIN_CONTRAST = 0.05  # Michelson contrast of linear data
-MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
-MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
-MIN_LINES = 0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
-MAX_BELOW_BLACK = (
+_MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
+_MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
+_MIN_LINES = (
+    0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
+)
+_MAX_BELOW_BLACK = (
     0.01  # of the step: level of the dark side below black, which dark subtraction leaves
 )
-MAX_SATURATED = 1e-3  # of a region's pixels
-SHARPENS = "this sharpens the edge"  # what clipping does
+_MAX_SATURATED = 1e-3  # of a region's pixels
+_SHARPENS = "this sharpens the edge"  # what clipping does
 LUMINANCE, LUMINANCE_WEIGHTS = (
     "luminance",
     {"R": 0.2126, "G": 0.7152, "B": 0.0722},
 )  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
 FINER = 4  # frequencies for each of the DFT
-POOLED_BINS = (
+_POOLED_BINS = (
     9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
 )
 # without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
 # to nobody
-MAX_SFR = 1.02
-LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
+_MAX_SFR = 1.02
+_LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
 # A side that clips keeps the codes below its top: more pixels have the top code than noise as on
 # the other side could leave there.
-TOP_QUANTILE = 0.9995  # above it are hot pixels
+_TOP_QUANTILE = 0.9995  # above it are hot pixels
 # with noise of at least one code; Gaussian noise of one code leaves 0.2 % in the code at
 # TOP_QUANTILE
-MAX_AT_TOP = 0.01
-MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
+_MAX_AT_TOP = 0.01
+_MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
 # Without noise a side that is clipped shows by a kink: the edge runs into it at a slope that lens
 # and pixel fade out.
-KINK_LEVEL = 1e-3  # of the step, or 1.5 codes, from a side: where the edge is taken to begin
-KINK_PX = 0.15  # along the normal, of pixels that give the slope there
-MAX_KINK = 0.2  # of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26
-MIN_KINK_RATIO = (
+_KINK_LEVEL = 1e-3  # of the step, or 1.5 codes, from a side: where the edge is taken to begin
+_KINK_PX = 0.15  # along the normal, of pixels that give the slope there
+_MAX_KINK = (
+    0.2  # of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26
+)
+_MIN_KINK_RATIO = (
     3.0  # to the slope at the other side: an edge that no lens blurs has a kink at both
 )
-SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
-MAX_SHADING = 0.02  # of the step, within half of the window
-SHADING_SIGMAS = 4.0
-MIN_NOISE = 1e-4  # of the step, less tells nothing
-MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
-UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
+_SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
+_MAX_SHADING = 0.02  # of the step, within half of the window
+_SHADING_SIGMAS = 4.0
+_MIN_NOISE = 1e-4  # of the step, less tells nothing
+_MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
+_UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
 MAX_PARITY, PARITY_SIGMAS = (
     0.01,
     6.0,
@@ -204,7 +208,7 @@ class EdgeResponse(Result):
         return f"<EdgeResponse MTF50 {half} cy/px, {self.at_nyquist:.3f} at Nyquist>"
 
 
-class ChannelGrid(NamedTuple):
+class _ChannelGrid(NamedTuple):
     """Pixels of one channel at one place of the unit cell, which are a grid of their own in the
     region.
 
@@ -216,22 +220,22 @@ class ChannelGrid(NamedTuple):
     row: Array
     x: Array
 
-    def turned(self) -> ChannelGrid:
-        return ChannelGrid(self.data.T, self.x, self.row)
+    def turned(self) -> _ChannelGrid:
+        return _ChannelGrid(self.data.T, self.x, self.row)
 
 
-class WeightedChannel(NamedTuple):
+class _WeightedChannel(NamedTuple):
     """Grids of one channel, and the weight of the channel in what is measured."""
 
     weight: float
-    grids: list[ChannelGrid]
+    grids: list[_ChannelGrid]
 
 
 def edge_response(
     picture: ArrayLike,
     *,
     region: Sequence[int] | None = None,
-    half_window_px: Positive = HALF_WINDOW_PX,
+    half_window_px: Positive = _HALF_WINDOW_PX,
     saturation: float | None = None,
     is_unclipped: bool = False,
     layout: str | None = None,
@@ -279,26 +283,28 @@ def edge_response(
     """
     parts, period, name = parts_of(picture, region, layout, channel)
     if saturation is not None:
-        check_saturation(
+        _check_saturation(
             np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation
         )
     turned = is_turned(parts)
     if turned:
         parts = [
-            WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts
+            _WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts
         ]
         period = period[::-1]
     if name is None:
-        check_mosaic(parts[0].grids[0].data)
-    contrast = contrast_of(parts)
+        _check_mosaic(parts[0].grids[0].data)
+    contrast = _contrast_of(parts)
     for part in parts:
-        check_clipping(part.grids, is_unclipped)
+        _check_clipping(part.grids, is_unclipped)
     parts = balanced(parts)
     grids = [grid for part in parts for grid in part.grids]
-    fit = fit_edge(grids, np.sign(contrast), period[1])
-    rows, half_px = rows_and_window(grids, fit, half_window_px, period[1])
-    parts = [WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
-    for bins_a_pixel in bins_of(period[1]):
+    fit = _fit_edge(grids, np.sign(contrast), period[1])
+    rows, half_px = _rows_and_window(grids, fit, half_window_px, period[1])
+    parts = [
+        _WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts
+    ]
+    for bins_a_pixel in _bins_of(period[1]):
         binned = [edge_spread(part.grids, fit, half_px, bins_a_pixel) for part in parts]
         if all((one.pixels > 0).all() for one in binned):
             break
@@ -315,7 +321,7 @@ def edge_response(
             "This angle samples too few phases of the pixels: use 5°.",
         )
     for part, one in zip(parts, binned, strict=True):
-        check_kinks(part.grids, fit, one, is_unclipped)
+        _check_kinks(part.grids, fit, one, is_unclipped)
     distance_px = binned[0].distance_px
     spread = np.asarray(
         sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True))
@@ -339,32 +345,32 @@ def edge_response(
         rows_used=rows.size,
         contrast=min(abs(contrast), 1.0),
         edge_degree=fit.curve.degree(),
-        edge_sagitta_px=sagitta_px(fit, rows),
-        mtf50_interval_cy_per_px=mtf50_interval(spread, variance, bins_a_pixel, frequency),
-        nyquist_cy_per_px=min(nyquist_of(part.grids, period) for part in parts),
+        edge_sagitta_px=_sagitta_px(fit, rows),
+        mtf50_interval_cy_per_px=_mtf50_interval(spread, variance, bins_a_pixel, frequency),
+        nyquist_cy_per_px=min(_nyquist_of(part.grids, period) for part in parts),
         channel=name,
     )
-    warn_of_curve(edge)
-    warn_of_shading(distance_px, spread, variance)
-    warn_of_correlation([grid for part in parts for grid in part.grids], fit, distance_px, spread)
+    _warn_of_curve(edge)
+    _warn_of_shading(distance_px, spread, variance)
+    _warn_of_correlation([grid for part in parts for grid in part.grids], fit, distance_px, spread)
     return edge
 
 
-def check_saturation(data: Array, saturation: float) -> None:
+def _check_saturation(data: Array, saturation: float) -> None:
     """Raise PixsimError if pixels are saturated: clipping sharpens the edge."""
-    if (full := float(np.mean(data >= saturation))) > MAX_SATURATED:
+    if (full := float(np.mean(data >= saturation))) > _MAX_SATURATED:
         hint = "Reduce the exposure (--exposure.well-target, --exposure.integration-s)."
         raise invalid(
             "edge picture",
             f"{percent(full, 1)} saturated pixels",
-            f"at most {percent(MAX_SATURATED, 1)} from saturation = {saturation:g} on",
+            f"at most {percent(_MAX_SATURATED, 1)} from saturation = {saturation:g} on",
             hint,
         )
 
 
 def parts_of(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
-) -> tuple[list[WeightedChannel], tuple[int, int], str | None]:
+) -> tuple[list[_WeightedChannel], tuple[int, int], str | None]:
     """The pixels to measure, the rows and columns after which they repeat, and the name of their
     channel, if any.
 
@@ -386,10 +392,10 @@ def parts_of(
                 f"rows that {known.planes} planes divide",
             )
         planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
-        wanted = named_channels(known, channel)
+        wanted = _named_channels(known, channel)
         return (
             [
-                WeightedChannel(weight, [grid_of(cropped(planes[letter], region))])
+                _WeightedChannel(weight, [_grid_of(cropped(planes[letter], region))])
                 for letter, weight in wanted
             ],
             (1, 1),
@@ -397,20 +403,20 @@ def parts_of(
         )
     data = cropped(whole, region)
     if channel is None and (known is None or len(known.channels) == 1):
-        return [WeightedChannel(1.0, [grid_of(data)])], (1, 1), None
+        return [_WeightedChannel(1.0, [_grid_of(data)])], (1, 1), None
     period = (2, 2) if known is None else known.period
-    if min(data.shape) < MIN_SIDE_PX * max(period):
+    if min(data.shape) < _MIN_SIDE_PX * max(period):
         got = f"{data.shape[1]} × {data.shape[0]} pixels"
         raise invalid(
             "edge picture",
             got,
-            f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic",
+            f"at least {_MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic",
         )
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
-    def grids(places: list[tuple[int, int]]) -> list[ChannelGrid]:
+    def grids(places: list[tuple[int, int]]) -> list[_ChannelGrid]:
         return [
-            grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period)
+            _grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period)
             for row, column in places
         ]
 
@@ -422,10 +428,10 @@ def parts_of(
                 channel,
                 f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}",
             )
-        return [WeightedChannel(1.0, grids([(row, column)]))], period, channel
+        return [_WeightedChannel(1.0, grids([(row, column)]))], period, channel
     if known is None:
         return (
-            [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))],
+            [_WeightedChannel(1.0, grids(_green_places(data, channel or "", (y0, x0))))],
             period,
             channel,
         )
@@ -435,23 +441,23 @@ def parts_of(
         for column, letter in enumerate(line)
     ]
     return [
-        WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
-        for wanted, weight in named_channels(known, channel)
+        _WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
+        for wanted, weight in _named_channels(known, channel)
     ], period, channel  # fmt: skip
 
 
-def grid_of(
+def _grid_of(
     data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)
-) -> ChannelGrid:
+) -> _ChannelGrid:
     """The pixels at one place (row, column) of the unit cells of a picture."""
     row, x = (
         np.arange(start, side, step, dtype=float)
         for start, side, step in zip(place, data.shape, period, strict=True)
     )
-    return ChannelGrid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
+    return _ChannelGrid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
 
 
-def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
+def _named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
     """Letters of a layout and their weights. Raises PixsimError unless the channel is one of them,
     or their luminance.
     """
@@ -476,7 +482,7 @@ def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float
     raise invalid("edge picture", got, "one channel", hint)
 
 
-def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
+def _green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
     """Places of green in a mosaic that states no layout: the diagonal of 2 × 2 pixels whose steps
     agree, where the other's do not.
 
@@ -499,9 +505,9 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     steps = {}
     for row in (0, 1):
         for column in (0, 1):
-            part = grid_of(data, ((row - start[0]) % 2, (column - start[1]) % 2), (2, 2)).data
+            part = _grid_of(data, ((row - start[0]) % 2, (column - start[1]) % 2), (2, 2)).data
             steps[row, column] = max(
-                abs(np.subtract(*outer_quarters(one))) for one in (part, part.T)
+                abs(np.subtract(*_outer_quarters(one))) for one in (part, part.T)
             )
     apart = {
         pair: abs(steps[pair[0]] - steps[pair[1]]) / max(steps[pair[0]] + steps[pair[1]], 1e-300)
@@ -523,7 +529,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     return list(alike)
 
 
-def nyquist_of(grids: Sequence[ChannelGrid], period: tuple[int, int]) -> float:
+def _nyquist_of(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -> float:
     """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to
     the nearest of their replicas.
 
@@ -570,11 +576,11 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
                 f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1",
             )
         data = data[y0:y1, x0:x1]
-    if min(data.shape) < MIN_SIDE_PX:
+    if min(data.shape) < _MIN_SIDE_PX:
         raise invalid(
             "edge picture",
             f"{data.shape[1]} × {data.shape[0]} pixels",
-            f"at least {MIN_SIDE_PX} a side",
+            f"at least {_MIN_SIDE_PX} a side",
         )
     data = data.astype(float)
     if not np.isfinite(data).all():
@@ -592,32 +598,34 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     return data
 
 
-def is_turned(parts: Sequence[WeightedChannel]) -> bool:
+def is_turned(parts: Sequence[_WeightedChannel]) -> bool:
     """Whether the edge runs along the rows."""
-    steps = [abs(sum(part.weight * step_of(part.grids, axis) for part in parts)) for axis in (0, 1)]
+    steps = [
+        abs(sum(part.weight * _step_of(part.grids, axis) for part in parts)) for axis in (0, 1)
+    ]
     return bool(steps[1] < steps[0])
 
 
-def step_of(grids: Sequence[ChannelGrid], axis: int) -> float:
+def _step_of(grids: Sequence[_ChannelGrid], axis: int) -> float:
     """Mean of the last quarter less that of the first, along an axis."""
-    low, high = sides_of(grids, axis)
+    low, high = _sides_of(grids, axis)
     return high - low
 
 
-def sides_of(grids: Sequence[ChannelGrid], axis: int = 1) -> tuple[float, float]:
+def _sides_of(grids: Sequence[_ChannelGrid], axis: int = 1) -> tuple[float, float]:
     """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
-    sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(
+    sides = np.array([_outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(
         axis=0
     )
     return float(sides[0]), float(sides[1])
 
 
-def contrast_of(parts: Sequence[WeightedChannel]) -> float:
+def _contrast_of(parts: Sequence[_WeightedChannel]) -> float:
     """Michelson contrast of a near-vertical edge, negative if bright on the left.
 
     Raises PixsimError if it is too low in itself or for the noise.
     """
-    sides = [(part.weight, *sides_of(part.grids)) for part in parts]
+    sides = [(part.weight, *_sides_of(part.grids)) for part in parts]
     low, high = (sum(side[0] * side[at] for side in sides) for at in (1, 2))
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
     if not MIN_CONTRAST <= abs(contrast) < np.inf:
@@ -635,12 +643,12 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
             for grid in part.grids
             for side in outer(grid.data)
         )
-        if abs(high - low) < MIN_STEP_SIGMAS * noise:
+        if abs(high - low) < _MIN_STEP_SIGMAS * noise:
             hint = "Average several frames, or use more light."
             got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
-            raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
+            raise invalid("edge picture", got, f"at least {_MIN_STEP_SIGMAS:g} σ", hint)
     below = -min(low, high) / abs(high - low)
-    if below > MAX_BELOW_BLACK:
+    if below > _MAX_BELOW_BLACK:
         words = (
             f"the dark side is below black by {percent(below, 1)} of the step: the black level is"
             " too high for the contrast"
@@ -655,25 +663,25 @@ def outer(data: Array) -> tuple[Array, Array]:
     return data[:, :quarter], data[:, -quarter:]
 
 
-def outer_quarters(data: Array) -> tuple[float, float]:
+def _outer_quarters(data: Array) -> tuple[float, float]:
     """Means of the first and of the last quarter of the rows."""
     quarter = len(data) // 4
     return float(data[:quarter].mean()), float(data[-quarter:].mean())
 
 
-def balanced(parts: list[WeightedChannel]) -> list[WeightedChannel]:
+def balanced(parts: list[_WeightedChannel]) -> list[_WeightedChannel]:
     """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel
     is left as it is.
     """
     if len(parts) == 1:
         return parts
-    sides = [sides_of(part.grids) for part in parts]
+    sides = [_sides_of(part.grids) for part in parts]
     low, high = (
         sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True))
         for at in (0, 1)
     )
     return [
-        WeightedChannel(
+        _WeightedChannel(
             weight,
             [
                 grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark)))
@@ -685,12 +693,12 @@ def balanced(parts: list[WeightedChannel]) -> list[WeightedChannel]:
 
 
 def sampled(side: Array) -> Array:
-    """Whole rows of a side, of at most `SAMPLED` pixels, evenly spread pairs of neighbours."""
+    """Whole rows of a side, of at most `_SAMPLED` pixels, evenly spread pairs of neighbours."""
     pairs = side[: len(side) // 2 * 2].reshape(-1, 2, side.shape[1])
-    return pairs[:: max(1, -(-side.size // SAMPLED))].reshape(-1, side.shape[1])
+    return pairs[:: max(1, -(-side.size // _SAMPLED))].reshape(-1, side.shape[1])
 
 
-def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
+def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
     """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side
     that is.
 
@@ -701,20 +709,20 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
         dark, light = sorted((sampled(side) for side in outer(grid.data)), key=np.mean)
         for name, side, other, sign in (("bright", light, dark, 1.0), ("dark", dark, light, -1.0)):
             code = min(
-                (step for one in (side, other) if (step := smallest_step(one)) > 0.0), default=0.0
+                (step for one in (side, other) if (step := _smallest_step(one)) > 0.0), default=0.0
             )
             noise = 0.0 if code == 0.0 else noise_of(other, code) / code
-            if noise < MIN_NOISE_CODES or noise * code < MIN_NOISE * abs(
+            if noise < _MIN_NOISE_CODES or noise * code < _MIN_NOISE * abs(
                 float(light.mean() - dark.mean())
             ):  # of rounding
                 continue
-            top, at_top = highest_code(sign * side)
+            top, at_top = _highest_code(sign * side)
             if name == "bright":
                 natural = (
-                    MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
+                    _MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
                 )
             else:  # without clipping it may have less noise than the bright side, yet not none
-                natural = MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - MAX_SATURATED
+                natural = _MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - _MAX_SATURATED
             if at_top <= natural:
                 continue
             got = (
@@ -724,10 +732,12 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
             got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
                 warn(
-                    Note("edge_picture", words=f"{got}, as if it were clipped at black: {SHARPENS}")
+                    Note(
+                        "edge_picture", words=f"{got}, as if it were clipped at black: {_SHARPENS}"
+                    )
                 )
             elif is_unclipped:
-                warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
+                warn(Note("edge_picture", words=f"{got}, as if it were clipped: {_SHARPENS}"))
             else:
                 hint = (
                     "Use less light. If these values are right, state a --saturation above them"
@@ -741,8 +751,8 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
                 )
 
 
-def check_kinks(
-    grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_unclipped: bool
+def _check_kinks(
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, binned: Binned, is_unclipped: bool
 ) -> None:
     """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if
     it has kinks at both sides.
@@ -751,29 +761,29 @@ def check_kinks(
         np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)
     ]
     levels = [float(np.median(side)) for side in sides]
-    code = max(smallest_step(sampled(grid.data)) for grid in grids)
-    tolerance = max(1.5 * code, KINK_LEVEL * abs(levels[1] - levels[0]))
-    if max(float(side.std()) for side in sides) > tolerance / 4:  # `check_clipping` looks at noise
+    code = max(_smallest_step(sampled(grid.data)) for grid in grids)
+    tolerance = max(1.5 * code, _KINK_LEVEL * abs(levels[1] - levels[0]))
+    if max(float(side.std()) for side in sides) > tolerance / 4:  # `_check_clipping` looks at noise
         return
 
-    distance = np.concatenate([distance_from_edge(grid, fit).ravel() for grid in grids])
+    distance = np.concatenate([_distance_from_edge(grid, fit).ravel() for grid in grids])
     value = np.concatenate([grid.data.ravel() for grid in grids])
     steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
     kinks = [
-        kink_of(outwards * distance, value - level, tolerance) / steepest
+        _kink_of(outwards * distance, value - level, tolerance) / steepest
         for outwards, level in zip((-1, 1), levels, strict=True)
     ]
     clipped = [
-        kink > MAX_KINK and float(np.mean(side == level)) >= 1 - MAX_SATURATED
+        kink > _MAX_KINK and float(np.mean(side == level)) >= 1 - _MAX_SATURATED
         for side, level, kink in zip(sides, levels, kinks, strict=True)
     ]
-    if not any(clipped) or max(kinks) < MIN_KINK_RATIO * min(kinks):
+    if not any(clipped) or max(kinks) < _MIN_KINK_RATIO * min(kinks):
         if all(clipped):
             warn(
                 Note(
                     "edge_picture",
                     words=(
-                        f"a kink at both sides, which no lens leaves and clipping does: {SHARPENS}"
+                        f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
                     ),
                 )
             )
@@ -788,7 +798,7 @@ def check_kinks(
     )
     got += f"slope, beside {percent(kinks[1 - at])} on the other side"
     if is_unclipped:
-        warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
+        warn(Note("edge_picture", words=f"{got}, as if it were clipped: {_SHARPENS}"))
         return
     hint = (
         f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are"
@@ -803,7 +813,7 @@ def check_kinks(
     )
 
 
-def kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
+def _kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
     """Slope, per pixel along the normal, at which an edge runs into a side at positive distances; 0
     without pixels between.
 
@@ -814,13 +824,13 @@ def kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
     if not away.any():
         return 0.0
     before_px = distance_px[away].max() - distance_px
-    near = away & (before_px < KINK_PX)
+    near = away & (before_px < _KINK_PX)
     centred = before_px[near] - before_px[near].mean()
     spread = float(centred @ centred)
     return abs(float(centred @ departure[near])) / spread if spread > 0 else 0.0
 
 
-def smallest_step(side: Array) -> float:
+def _smallest_step(side: Array) -> float:
     """Smallest difference between two values of a side, which is a code where the noise has
     several; 0 if all are equal.
     """
@@ -839,20 +849,20 @@ def noise_of(side: Array, code: float) -> float:
     )
 
 
-def highest_code(side: Array) -> tuple[float, float]:
+def _highest_code(side: Array) -> tuple[float, float]:
     """Highest value but of hot pixels, and the fraction of pixels that have it."""
     values, counts = np.unique(side, return_counts=True)
-    at = min(int(np.searchsorted(np.cumsum(counts), TOP_QUANTILE * side.size)), values.size - 1)
+    at = min(int(np.searchsorted(np.cumsum(counts), _TOP_QUANTILE * side.size)), values.size - 1)
     return float(values[at]), float(counts[at] / side.size)
 
 
-def check_mosaic(data: Array) -> None:
+def _check_mosaic(data: Array) -> None:
     """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit
     cell differ on a side.
     """
-    sides = [side[: max(SAMPLED // side.shape[1], MIN_SIDE_PX)] for side in outer(data)]
+    sides = [side[: max(_SAMPLED // side.shape[1], _MIN_SIDE_PX)] for side in outer(data)]
     step = abs(sides[1].mean() - sides[0].mean())
-    for cell in UNIT_CELLS:
+    for cell in _UNIT_CELLS:
         if min(sides[0].shape) < 2 * cell:
             return
         for side in sides:
@@ -873,7 +883,7 @@ def check_mosaic(data: Array) -> None:
                 raise invalid("edge picture", got, "one channel", hint)
 
 
-class EdgeFit(NamedTuple):
+class _EdgeFit(NamedTuple):
     """The course of a near-vertical edge.
 
     curve : x in pixels as a function of the row, with pixel centres at integers
@@ -884,7 +894,7 @@ class EdgeFit(NamedTuple):
     slope: float
 
 
-def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit:
+def _fit_edge(grids: Sequence[_ChannelGrid], sign: float, spacing: int) -> _EdgeFit:
     """Fit a polynomial to the edge, as ISO 12233:2023 does for lenses with distortion.
 
     The edge of a row is the centroid of its derivative under a Hann window around the current
@@ -899,7 +909,9 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
     order = np.argsort(row, kind="stable")
     steepest = np.concatenate(
         [
-            grid.x[uniform_filter1d(derivative, EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1]
+            grid.x[
+                uniform_filter1d(derivative, _EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1
+            ]
             for grid, derivative in zip(grids, derivatives, strict=True)
         ]
     )[order]
@@ -913,19 +925,19 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
         )
     )
     curve = Polynomial([float(np.median(steepest - slope * row)), slope])
-    reach_px = CENTROID_HALF_PX * spacing
+    reach_px = _CENTROID_HALF_PX * spacing
 
-    variances = [noise_variance(grid.data) for grid in grids]
-    for _ in range(FIT_ROUNDS):
+    variances = [_noise_variance(grid.data) for grid in grids]
+    for _ in range(_FIT_ROUNDS):
         measured = [
-            row_edges(*parts, curve, reach_px)
+            _row_edges(*parts, curve, reach_px)
             for parts in zip(grids, derivatives, variances, strict=True)
         ]
         rows, centres, noises = (np.concatenate(parts) for parts in zip(*measured, strict=True))
         if rows.size < row.size / 2:
-            raise no_edge(f"an edge in {rows.size} of {row.size} lines")
+            raise _no_edge(f"an edge in {rows.size} of {row.size} lines")
         slope, intercept = np.polyfit(rows, centres, 1)
-        degree = degree_of_edge(rows, centres)
+        degree = _degree_of_edge(rows, centres)
         curve = (
             Polynomial([intercept, slope]) if degree == 1 else Polynomial.fit(rows, centres, degree)
         )
@@ -934,23 +946,23 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
         np.minimum(curve(grid.row) - grid.x[0], grid.x[-1] - curve(grid.row)) for grid in grids
     ]
     lines = sum(np.count_nonzero(margin_px >= reach_px) for margin_px in margins_px)
-    if rows.size < MIN_LINES * lines:
-        raise no_edge(f"an edge in {rows.size} of {lines} lines")
+    if rows.size < _MIN_LINES * lines:
+        raise _no_edge(f"an edge in {rows.size} of {lines} lines")
     residual = float(np.sqrt(np.mean((centres - curve(rows)) ** 2)))
-    if residual > MAX_RESIDUAL_PX * spacing:
-        raise no_edge(f"an edge {residual:.2g} px (RMS) from a polynomial of degree {degree}")
+    if residual > _MAX_RESIDUAL_PX * spacing:
+        raise _no_edge(f"an edge {residual:.2g} px (RMS) from a polynomial of degree {degree}")
     scatter = np.concatenate(
         [
-            without_sampling(centre - curve(rows), curve(rows) / spacing)
+            _without_sampling(centre - curve(rows), curve(rows) / spacing)
             for rows, centre, _ in measured
         ]
     )
-    warn_of_misfit(scatter, noises, degree, spacing)
-    return EdgeFit(curve, float(slope))
+    _warn_of_misfit(scatter, noises, degree, spacing)
+    return _EdgeFit(curve, float(slope))
 
 
-def row_edges(
-    grid: ChannelGrid, derivative: Array, variance: Array, curve: Polynomial, reach_px: float
+def _row_edges(
+    grid: _ChannelGrid, derivative: Array, variance: Array, curve: Polynomial, reach_px: float
 ) -> tuple[Array, Array, Array]:
     """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard
     deviations by the noise (px).
@@ -973,12 +985,12 @@ def row_edges(
     return grid.row[valid], centre, deviation
 
 
-def noise_variance(data: Array) -> Array:
+def _noise_variance(data: Array) -> Array:
     """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of
     the two sides.
     """
     sides = [sampled(side) for side in outer(data)]
-    variances = [noise_of(side, smallest_step(side)) ** 2 for side in sides]
+    variances = [noise_of(side, _smallest_step(side)) ** 2 for side in sides]
     levels = [float(side.mean()) for side in sides]
     if levels[0] == levels[1]:
         return np.full(data.shape, max(variances))
@@ -986,24 +998,24 @@ def noise_variance(data: Array) -> Array:
     return np.asarray(variances[0] + (variances[1] - variances[0]) * share)
 
 
-def degree_of_edge(row: Array, centre: Array) -> int:
+def _degree_of_edge(row: Array, centre: Array) -> int:
     """Degree of the polynomial for the edges of rows (px): that of the highest term that is no
     chance and matters, or 1.
     """
     scaled = 2 * (row - row.min()) / np.ptp(row) - 1
-    basis = np.linalg.qr(legvander(scaled, MAX_DEGREE))[0]
+    basis = np.linalg.qr(legvander(scaled, _MAX_DEGREE))[0]
     coefficient = (
         basis.T @ centre
     )  # independent of each other, and as uncertain as the edge of a row
     freedom = row.size - basis.shape[1]
     sigma = math.sqrt(float(np.sum((centre - basis @ coefficient) ** 2)) / freedom)
-    chance = DEGREE_FALSE_ALARM / (MAX_DEGREE - 1)
-    limit = max(float(stdtrit(freedom, 1 - chance / 2)) * sigma, MIN_BEND_PX * math.sqrt(row.size))
+    chance = _DEGREE_FALSE_ALARM / (_MAX_DEGREE - 1)
+    limit = max(float(stdtrit(freedom, 1 - chance / 2)) * sigma, _MIN_BEND_PX * math.sqrt(row.size))
     curved = np.flatnonzero(np.abs(coefficient[2:]) > limit)
     return 2 + int(curved[-1]) if curved.size else 1
 
 
-def without_sampling(residual_px: Array, place: Array) -> Array:
+def _without_sampling(residual_px: Array, place: Array) -> Array:
     """The rows' distances from the edge (px), less their mean at each place of the edge within a
     pixel, an error of sampling.
 
@@ -1015,7 +1027,7 @@ def without_sampling(residual_px: Array, place: Array) -> Array:
     return residual_px - mean[phase]
 
 
-def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: int) -> None:
+def _warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: int) -> None:
     """Warn if the rows' edges scatter about the polynomial by more than their noise, as by waves or
     rows that are shifted.
 
@@ -1029,7 +1041,7 @@ def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: in
     )  # few outliers do not count
     noise = float(np.sqrt(np.mean(noise_px**2)))
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
-    if misfit > MAX_MISFIT_PX * spacing and scatter**2 > MIN_MISFIT_RATIO * noise**2:
+    if misfit > _MAX_MISFIT_PX * spacing and scatter**2 > _MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
         words = (
             f"the edge is no polynomial of degree {degree}: its rows scatter about it by"
@@ -1039,7 +1051,7 @@ def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: in
         warn(Note("edge_region", words=words))
 
 
-def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
+def _distance_from_edge(grid: _ChannelGrid, fit: _EdgeFit) -> Array:
     """(M, K) distances of the pixels from the edge along its normal, in pixels, positive on the
     right.
 
@@ -1052,7 +1064,7 @@ def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
     return (across - bend * rows_to_foot**2 / 2) / np.hypot(1.0, slope)
 
 
-def sagitta_px(fit: EdgeFit, rows: Array) -> float:
+def _sagitta_px(fit: _EdgeFit, rows: Array) -> float:
     """Largest distance along x between the edge and the straight line through its ends."""
     if fit.curve.degree() == 1:
         return 0.0
@@ -1061,18 +1073,18 @@ def sagitta_px(fit: EdgeFit, rows: Array) -> float:
     return float(np.abs(edge - chord).max())
 
 
-def no_edge(got: str) -> PixsimError:
+def _no_edge(got: str) -> PixsimError:
     return invalid(
         "edge picture",
         got,
-        f"one edge within {MAX_RESIDUAL_PX:g} px (RMS) of a polynomial of degree {MAX_DEGREE} at"
+        f"one edge within {_MAX_RESIDUAL_PX:g} px (RMS) of a polynomial of degree {_MAX_DEGREE} at"
         " most",
         "Give a --region that contains only the edge.",
     )
 
 
-def rows_and_window(
-    grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: float, spacing: int
+def _rows_and_window(
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, half_window_px: float, spacing: int
 ) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
@@ -1088,19 +1100,19 @@ def rows_and_window(
     cos = 1 / np.hypot(1.0, fit.curve.deriv()(row))
     margin_px = np.minimum(edge - first, last - edge) * cos
     slant_deg = abs(np.degrees(np.arctan(slope)))
-    if abs(slope) * height < spacing or slant_deg < MIN_SLANT_DEG:
+    if abs(slope) * height < spacing or slant_deg < _MIN_SLANT_DEG:
         got = f"an edge {slant_deg:.2g}° from the rows or columns, over {height} lines"
         sideways = (
             "one pixel" if spacing == 1 else f"{spacing} pixels, which are one of the channel,"
         )
-        expected = f"at least {MIN_SLANT_DEG:g}° and {sideways} sideways; 5° is usual"
+        expected = f"at least {_MIN_SLANT_DEG:g}° and {sideways} sideways; 5° is usual"
         raise invalid(
             "edge picture",
             got,
             expected,
             "Without a slant the edge samples only one phase of the pixels.",
         )
-    grain = min(bins_of(spacing))
+    grain = min(_bins_of(spacing))
     half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
     if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
@@ -1123,17 +1135,17 @@ def rows_and_window(
     return inside[max(start, 0) : max(start, 0) + count], half_px
 
 
-def bins_of(spacing: int) -> list[int]:
+def _bins_of(spacing: int) -> list[int]:
     """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are
     `spacing` apart.
     """
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
 
-def within(grid: ChannelGrid, rows: Array) -> ChannelGrid:
+def within(grid: _ChannelGrid, rows: Array) -> _ChannelGrid:
     """The rows of a grid in a range of rows."""
     inside = (grid.row >= rows[0]) & (grid.row <= rows[-1])
-    return ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
+    return _ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
 
 
 class Binned(NamedTuple):
@@ -1148,7 +1160,7 @@ class Binned(NamedTuple):
 
 
 def edge_spread(
-    grids: Sequence[ChannelGrid], fit: EdgeFit, half_px: float, bins_a_pixel: int
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, half_px: float, bins_a_pixel: int
 ) -> Binned:
     """Pixels in bins of their distance from the edge, which rises from left to right.
 
@@ -1159,7 +1171,7 @@ def edge_spread(
     centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
     indices, values, distances = [], [], []
     for grid in grids:
-        distance = distance_from_edge(grid, fit)
+        distance = _distance_from_edge(grid, fit)
         index = np.floor((distance + half_px) * bins_a_pixel).astype(int)
         inside = (index >= 0) & (index < count)
         indices.append(index[inside])
@@ -1177,9 +1189,9 @@ def edge_spread(
     squares = np.bincount(
         index, weights=(value - course(centre_px, mean)(away)) ** 2, minlength=count
     )
-    freedom = uniform_filter1d(np.maximum(pixels - 1.0, 0.0), POOLED_BINS)
-    scatter = np.maximum(uniform_filter1d(squares, POOLED_BINS), 0.0) / np.maximum(
-        freedom, 1.0 / POOLED_BINS
+    freedom = uniform_filter1d(np.maximum(pixels - 1.0, 0.0), _POOLED_BINS)
+    scatter = np.maximum(uniform_filter1d(squares, _POOLED_BINS), 0.0) / np.maximum(
+        freedom, 1.0 / _POOLED_BINS
     )
     return Binned(centre_px, pixels, mean, scatter / pixels)
 
@@ -1192,11 +1204,11 @@ def course(centre_px: Array, mean: Array) -> CubicSpline:
     )  # a mean over a bin is 1/24 of the curvature above its middle
 
 
-def filter_response(frequency: Array, bins_a_pixel: int) -> Array:
+def _filter_response(frequency: Array, bins_a_pixel: int) -> Array:
     """Response of the bins and of the central difference, limited as in ISO 12233."""
     return np.maximum(
         np.sinc(frequency / bins_a_pixel) * np.sinc(2 * frequency / bins_a_pixel),
-        1 / MAX_CORRECTION,
+        1 / _MAX_CORRECTION,
     )
 
 
@@ -1208,7 +1220,7 @@ def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Ar
     line = line * tukey(line.size, TAPER)
     frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / bins_a_pixel), float)
     modulation = np.asarray(np.abs(np.fft.rfft(line)), float)
-    return frequency, modulation / modulation[0] / filter_response(frequency, bins_a_pixel)
+    return frequency, modulation / modulation[0] / _filter_response(frequency, bins_a_pixel)
 
 
 def interval(
@@ -1240,11 +1252,11 @@ def interval(
             float((change * np.conj(value / (abs(value) or 1.0))).real ** 2 @ variance)
         ) / abs(total)
     low, high = bounds(sfr, sigma)
-    correction = filter_response(frequency, bins_a_pixel)
+    correction = _filter_response(frequency, bins_a_pixel)
     return low / correction, high / correction
 
 
-def mtf50_interval(
+def _mtf50_interval(
     spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
 ) -> tuple[float | None, float | None]:
     """Interval of 95 % of the MTF50: the frequencies at which the interval of the SFR holds one
@@ -1263,7 +1275,7 @@ def mtf50_interval(
     return first_crossing(fine, low, 0.5), first_crossing(fine, high, 0.5)
 
 
-FAR_SIGMAS = 30.0  # from 0, where the modulus is as good as Gaussian
+_FAR_SIGMAS = 30.0  # from 0, where the modulus is as good as Gaussian
 
 
 def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
@@ -1272,7 +1284,7 @@ def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     """
     z = float(ndtri((1 + COVERAGE) / 2))
     low, high = np.maximum(modulus - z * sigma, 0.0), modulus + z * sigma
-    near = (sigma > 0) & (modulus < FAR_SIGMAS * sigma)
+    near = (sigma > 0) & (modulus < _FAR_SIGMAS * sigma)
     square = (modulus[near] / sigma[near]) ** 2
     for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):
         found = np.where(
@@ -1282,11 +1294,11 @@ def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def warn_of_curve(edge: EdgeResponse) -> None:
+def _warn_of_curve(edge: EdgeResponse) -> None:
     """Warn of an SFR above 1.02, which neither lens nor pixel has."""
     for is_low, cause in ((True, "noise or shading"), (False, "sharpened, or noise")):
-        among = (edge.frequency_cy_per_px < LOW_CY_PER_PX) == is_low
-        if not among.any() or (highest := float(edge.sfr[among].max())) <= MAX_SFR:
+        among = (edge.frequency_cy_per_px < _LOW_CY_PER_PX) == is_low
+        if not among.any() or (highest := float(edge.sfr[among].max())) <= _MAX_SFR:
             continue
         at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
         low, high = edge.sfr_interval[:, at]
@@ -1295,7 +1307,7 @@ def warn_of_curve(edge: EdgeResponse) -> None:
         warn(Note("edge_picture", words=words))
 
 
-def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
+def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
     """Warn if the light changes along the normal: the tails on the two sides have slopes that no
     lens gives them.
 
@@ -1311,7 +1323,7 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
         errors.append(float(centred**2 @ variance[side]) / float(centred @ centred) ** 2)
     step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
     change = (slopes[1] - slopes[0]) * half_px
-    if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
+    if abs(change) > max(_MAX_SHADING * step, _SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
         words = (
             f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the"
             f" step within {half_px:.3g} px, which the SFR takes for blur or sharpening at low"
@@ -1320,8 +1332,8 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
         warn(Note("edge_region", words=words))
 
 
-def warn_of_correlation(
-    grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array
+def _warn_of_correlation(
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, distance_px: Array, spread: Array
 ) -> None:
     """Warn if the noise of neighbours in a row is correlated, of which the intervals know
     nothing.
@@ -1331,18 +1343,18 @@ def warn_of_correlation(
     smooth = course(distance_px, spread)
     found = []
     for grid in grids:
-        distance = distance_from_edge(grid, fit)
+        distance = _distance_from_edge(grid, fit)
         beside = (np.abs(distance) > half_px / 4) & (np.abs(distance) < half_px)
         noise = np.diff(
             grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0
         )  # without shading along the edge
         beside = beside[1:] & beside[:-1]
         pairs = beside[:, 1:] & beside[:, :-1]
-        if pairs.any() and noise[beside].std() > MIN_NOISE * step:
+        if pairs.any() and noise[beside].std() > _MIN_NOISE * step:
             found.append(
                 float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean())
             )
-    if found and max(found) > MAX_CORRELATION:
+    if found and max(found) > _MAX_CORRELATION:
         words = (
             f"the noise of neighbouring pixels is correlated ({max(found):.2f}), as after"
             " demosaicking, denoising or scaling: the intervals are too narrow"
@@ -1351,13 +1363,13 @@ def warn_of_correlation(
 
 
 # Of what a file states about a picture.
-METADATA_RANGES = {
+_METADATA_RANGES = {
     "pitch_um": (1e-6, 1e6), "black_level_dn": (-1e12, 1e12), "bits": (1.0, 32.0), "white_level_dn": (1e-12, 1e12),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
-class EdgePicture:
+class _EdgePicture:
     """A linear picture with its file's metadata, None if absent.
 
     data : (H, W) as stored, including the black level; row 0 on top
@@ -1375,7 +1387,7 @@ class EdgePicture:
     channel: str | None = None
 
 
-def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
+def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     """A linear picture: raw.exr of `pixsim run`, .exr, .npy, .npz of one array, .png of 16 bits,
     .tiff of 16 bits or more or float.
 
@@ -1416,7 +1428,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
         metadata = {name: value for name, value in metadata.items() if name != "black_level_dn"}
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
-    for name, (low, high) in METADATA_RANGES.items():
+    for name, (low, high) in _METADATA_RANGES.items():
         value = stated_number(metadata, name)
         if name not in metadata or (
             is_image and not math.isfinite(value)
@@ -1426,18 +1438,18 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
             got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
             raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
-    if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
+    if stated_number(metadata, "saturated_fraction") > _MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
         words = (
             f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top"
             " code and may lie beside it"
         )
-        warn(Note("edge_picture", words=f"{words}: {SHARPENS}"))
+        warn(Note("edge_picture", words=f"{words}: {_SHARPENS}"))
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)
     black_level_dn = numbers.get("black_level_dn") if levels is None else levels
-    return EdgePicture(data, numbers.get("pitch_um"), black_level_dn, top, layout_text, rgb)
+    return _EdgePicture(data, numbers.get("pitch_um"), black_level_dn, top, layout_text, rgb)
 
 
 def sfr(
@@ -1480,7 +1492,7 @@ def sfr(
     >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc²(0.443) = 1/2
     89
     """
-    lowest, highest = METADATA_RANGES["pitch_um"]
+    lowest, highest = _METADATA_RANGES["pitch_um"]
     if pitch_um is not None and not lowest <= pitch_um <= highest:
         raise invalid(
             setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}"

@@ -33,15 +33,15 @@ from pixsim.optics.quantities import (
     UpToInfinity,
 )
 
-FASTEST_WORKING_F_NUMBER = 0.5
+_FASTEST_WORKING_F_NUMBER = 0.5
 LARGEST_MAGNIFICATION = (
     1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
 )
-CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
+_CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
-OF_VEIL = "veiling_glare", "veiling_glare_outside"  # of `Camera`
-IN_PIXELS = Words(also=("pixels",))
+_OF_VEIL = "veiling_glare", "veiling_glare_outside"  # of `Camera`
+_IN_PIXELS = Words(also=("pixels",))
 # Usual words for the columns and rows of a sensor, or of a display.
 SIZES = "resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"
 PIXELS_OR_FILM = (
@@ -71,8 +71,8 @@ class Camera(Record):
     f_number: FNumber = Field(
         4.0, description="nominal f-number: focal length over the diameter of the entrance pupil"
     )
-    die_mm: Annotated[DieWidth, IN_PIXELS] = Field(2.7136, description="width of the die")
-    die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
+    die_mm: Annotated[DieWidth, _IN_PIXELS] = Field(2.7136, description="width of the die")
+    die_height_mm: Annotated[DieWidth | None, _IN_PIXELS] = Field(
         None, description="height of the die (absent: that of a square die, die_mm)"
     )
     object_distance_m: Distance = Field(
@@ -125,11 +125,11 @@ class Camera(Record):
                 f" {self.object_distance_m:g}, which magnifies {self.magnification:g} times;"
                 f" allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object distance"
             )
-        if self.working_f_number < FASTEST_WORKING_F_NUMBER:
+        if self.working_f_number < _FASTEST_WORKING_F_NUMBER:
             raise ValueError(
                 f"f_number = {self.f_number:g} is too small for a thin lens in air: the working"
                 f" f-number, N (1 + |m|) = {self.working_f_number:g}, must be at least"
-                f" {FASTEST_WORKING_F_NUMBER:g}"
+                f" {_FASTEST_WORKING_F_NUMBER:g}"
             )
         return self
 
@@ -168,7 +168,7 @@ class Camera(Record):
         height end before it.
         """
         corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, rows[-1][0]
-        if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
+        if farthest_mm < corner_mm * (1 - _CORNER_ROUNDING):
             raise ValueError(
                 f"{name} ends at an image height of {farthest_mm:g} mm; allowed: up to the corner"
                 f" of the die of {self.die_mm:g} × {self.height_mm:g} mm,"
@@ -245,13 +245,13 @@ class Camera(Record):
         see, may differ.
         """
         tables = {self.relative_illumination, other.relative_illumination}
-        later = {name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *OF_VEIL)}
+        later = {name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *_OF_VEIL)}
         return len(tables) == 1 and self.model_copy(update=later) == other
 
     @property
     def without_veil(self) -> Camera:
         """The same without veiling glare, which no render and no blur depends on."""
-        return self.model_copy(update=dict.fromkeys(OF_VEIL, 0.0)) if self.veiling_glare else self
+        return self.model_copy(update=dict.fromkeys(_OF_VEIL, 0.0)) if self.veiling_glare else self
 
     def with_light_of(self, chosen: LensOptions) -> Camera:
         """The same with the veil and the fall-off that options of a lens state; what they leave
@@ -373,10 +373,10 @@ def values_of_lens_geometry(
     }
 
 
-DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
+_DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
 
 
-def as_pixel_count(value: object) -> object:
+def _as_pixel_count(value: object) -> object:
     """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a
     pair.
     """
@@ -397,9 +397,9 @@ def as_pixel_count(value: object) -> object:
     return value
 
 
-PixelCount = Annotated[
+_PixelCount = Annotated[
     tuple[Annotated[int, Field(ge=1, le=10**6)], Annotated[int, Field(ge=1, le=10**6)]],
-    BeforeValidator(as_pixel_count),
+    BeforeValidator(_as_pixel_count),
 ]
 
 
@@ -418,14 +418,14 @@ class CameraOptions(Record):
         None, description=Camera.model_fields["focal_length_mm"].description
     )
     f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
-    die_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
+    die_mm: Annotated[DieWidth | None, _IN_PIXELS] = Field(
         None, description=Camera.model_fields["die_mm"].description
     )
-    die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
+    die_height_mm: Annotated[DieWidth | None, _IN_PIXELS] = Field(
         None, description=Camera.model_fields["die_height_mm"].description
     )
     pixels: Annotated[
-        PixelCount | None, Words(also=SIZES, instead={"resolution": PIXELS_OR_FILM})
+        _PixelCount | None, Words(also=SIZES, instead={"resolution": PIXELS_OR_FILM})
     ] = Field(
         None,
         description=(
@@ -490,7 +490,7 @@ class CameraOptions(Record):
                     f" of {pitch_um:g} µm, which are {of_pixels_mm:.6g} mm, by more than half a"
                     " pixel; give one of them"
                 )
-            die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
+            die_mm[name] = round(of_pixels_mm, _DIE_DIGITS) if given_mm is None else given_mm
         return CameraOptions(**self.model_dump() | die_mm)
 
     def assumption(self, camera: Camera) -> str:

@@ -62,13 +62,13 @@ BEYOND = 1e-6  # of the corner's height, so that the last row does not end befor
 LIT = 0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
 NODES = (17, 33, 65)  # of wavefronts from the axis to the corner
 WAVELENGTHS = (4, 6, 8, 12)  # of a light's blur
-PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
-TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
+_PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
+_TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
 # film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer
 # film
-MIN_SPACING = 8
-TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
-TRIED = (
+_MIN_SPACING = 8
+_TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
+_TRIED = (
     0.0,
     0.25,
     0.5,
@@ -76,33 +76,33 @@ TRIED = (
     0.86,
     0.97,
 )  # of the way to the corner of the die, where errors are found
-TRIED_FIRST = [
+_TRIED_FIRST = [
     3,
     4,
 ]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
 # along half a side of the die, by which the share of the area is found for which such a place
 # stands
-AREA_POINTS = 64
+_AREA_POINTS = 64
 # of the period of the finest detail that a lens passes: cells on which errors of its blur are
 # found, at most
 GRID = 0.25
-TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
-COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
-VIEW_STEPS = 4
+_TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
+_COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
+_VIEW_STEPS = 4
 LIGHT_SHARE, CUT_SHARE = (
     0.2,
     0.4,
 )  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
-USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
+_USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
 GROUPS, GROUP_WAVELENGTHS = (
     6,
     2,
 )  # of neighbouring bands that have one blur, in light of several spectra
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
-OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
+_OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
 # degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
-SPLINE = 5
-IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
+_SPLINE = 5
+_IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
 SLOPE, CURVATURE = (
     np.array([1, -8, 0, 8, -1]) / 12,
     np.array([-1, 16, -30, 16, -1]) / 12,
@@ -146,7 +146,7 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
         scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
         if (
-            of_user and abs(scaled_mm / focal_mm - 1) > OTHER_SCALE
+            of_user and abs(scaled_mm / focal_mm - 1) > _OTHER_SCALE
         ):  # a lens that exists; packaged ones are designs
             warn(Note("lens_scaled", lens=own.prescription.name, focal_mm=focal_mm))
     else:
@@ -190,7 +190,7 @@ def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camer
     wanted_mm = camera.image_distance_mm * (other.die_mm / camera.die_mm if same_view else 1.0)
     bare, made = without_lens(camera).model_copy(update=die), camera
     for _ in range(
-        VIEW_STEPS if same_view else 1
+        _VIEW_STEPS if same_view else 1
     ):  # the image distance grows nearly as the focal length
         focal_mm = camera.lens.focal_length_mm if made.lens is None else made.lens.focal_length_mm
         options = camera.lens_options.model_copy(
@@ -366,7 +366,7 @@ def _moved(
     from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
 
     y, x = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
-    filtered = spline_filter(np.asarray(picture, float), SPLINE, mode="reflect")
+    filtered = spline_filter(np.asarray(picture, float), _SPLINE, mode="reflect")
     moved = np.empty(picture.shape)
 
     def move(rows: slice) -> None:
@@ -380,7 +380,7 @@ def _moved(
             y[rows, None] * grown + (picture.shape[0] - 1) / 2,
             x * grown + (picture.shape[1] - 1) / 2,
         ]
-        map_coordinates(filtered, at, moved[rows], SPLINE, "reflect", prefilter=False)
+        map_coordinates(filtered, at, moved[rows], _SPLINE, "reflect", prefilter=False)
 
     in_threads(move, strips(*picture.shape), picture.size)
     # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of
@@ -436,8 +436,8 @@ def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.f
     size = float(change[np.abs(change - 1).argmax()])
     shift = min(0.5, 1e3 * float(np.abs(source - height).max()) / pitch_um)
     f = np.where(frequency == 0, 1e-9, frequency)
-    of_source, images = f / float(change.min()), np.arange(-IMAGES, IMAGES + 1)
-    weight = (of_source[:, None] / (of_source[:, None] + images)) ** (SPLINE + 1)
+    of_source, images = f / float(change.min()), np.arange(-_IMAGES, _IMAGES + 1)
+    weight = (of_source[:, None] / (of_source[:, None] + images)) ** (_SPLINE + 1)
     between = weight / weight.sum(axis=1, keepdims=True) @ np.exp(2j * np.pi * images * shift)
     curvature = (-30 + 32 * np.cos(2 * np.pi * f) - 2 * np.cos(4 * np.pi * f)) / 12
     cells = np.sinc(f / size) * (1 + (1 - size**-2) / 24 * curvature) / np.sinc(f)
@@ -614,7 +614,7 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     return np.clip(np.round(middle + half * values, 3), nm[0], nm[-1]), vectors[0] ** 2
 
 
-def traced_wavelengths(
+def _traced_wavelengths(
     camera: Camera, wavelength_nm: Array, weight: Array, count: int
 ) -> tuple[Array, Array]:
     """Return `few_wavelengths`; light beyond the wavelengths for which the lens's glasses are known
@@ -631,14 +631,14 @@ def traced_wavelengths(
     return few_wavelengths(np.clip(wavelength_nm, low, high), weight, count)
 
 
-Transfer = Callable[[Array, float], Array] | None
+_Transfer = Callable[[Array, float], Array] | None
 
 
 def light_of(
-    camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None
+    camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: _Transfer = None
 ) -> ChannelWavefronts:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
-    nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
+    nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     return ChannelWavefronts(
         fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer
     )
@@ -672,7 +672,7 @@ def thin_lens_error(
     for part in (0.0, 0.7, 1.0):
         x_um = part * float(light.fronts[0].height_um[-1])
         window = even_window(
-            light, x_um, 0.0, pitch_um, min(TRIED_CELLS, most_cells(light, pitch_um))
+            light, x_um, 0.0, pitch_um, min(_TRIED_CELLS, most_cells(light, pitch_um))
         )
         frequency = np.hypot(
             np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None],
@@ -704,7 +704,7 @@ def dark_share(camera: Camera) -> float:
         return 0.0
     heights_mm, relative = camera.relative_illumination
     y, x = (
-        (np.arange(DARK_CELLS) + 0.5) / DARK_CELLS * side / 2
+        (np.arange(_DARK_CELLS) + 0.5) / _DARK_CELLS * side / 2
         for side in (camera.height_mm, camera.die_mm)
     )
     return float(np.mean(np.interp(np.hypot(x, y[:, None]), heights_mm, relative) <= 0))
@@ -716,20 +716,20 @@ KEPT_BLURS, KEPT_PSF_BYTES = 8, 1 << 28
 # times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
 # for each film
 COARSE = 3.0
-SPARE_TILES = 4  # beyond the die, for which there are PSFs
-BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
-DARK_CELLS = 512
+_SPARE_TILES = 4  # beyond the die, for which there are PSFs
+_BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
+_DARK_CELLS = 512
 
 
 def _light_key(
-    camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: Transfer
+    camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: _Transfer
 ) -> list[object]:
     """Return all that the PSFs of a light depend on but the film."""
-    nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
+    nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     behind = (
         []
         if transfer is None
-        else [transfer(BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
+        else [transfer(_BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
     )
     return [
         camera.without_veil.model_dump(mode="json"),
@@ -747,7 +747,7 @@ def psfs_of(
     tiling: Tiling,
     wavelength_nm: Array,
     weight: Array,
-    transfer: Transfer = None,
+    transfer: _Transfer = None,
 ) -> RadialPsfs:
     """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than
     the lens have the same.
@@ -763,7 +763,7 @@ def psfs_of(
         # Those of the next film, whose cells end elsewhere, are to be the same.
         beyond_um = math.hypot(
             *(
-                side_um / 2 + tiling.psf_um + SPARE_TILES * tiling.spacing_um
+                side_um / 2 + tiling.psf_um + _SPARE_TILES * tiling.spacing_um
                 for side_um in camera.die_um
             )
         )
@@ -784,7 +784,7 @@ def blur_of(
     tiling: Tiling,
     wavelength_nm: Array,
     weight: Array,
-    transfer: Transfer = None,
+    transfer: _Transfer = None,
 ) -> FieldBlur:
     """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are
     remembered.
@@ -809,7 +809,7 @@ def blur_of(
 def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
     """Return how the blur of a picture is computed: as its header has it; None for a thin lens.
 
-    A picture from elsewhere has what `choose_tiling` chooses for even light and `USUAL_TOLERANCE`.
+    A picture from elsewhere has what `choose_tiling` chooses for even light and `_USUAL_TOLERANCE`.
     """
     if camera.lens is None:
         return None
@@ -825,7 +825,7 @@ def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
         nm,
         (1.0,) * len(nm),
         2 * image.pitch_um,
-        USUAL_TOLERANCE,
+        _USUAL_TOLERANCE,
     )
 
 
@@ -841,15 +841,15 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
         )
         known = 1 <= tiling.wavelengths <= WAVELENGTHS[-1] and 4 <= tiling.nodes <= NODES[-1]
         usable = (
-            0 < tiles <= 2 * TILES[-1]
-            and 0 <= cells <= max(2 * PSF_CELLS[-1], *image.shape)
+            0 < tiles <= 2 * _TILES[-1]
+            and 0 <= cells <= max(2 * _PSF_CELLS[-1], *image.shape)
             and known
         )
     except (ValidationError, ZeroDivisionError):
         usable = False
     if not usable:
         expected = (
-            f"at most {2 * TILES[-1]} tiles across, PSFs of {2 * PSF_CELLS[-1]} cells, and the rest"
+            f"at most {2 * _TILES[-1]} tiles across, PSFs of {2 * _PSF_CELLS[-1]} cells, and the rest"
             " as pixsim.render writes it"
         )
         raise invalid(
@@ -861,8 +861,8 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     return tiling
 
 
-MTF_PLACES = 9  # along the radius of the die, at which a lens's MTF is found
-MTF_CELLS = 65  # of PSFs for an MTF, at least
+_MTF_PLACES = 9  # along the radius of the die, at which a lens's MTF is found
+_MTF_CELLS = 65  # of PSFs for an MTF, at least
 
 
 def lens_mtf(
@@ -891,14 +891,14 @@ def _mean_mtf(
     light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
     pitch_um = 0.5 / cutoff_per_um(light)
     farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
-    along = np.linspace(0.0, farthest_um, MTF_PLACES)
+    along = np.linspace(0.0, farthest_um, _MTF_PLACES)
     height_um, width_um = camera.die_um
     y_um, x_um = (
-        (np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um)
+        (np.arange(_AREA_POINTS) + 0.5) / _AREA_POINTS * side / 2 for side in (height_um, width_um)
     )
     nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - along).argmin(axis=-1)
-    share = np.bincount(nearest.ravel(), minlength=MTF_PLACES) / nearest.size
-    cells = max(MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
+    share = np.bincount(nearest.ravel(), minlength=_MTF_PLACES) / nearest.size
+    cells = max(_MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
     window = max(even_window(light, place, 0.0, pitch_um, cells) for place in along.tolist())
     power = np.zeros(window // 2)
     for place, part in zip(along.tolist(), share.tolist(), strict=True):
@@ -982,8 +982,8 @@ def _without_blur(
     the blur of rays out.
     """
     along, across = (
-        np.fft.fftfreq(COARSE_WINDOW, pitch_um),
-        np.fft.rfftfreq(COARSE_WINDOW, pitch_um),
+        np.fft.fftfreq(_COARSE_WINDOW, pitch_um),
+        np.fft.rfftfreq(_COARSE_WINDOW, pitch_um),
     )
     exact = np.zeros((heights_um.size, along.size, across.size), complex)
     outside = np.zeros(heights_um.size)
@@ -1021,9 +1021,9 @@ def _chosen_tiling(
 ) -> Tiling:
     height_um, width_um = camera.die_um
     corner_um = math.hypot(width_um, height_um) / 2
-    heights_um = np.array(TRIED) * min(corner_um, 1e3 * _farthest_mm(camera))
+    heights_um = np.array(_TRIED) * min(corner_um, 1e3 * _farthest_mm(camera))
     y_um, x_um = (
-        (np.arange(AREA_POINTS) + 0.5) / AREA_POINTS * side / 2 for side in (height_um, width_um)
+        (np.arange(_AREA_POINTS) + 0.5) / _AREA_POINTS * side / 2 for side in (height_um, width_um)
     )
     nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - heights_um).argmin(axis=-1)
     share = (np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size).tolist()
@@ -1034,12 +1034,12 @@ def _chosen_tiling(
 
     def traced(count: int) -> ChannelWavefronts:
         """Return the light with wavefronts at the places, none of them interpolated."""
-        nm, part = traced_wavelengths(camera, bands, weights, count)
+        nm, part = _traced_wavelengths(camera, bands, weights, count)
         return ChannelWavefronts(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
 
     def at_places(
         transform: Callable[[float, float], NDArray[np.complex128]],
-        which: Sequence[int] = range(len(TRIED)),
+        which: Sequence[int] = range(len(_TRIED)),
     ) -> NDArray[np.complex128]:
         found = np.empty((len(which), window, window // 2 + 1), complex)
 
@@ -1061,7 +1061,9 @@ def _chosen_tiling(
     # `cells` are those of the grid.
     coarser = _cells_together(traced(1), pitch_um)
     grid_um = coarser * pitch_um
-    tried, *sizes = (2 * math.ceil(cells // 2 / coarser) + 1 for cells in (TRIED_CELLS, *PSF_CELLS))
+    tried, *sizes = (
+        2 * math.ceil(cells // 2 / coarser) + 1 for cells in (_TRIED_CELLS, *_PSF_CELLS)
+    )
     for wavelengths in WAVELENGTHS:
         light, exact = traced(wavelengths), traced(2 * wavelengths)
         if not (most := most_cells(light, grid_um)):
@@ -1099,10 +1101,10 @@ def _chosen_tiling(
         + of_wavelengths
         + error_of(moved, right)
     )
-    count = TILES[0]
-    others = [place for place in range(len(TRIED)) if place not in TRIED_FIRST]
+    count = _TILES[0]
+    others = [place for place in range(len(_TRIED)) if place not in _TRIED_FIRST]
     while True:
-        spacing = max(MIN_SPACING, round(max(shape) / count))
+        spacing = max(_MIN_SPACING, round(max(shape) / count))
         tiling = Tiling(spacing * pitch_um, cells * grid_um, 0.0, 0.0, wavelengths, nodes)
         psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
 
@@ -1113,8 +1115,8 @@ def _chosen_tiling(
                 amid_tiles(psfs, x_um, y_um, grid_um, spacing / coarser, cells), grid_um, window
             )
 
-        found, finest = right.copy(), count == TILES[-1] or spacing == MIN_SPACING
-        found[TRIED_FIRST] = at_places(between_tiles, TRIED_FIRST)
+        found, finest = right.copy(), count == _TILES[-1] or spacing == _MIN_SPACING
+        found[_TRIED_FIRST] = at_places(between_tiles, _TRIED_FIRST)
         if finest or fixed + error_of(found, right) <= tolerance:
             found[others] = at_places(between_tiles, others)
         error = fixed + error_of(found, right)  # at least, without the others
@@ -1126,5 +1128,5 @@ def _chosen_tiling(
             return replace(
                 tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking
             )
-        needed = count * (error / tolerance) ** (1 / TILE_ORDER)
-        count = next((more for more in TILES if more >= needed and more > count), TILES[-1])
+        needed = count * (error / tolerance) ** (1 / _TILE_ORDER)
+        count = next((more for more in _TILES if more >= needed and more > count), _TILES[-1])

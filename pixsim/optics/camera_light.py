@@ -32,7 +32,7 @@ DARK = 1e-4  # of the light on the axis: at the end of an image circle
 
 
 @dataclass(frozen=True)
-class RealLens:
+class _RealLens:
     """A traced lens in front of a sensor.
 
     lens : prescription with its scale, f-number and focus
@@ -61,7 +61,7 @@ class CameraPupil:
     image_distance_um: float
     magnification: float = 0.0
     chief_ray_angle: ChiefRayAngles | None = None
-    real: RealLens | None = None
+    real: _RealLens | None = None
 
     @property
     def numerical_aperture(self) -> float:
@@ -122,7 +122,7 @@ def camera_pupil(camera: Camera) -> CameraPupil:
     """Return the pupil of a camera."""
     real = None
     if camera.lens is not None:
-        real = RealLens(
+        real = _RealLens(
             camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
         )
     return CameraPupil(

@@ -19,13 +19,13 @@ from pixsim.light.tables import PERCENT, as_number, read_cells
 ChiefRayAngles = tuple[
     tuple[float, ...], ...
 ]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
-CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
-ALLOWED_CHIEF_RAYS = (
+_CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
+_ALLOWED_CHIEF_RAYS = (
     "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
 )
-ALLOWED_ILLUMINATION = "a CSV file with the columns image_height_mm and relative_illumination"
-CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
-MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
+_ALLOWED_ILLUMINATION = "a CSV file with the columns image_height_mm and relative_illumination"
+_CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
+_MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 
 
 def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -> object:
@@ -35,7 +35,7 @@ def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -
     if value is None:
         return None
     if isinstance(value, str | Path):
-        return read_chief_rays(Path(value))
+        return _read_chief_rays(Path(value))
     try:
         rows = tuple(
             tuple(as_float(number) for number in row) for row in value if not isinstance(row, str)
@@ -48,13 +48,13 @@ def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -
     return _check_chief_rays(rows, "a list")
 
 
-def read_chief_rays(path: Path) -> ChiefRayAngles:
+def _read_chief_rays(path: Path) -> ChiefRayAngles:
     """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are
     none.
     """
-    known = CHIEF_RAY_COLUMNS[:2], CHIEF_RAY_COLUMNS
+    known = _CHIEF_RAY_COLUMNS[:2], _CHIEF_RAY_COLUMNS
     return _check_chief_rays(
-        _read_heights(path, "chief ray angles", ALLOWED_CHIEF_RAYS, known), f"'{path}'"
+        _read_heights(path, "chief ray angles", _ALLOWED_CHIEF_RAYS, known), f"'{path}'"
     )
 
 
@@ -95,15 +95,15 @@ def _read_heights(
 
 
 def _chief_ray_column(title: str) -> str:
-    """Name of a column of `CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height
+    """Name of a column of `_CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height
     (mm); else the title.
     """
     plain = title.lower()
     if "height" in plain and re.search(r"(?<![a-z])mm(?![a-z])", plain):
-        return CHIEF_RAY_COLUMNS[0]
+        return _CHIEF_RAY_COLUMNS[0]
     if re.search(r"cra|angle", plain) and re.search(r"deg|°", plain):
-        return CHIEF_RAY_COLUMNS[1]
-    return CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
+        return _CHIEF_RAY_COLUMNS[1]
+    return _CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
 
 
 def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
@@ -112,7 +112,7 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
         " illumination, all alike"
     )
     if not (
-        2 <= len(rows) <= MAX_CHIEF_RAYS
+        2 <= len(rows) <= _MAX_CHIEF_RAYS
         and len(rows[0]) in (2, 3)
         and all(len(row) == len(rows[0]) for row in rows)
     ):
@@ -141,11 +141,11 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
 
 
 def _check_relative(value: float, number: int, source: str) -> None:
-    if not 0 <= value <= MAX_RELATIVE_ILLUMINATION:
-        hint = " Divide percentages by 100." if MAX_RELATIVE_ILLUMINATION < value <= 100 else ""
+    if not 0 <= value <= _MAX_RELATIVE_ILLUMINATION:
+        hint = " Divide percentages by 100." if _MAX_RELATIVE_ILLUMINATION < value <= 100 else ""
         got = f"{source} with a relative illumination of {value:g} in row {number}"
         raise ValueError(
-            f"got {got}; allowed: 0 to {MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}"
+            f"got {got}; allowed: 0 to {_MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}"
         )
 
 
@@ -156,7 +156,7 @@ def _check_heights(rows: ChiefRayAngles, source: str) -> None:
                 f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that"
                 " increase"
             )
-    least_mm, most_mm = CHIEF_RAY_HEIGHTS_MM
+    least_mm, most_mm = _CHIEF_RAY_HEIGHTS_MM
     if outside := [row[0] for row in rows if row[0] != 0 and not least_mm <= row[0] <= most_mm]:
         raise ValueError(
             f"got {source} with {outside[0]:g} mm; allowed: 0, then {least_mm:g} to {most_mm:g} mm"
@@ -172,8 +172,8 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
     if value is None:
         return None
     if isinstance(value, str | Path):
-        source, known = f"'{value}'", CHIEF_RAY_COLUMNS[0::2]
-        rows = _read_heights(Path(value), "relative illumination", ALLOWED_ILLUMINATION, [known])
+        source, known = f"'{value}'", _CHIEF_RAY_COLUMNS[0::2]
+        rows = _read_heights(Path(value), "relative illumination", _ALLOWED_ILLUMINATION, [known])
     else:
         source = "a list"
         try:
@@ -184,14 +184,14 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
             )
         except (TypeError, ValueError):
             raise ValueError(
-                f"got neither a file nor a list of rows; allowed: {ALLOWED_ILLUMINATION}"
+                f"got neither a file nor a list of rows; allowed: {_ALLOWED_ILLUMINATION}"
             ) from None
     if not (
-        1 <= len(rows) <= MAX_CHIEF_RAYS
+        1 <= len(rows) <= _MAX_CHIEF_RAYS
         and all(len(row) == 2 and all(map(math.isfinite, row)) for row in rows)
     ):
         allowed = (
-            f"1 to {MAX_CHIEF_RAYS} rows of an image height in mm and the illumination there"
+            f"1 to {_MAX_CHIEF_RAYS} rows of an image height in mm and the illumination there"
             " relative to the axis"
         )
         raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
@@ -211,14 +211,14 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
     return rows
 
 
-MAX_RELATIVE_ILLUMINATION = (
+_MAX_RELATIVE_ILLUMINATION = (
     2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
 )
 
 ChiefRays = Annotated[
-    ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(ALLOWED_CHIEF_RAYS, most=3)
+    ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(_ALLOWED_CHIEF_RAYS, most=3)
 ]
 
 RelativeIllumination = Annotated[
-    ChiefRayAngles, BeforeValidator(as_relative_illumination), rows_schema(ALLOWED_ILLUMINATION)
+    ChiefRayAngles, BeforeValidator(as_relative_illumination), rows_schema(_ALLOWED_ILLUMINATION)
 ]

@@ -28,12 +28,12 @@ from pixsim.base.errors import invalid
 from pixsim.base.mapped import release
 from pixsim.optics.quantities import FNumberOrPinhole
 
-NM_PER_MM = 1e6
-OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
-KEPT_TABLES = (
+_NM_PER_MM = 1e6
+_OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
+_KEPT_TABLES = (
     320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
 )
-KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
+_KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
 
 
 def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
@@ -50,7 +50,7 @@ def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Ar
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
     with np.errstate(over="ignore", divide="ignore"):  # the cut-off may be 0 or infinite
-        return NM_PER_MM / (wavelength_nm * f_number)
+        return _NM_PER_MM / (wavelength_nm * f_number)
 
 
 def diffraction_otf(
@@ -81,7 +81,7 @@ def diffraction_otf(
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt((1 - x) * (1 + x)))
 
 
-def check_bands(wavelength_nm: Array, weight: Array) -> None:
+def _check_bands(wavelength_nm: Array, weight: Array) -> None:
     """Raise PixsimError if there is not one weight for each wavelength."""
     if weight.shape != wavelength_nm.shape:
         raise invalid(
@@ -104,7 +104,7 @@ def white_otf(
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
-    check_bands(wavelength_nm, weight)
+    _check_bands(wavelength_nm, weight)
     otf = np.zeros_like(frequency_cy_per_mm)
     for nm, share in zip(wavelength_nm, weight, strict=True):
         if share:
@@ -230,11 +230,11 @@ def diffract_sums(
 
 def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
     """Return the frequencies of a table from 0 to the highest, and their step."""
-    table, step = np.linspace(0.0, highest_cy_per_mm, OTF_TABLE_SIZE, retstep=True)
+    table, step = np.linspace(0.0, highest_cy_per_mm, _OTF_TABLE_SIZE, retstep=True)
     return table, float(step)
 
 
-@lru_cache(maxsize=KEPT_TABLES)
+@lru_cache(maxsize=_KEPT_TABLES)
 def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
     """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of
     their wavelengths.
@@ -242,7 +242,7 @@ def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) 
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
 
-@lru_cache(maxsize=KEPT_WHITE)
+@lru_cache(maxsize=_KEPT_WHITE)
 def _white_table(
     highest_cy_per_mm: float,
     wavelength_nm: tuple[float, ...],
@@ -250,7 +250,7 @@ def _white_table(
     f_number: float,
 ) -> Array:
     """Return Σ weight · `_otf_table`; the parts of a picture share it."""
-    otf = np.zeros(OTF_TABLE_SIZE)
+    otf = np.zeros(_OTF_TABLE_SIZE)
     for nm, share in zip(wavelength_nm, weight, strict=True):
         otf += share * _otf_table(highest_cy_per_mm, nm, f_number)
     otf.flags.writeable = False
@@ -308,7 +308,7 @@ def diffract(
 
     Raises PixsimError if the weights add up to 0, and as `cutoff_cy_per_mm` does.
     """
-    check_bands(wavelength_nm, weight)
+    _check_bands(wavelength_nm, weight)
     total = weight.sum()
     if total == 0:
         raise invalid(

@@ -41,13 +41,13 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.lens_options import LensOptions
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
-GIVEN = Path("the light that is given")
-PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
+_GIVEN = Path("the light that is given")
+_PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
-WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
+_WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
 # of the brightest band's mean: sums of fitted factors may fall a little below zero where a lamp is
 # dark
-MOST_NEGATIVE = 0.01
+_MOST_NEGATIVE = 0.01
 
 
 def read_irradiance(
@@ -121,7 +121,7 @@ def read_with_camera(
 
 
 def camera_of_light(
-    image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = GIVEN
+    image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = _GIVEN
 ) -> Camera:
     """Return the camera of light of pixsim, or of light that is given: that of its header,
     overridden by the options.
@@ -204,12 +204,12 @@ def _from_cube(
 
 def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
     """Warn of bands so wide that lines and filters within them are not resolved."""
-    if nm.size > 1 and width_nm.max() > WIDE_BAND_NM:
+    if nm.size > 1 and width_nm.max() > _WIDE_BAND_NM:
         low, high = nm[0] - width_nm[0] / 2, nm[-1] + width_nm[-1] / 2
         words = (
             f"has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g}"
             " nm, with the light uniform within each and none outside. Colour and quantum"
-            f" efficiency need bands of {WIDE_BAND_NM:g} nm or less"
+            f" efficiency need bands of {_WIDE_BAND_NM:g} nm or less"
         )
         warn(Note("light_file", file=path.name, words=words))
 
@@ -280,7 +280,7 @@ def _read_pixsim_exr(
         # Single samples are below zero by the noise of a render, whose factors are independent.
         mean = image.factors[0].T @ image.factors[1].mean(axis=(1, 2), dtype=float)
         darkest = int(mean.argmin())
-        if mean[darkest] < -MOST_NEGATIVE * np.abs(mean).max():
+        if mean[darkest] < -_MOST_NEGATIVE * np.abs(mean).max():
             got = (
                 f"a mean of {mean[darkest]:.3g} W/m²/nm in the band at"
                 f" {image.wavelength_nm[darkest]:g} nm"
@@ -384,7 +384,7 @@ def _agreed_pitch(
             hint,
         )
     values = list(pitches.values())
-    if not np.allclose(values, values[0], rtol=PITCH_TOLERANCE, atol=0.0):
+    if not np.allclose(values, values[0], rtol=_PITCH_TOLERANCE, atol=0.0):
         got = ", ".join(f"{pitch:.9g} µm by {source}" for source, pitch in pitches.items())
         die_mm = values[-1] * columns / 1e3
         hint = (

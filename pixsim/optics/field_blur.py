@@ -44,26 +44,26 @@ UM_PER_NM = 1e-3
 OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
 DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
 WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
-SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
+_SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
 MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
-SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
-MAX_WINDOW = 4096  # film cells
+_SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
+_MAX_WINDOW = 4096  # film cells
 # of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
 BAND_END = 0.1
 # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2
 # times its end
 FINER = 1.6
 # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
-TURNED_MARGIN = 48
+_TURNED_MARGIN = 48
 # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its
 # cells
-PADDING = 1.5
-SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
-GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
-VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
-RAYS = 200  # by which the share of light is judged that leaves a film cell
+_PADDING = 1.5
+_SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
+_GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
+_VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
+_RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
-PLACES_TOGETHER = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
+_PLACES_TOGETHER = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -133,7 +133,7 @@ class FittedWavefronts:
         end = float(self.height_um[-1])
         step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
         numbers = np.asarray(self._spline(min(height_um, end + step)))
-        if height_um > end and np.any(numbers[:2] < SHRUNK * self.numbers[-1, :2]):
+        if height_um > end and np.any(numbers[:2] < _SHRUNK * self.numbers[-1, :2]):
             return np.asarray(self.numbers[-1])
         return numbers
 
@@ -143,8 +143,8 @@ class FittedWavefronts:
         """
         numbers, exponents = self.at(height_um), powers()
         radius, turn = (
-            np.sqrt((np.arange(RAYS) + 0.5) / RAYS),
-            np.arange(RAYS) * math.pi * (3 - math.sqrt(5)),
+            np.sqrt((np.arange(_RAYS) + 0.5) / _RAYS),
+            np.arange(_RAYS) * math.pi * (3 - math.sqrt(5)),
         )
         u, v = (radius * np.sin(turn))[:, None], (radius * np.cos(turn))[:, None]
         a, b = exponents.T
@@ -229,7 +229,7 @@ def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
     return coefficients, columns[-1]
 
 
-def share_inside(distance: Array, slope: Array) -> Array:
+def _share_inside(distance: Array, slope: Array) -> Array:
     """Return the share of a unit square's area that lies on one side of a straight edge, (...).
 
     distance : of the square's middle from the edge, along the axis that is steeper to the edge;
@@ -301,7 +301,7 @@ def pupil_function(
     inward_x, inward_y = (rise_u * sagittal[axis] + rise_v * radial[axis] for axis in (0, 1))
     steep_x, steep_y = np.abs(inward_x), np.abs(inward_y)
     steepest = np.maximum(steep_x, steep_y)
-    share[cut] = share_inside(
+    share[cut] = _share_inside(
         inside[cut] / (steepest * step), np.minimum(steep_x, steep_y) / steepest
     )
     # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
@@ -378,14 +378,14 @@ def _even_window(
         for height_um in heights_um
         for front in light.fronts
     )
-    needed = max(cells, SAMPLES_ACROSS / (slowest * pitch_um))
+    needed = max(cells, _SAMPLES_ACROSS / (slowest * pitch_um))
     window = next_fast_len(math.ceil(needed / 2), real=True) * 2
-    if window > MAX_WINDOW:
+    if window > _MAX_WINDOW:
         got = f"{window * pitch_um:.4g} µm of {window} film cells"
         raise invalid(
             "PSF window",
             got,
-            f"at most {MAX_WINDOW} cells",
+            f"at most {_MAX_WINDOW} cells",
             "Take a coarser film or a smaller f-number.",
         )
     return window
@@ -409,7 +409,7 @@ def most_cells(light: ChannelWavefronts, pitch_um: float) -> int:
     return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 
-def of_band(frequency: Array) -> Array:
+def _of_band(frequency: Array) -> Array:
     """Return the weight of frequencies (n,), in cycles per film cell, in what a film shows: 1
     within its band, ½ at its end.
 
@@ -428,7 +428,7 @@ def periodic_psf(
     repeats; it adds up to 1.
 
     The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives
-    such means: its transform is the OTF up to the end of the film's band, where `of_band` fades it.
+    such means: its transform is the OTF up to the end of the film's band, where `_of_band` fades it.
 
     window : even
     """
@@ -503,8 +503,8 @@ def _on_film(
     real = transform.real.dtype
     weighted = (
         transform
-        * of_band(rows / shape[0]).astype(real)[:, None]
-        * of_band(columns / shape[1]).astype(real)
+        * _of_band(rows / shape[0]).astype(real)[:, None]
+        * _of_band(columns / shape[1]).astype(real)
     )
     wrapped = np.zeros((shape[0], across + 1), transform.dtype)
     wrapped[: down + 1] = weighted[: down + 1]
@@ -529,10 +529,10 @@ def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
     With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
     z = 2 * np.pi * frequency_cy_per_mm * beyond_um * 1e-3
-    return np.asarray(j0(z) - z * (1 + j1(z) - integral_of_j0(z)))
+    return np.asarray(j0(z) - z * (1 + j1(z) - _integral_of_j0(z)))
 
 
-def integral_of_j0(end: Array) -> Array:
+def _integral_of_j0(end: Array) -> Array:
     """Return ∫_0^z J₀(s) ds at z of 0 or more, (...), to 1e-13, by Gauss's quadrature up to each
     integer and beyond the last.
 
@@ -540,7 +540,7 @@ def integral_of_j0(end: Array) -> Array:
     functions, of which this integral is made too (Abramowitz and Stegun 11.1.7), take twenty times
     as long.
     """
-    node, weight = np.polynomial.legendre.leggauss(GAUSS_NODES)
+    node, weight = np.polynomial.legendre.leggauss(_GAUSS_NODES)
     node, weight = (1 + node) / 2, weight / 2
     last = np.floor(end)
     whole = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
@@ -552,7 +552,7 @@ def integral_of_j0(end: Array) -> Array:
     return np.asarray(np.concatenate([[0.0], np.cumsum(whole)])[last.astype(int)] + rest * beyond)
 
 
-def cubic_weights(distance: Array | float) -> Array:
+def _cubic_weights(distance: Array | float) -> Array:
     """Return the weights of equidistant samples, by their distances in steps, whose sum is
     Lagrange's cubic interpolation.
     """
@@ -622,7 +622,7 @@ class RadialPsfs:
 
         Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
         """
-        window, reach = odd_window(cells), cells // 2
+        window, reach = _odd_window(cells), cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
         return [
             Psf(kernel.astype(np.float32))
@@ -675,9 +675,9 @@ class RadialPsfs:
         fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
         radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
         at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
-        side = min(self.most + 2, math.ceil(max(part.max() for part in at)) + SPLINE_COEFFICIENTS)
+        side = min(self.most + 2, math.ceil(max(part.max() for part in at)) + _SPLINE_COEFFICIENTS)
         tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
-        spectra = np.asarray(splined(tables, *at), complex)
+        spectra = np.asarray(_splined(tables, *at), complex)
         np.conjugate(spectra, out=spectra, where=radial < 0)
         if self.pitch_um == 0.0:  # the tables hold all that the lens passes
             spectra[(at[0] > self.most) | (at[1] > self.most)] = 0.0
@@ -696,7 +696,7 @@ class RadialPsfs:
         table, spare = np.zeros((2, side, side), np.complex64)
         for index in range(first, first + 4):
             spline = self.spline(abs(index))[:side, :side]
-            weight = np.float32(cubic_weights(place - index))
+            weight = np.float32(_cubic_weights(place - index))
             # The opposite point has the PSF turned by 180°.
             table += np.multiply(spline if index >= 0 else spline.conj(), weight, out=spare)
         return table
@@ -729,7 +729,7 @@ class RadialPsfs:
         return blurred
 
 
-def splined(
+def _splined(
     coefficients: NDArray[np.complex64], row: Array, column: Array
 ) -> NDArray[np.complex64]:
     """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which
@@ -743,9 +743,9 @@ def splined(
         (at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column)
     )
     begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
-    columns = [begin + np.minimum(left + step, width - 1) for step in range(SPLINE_COEFFICIENTS)]
-    weights = b_spline(across)
-    for step, weight in enumerate(b_spline(down)):
+    columns = [begin + np.minimum(left + step, width - 1) for step in range(_SPLINE_COEFFICIENTS)]
+    weights = _b_spline(across)
+    for step, weight in enumerate(_b_spline(down)):
         first = np.minimum(top + step, height - 1) * width
         along = flat[first + columns[0]] * weights[0]
         for place, part in zip(columns[1:], weights[1:], strict=True):
@@ -754,7 +754,7 @@ def splined(
     return total
 
 
-def b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
+def _b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weights of the four coefficients around a place in a cubic spline, (4, ...).
 
     part : of the step from the second to the third of them, 0 to 1
@@ -764,11 +764,11 @@ def b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(weights, np.float32) / np.float32(6)
 
 
-def odd_window(cells: int) -> int:
+def _odd_window(cells: int) -> int:
     """Return an odd number of film cells along a side of a window in which a turned PSF repeats; it
     has no Nyquist frequency.
     """
-    window = next_fast_len(cells + TURNED_MARGIN)
+    window = next_fast_len(cells + _TURNED_MARGIN)
     while window % 2 == 0:
         window = next_fast_len(window + 1)
     return window
@@ -785,10 +785,10 @@ def radial_psfs(
     cell_um = max(pitch_um, resolving)
     fine_um, heights_um = cell_um / FINER, [index * step_um for index in range(count)]
     window = _even_window(light, heights_um, fine_um, WINDOW * cells * pitch_um / fine_um)
-    padded = next_fast_len(math.ceil(PADDING * window / 2)) * 2
+    padded = next_fast_len(math.ceil(_PADDING * window / 2)) * 2
     most = min(
         math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um)
-        + SPLINE_COEFFICIENTS // 2,
+        + _SPLINE_COEFFICIENTS // 2,
         padded // 2 - 1,
     )
 
@@ -803,8 +803,8 @@ def radial_psfs(
             / of_spline[:, None]
         )
         # It is even along the sagittal axis, so that its transform is real there.
-        rows = rfft(amid_zeros(psf.astype(np.float32), padded), axis=0)[: most + 1].real
-        otf = rfft(amid_zeros(rows.T, padded), axis=0)[: most + 1].T
+        rows = rfft(_amid_zeros(psf.astype(np.float32), padded), axis=0)[: most + 1].real
+        otf = rfft(_amid_zeros(rows.T, padded), axis=0)[: most + 1].T
         if index == 0:  # a point on the axis is its own opposite
             otf = otf.real + np.zeros_like(otf)
         return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
@@ -819,7 +819,7 @@ def radial_psfs(
     )
 
 
-def amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count,
     m).
     """
@@ -835,7 +835,7 @@ def resolving_um(light: ChannelWavefronts) -> float:
     return FINER * (1 - BAND_END) / 2 / cutoff_per_um(light)
 
 
-def tiles_along(cells: int, spacing: int) -> tuple[int, int]:
+def _tiles_along(cells: int, spacing: int) -> tuple[int, int]:
     """Return the tiles on each side of the middle one that film cells along a side need, and the
     cells that a window covers.
 
@@ -848,7 +848,7 @@ def tiles_alike(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]]:
     """Return the places (x, y) ≥ 0, in tiles from the axis, whose PSFs all tiles of a picture (H,
     W) have but for mirrors.
     """
-    (down, _), (across, _) = (tiles_along(n, spacing) for n in shape)
+    (down, _), (across, _) = (_tiles_along(n, spacing) for n in shape)
     return list(
         dict.fromkeys(mirrored(x, y, shape) for y in range(down + 1) for x in range(across + 1))
     )
@@ -862,7 +862,7 @@ def mirrored(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
     return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
 
 
-SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
+_SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
 
 
 def _part(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
@@ -922,7 +922,7 @@ class FieldBlur:
     @property
     def _tiles(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """The tiles on each side of the middle one, and the cells of a window; down and across."""
-        counts, sides = zip(*(tiles_along(n, self.spacing) for n in self.shape), strict=True)
+        counts, sides = zip(*(_tiles_along(n, self.spacing) for n in self.shape), strict=True)
         return counts, sides
 
     @property
@@ -939,7 +939,7 @@ class FieldBlur:
         tiles).
         """
         return tuple(
-            cubic_weights(
+            _cubic_weights(
                 (np.arange(n)[:, None] - (n - 1) / 2) / self.spacing - np.arange(-count, count + 1)
             )
             for n, count in zip(self.shape, self._tiles[0], strict=True)
@@ -975,7 +975,7 @@ class FieldBlur:
         )
         inside = [slice(reach, reach + side) for side in sides]
         down, across = (
-            cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
+            _cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
             for side in sides
         )
         turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
@@ -1032,7 +1032,7 @@ class FieldBlur:
                 strips_of_light[at] = irfft(total[at][first[0] :], size[1], axis=1)[:, : filled[1]]
 
         most = max(
-            threads(), SPREAD_CELLS // (2 * height * filled[1])
+            threads(), _SPREAD_CELLS // (2 * height * filled[1])
         )  # threads start anew for each strip
         for some in strips(counts[1] + 1, 1, most):
             in_threads(compute, range(some.start, some.stop), result.size)
@@ -1113,7 +1113,7 @@ class FieldBlur:
         spectrum = dct(veil)
         down, across = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
         few = np.linspace(
-            0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), VEIL_FREQUENCIES
+            0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), _VEIL_FREQUENCIES
         )  # those of a film of any size
         mtf = veil_mtf(few, beyond_um(self.cells, self.pitch_um))
 
@@ -1130,7 +1130,7 @@ def beyond_um(cells: int, pitch_um: float) -> float:
     return cells * pitch_um / math.sqrt(math.pi)
 
 
-def tile_psfs(
+def _tile_psfs(
     psfs: RadialPsfs, pitch_um: float, spacing: int, cells: int, places: Iterable[tuple[int, int]]
 ) -> dict[tuple[int, int], Psf]:
     """Return the PSFs of the middles of tiles at places (x, y)."""
@@ -1142,7 +1142,7 @@ def tile_psfs(
         found.update(zip(wanted[some], psfs.at(places_um, pitch_um, cells), strict=True))
 
     in_threads(
-        compute, strips(len(wanted), 1, PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0
+        compute, strips(len(wanted), 1, _PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0
     )
     return {place: found[place] for place in wanted}
 
@@ -1152,7 +1152,7 @@ def tiles_reach_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells:
     `amid_tiles` takes.
     """
     return math.hypot(
-        *((tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape)
+        *((_tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape)
     )
 
 
@@ -1170,7 +1170,7 @@ def field_blur(
         wide,
         pitch_um,
         spacing,
-        tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)),
+        _tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)),
     )
 
 
@@ -1282,5 +1282,5 @@ def amid_tiles(
     """
     around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
     places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
-    weights = [float(cubic_weights(x) * cubic_weights(y)) for x, y in around]
+    weights = [float(_cubic_weights(x) * _cubic_weights(y)) for x, y in around]
     return list(zip(weights, psfs.at(places_um, pitch_um, cells), strict=True))

@@ -32,23 +32,23 @@ LINES_UM = {
     "d": 0.5875618,
     "C": 0.6562725,
 }  # of hydrogen and helium, which define n_d and V_d
-CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
-ALL_UM = (0.0, math.inf)
+_CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
+_ALL_UM = (0.0, math.inf)
 FORMULAS = {
     1: "Sellmeier", 2: "Sellmeier with squared wavelengths", 3: "power series of n²", 4: "poles and a power series of n²",
     5: "Cauchy", 7: "Herzberger",
 }  # fmt: skip
-POLES = 8  # numbers of the two poles of formula 4, which are followed by its power series
+_POLES = 8  # numbers of the two poles of formula 4, which are followed by its power series
 HERZBERGER, HERZBERGER_UM2 = 6, 0.028  # coefficients, and of formula 7: L = 1/(λ² - 0.028 µm²)
 MAX_BYTES = 16 << 20  # of a catalogue; those of makers have 0.1 to 1 MB
 # of a catalogue's n_d with its formula; makers round to 1e-6, and other mistakes are larger
-AGF_AGREEMENT = 1e-3
+_AGF_AGREEMENT = 1e-3
 ABBE_NUMBERS = (1.0, 1000.0)
-COEFFICIENTS = (
+_COEFFICIENTS = (
     1e-30,
     1e30,
 )  # in size, or 0: smaller ones have no effect, and denormal numbers take very long
-INDEX_RANGE = (
+_INDEX_RANGE = (
     0.5,
     10.0,
 )  # of a transparent medium; outside, a formula is used where it does not hold
@@ -71,7 +71,7 @@ class Glass:
     name: str
     formula: int
     coefficients: tuple[float, ...]
-    range_um: tuple[float, float] = ALL_UM
+    range_um: tuple[float, float] = _ALL_UM
     source: str = ""
     shift: tuple[float, float] = field(default=(0.0, 0.0), repr=False)  # the name says it
 
@@ -84,7 +84,7 @@ class Glass:
         fits = (
             count == HERZBERGER
             if self.formula == 7
-            else count % 2 == 1 and (self.formula != 4 or count > POLES)
+            else count % 2 == 1 and (self.formula != 4 or count > _POLES)
         )
         if not (fits and finite):
             expected = (
@@ -92,7 +92,7 @@ class Glass:
                 if self.formula == 7
                 else "an odd number of finite numbers: c1, then pairs"
             )
-            expected += f", at least {POLES + 1} for formula 4" if self.formula == 4 else ""
+            expected += f", at least {_POLES + 1} for formula 4" if self.formula == 4 else ""
             got = f"{count} numbers" if finite else "infinity or NaN"
             raise invalid(f"coefficients of glass {named(self.name)}", got, expected)
 
@@ -136,11 +136,11 @@ class Glass:
                     )
                 )
             elif self.formula == 4:
-                poles4 = [rest[start : start + 4] for start in range(0, POLES, 4)]
+                poles4 = [rest[start : start + 4] for start in range(0, _POLES, 4)]
                 total = first + sum(
                     b * wavelength_um**up / (square - base**power) for b, up, base, power in poles4
                 )
-                powers = zip(rest[POLES::2], rest[POLES + 1 :: 2], strict=True)
+                powers = zip(rest[_POLES::2], rest[_POLES + 1 :: 2], strict=True)
                 n = np.sqrt(total + sum(factor * wavelength_um**power for factor, power in powers))
             elif self.formula == 7:
                 pole = 1 / (square - HERZBERGER_UM2)
@@ -158,12 +158,12 @@ class Glass:
                 n = np.sqrt(series) if self.formula == 3 else series
             if any(self.shift):
                 n = n + self.shift[0] + self.shift[1] / square
-        if not np.all((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1])):
-            got = f"{n.flat[np.argmin((n >= INDEX_RANGE[0]) & (n <= INDEX_RANGE[1]))]:g}"
+        if not np.all((n >= _INDEX_RANGE[0]) & (n <= _INDEX_RANGE[1])):
+            got = f"{n.flat[np.argmin((n >= _INDEX_RANGE[0]) & (n <= _INDEX_RANGE[1]))]:g}"
             raise invalid(
                 f"index of glass {named(self.name)}",
                 got,
-                f"{INDEX_RANGE[0]:g} to {INDEX_RANGE[1]:g}",
+                f"{_INDEX_RANGE[0]:g} to {_INDEX_RANGE[1]:g}",
                 "Check its coefficients.",
             )
         return np.asarray(n)
@@ -185,14 +185,14 @@ def abbe_glass(name: str, n_d: float, v_d: float) -> Glass:
     """
     b = (n_d - 1) / v_d / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     source = "n_d and V_d: an approximation, n = A + B/λ²"
-    return Glass(name, 5, (n_d - b * LINES_UM["d"] ** -2, b, -2.0), CAUCHY_UM, source)
+    return Glass(name, 5, (n_d - b * LINES_UM["d"] ** -2, b, -2.0), _CAUCHY_UM, source)
 
 
 def check_coefficients(numbers: Sequence[float], where: str) -> None:
     """Raise PixsimError if a coefficient of a file is neither 0 nor of a size that has an
     effect.
     """
-    least, most = COEFFICIENTS
+    least, most = _COEFFICIENTS
     if wrong := [number for number in numbers if not (number == 0 or least <= abs(number) <= most)]:
         raise invalid(where, f"{wrong[0]:g}", f"0, or {least:g} to {most:g} in size")
 
@@ -202,7 +202,7 @@ def factors_of(formula: int, numbers: Sequence[float]) -> Sequence[float]:
     if formula == 7:
         return numbers[1:]
     return (
-        [*numbers[1 : POLES + 1 : 4], *numbers[POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
+        [*numbers[1 : _POLES + 1 : 4], *numbers[_POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
     )
 
 
@@ -225,10 +225,10 @@ def catalogue() -> Mapping[str, Glass]:
     return MappingProxyType(glasses)
 
 
-PACKAGED_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")
+_PACKAGED_MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")
 # Makers of the packaged table under names that catalogues of Zemax have; others begin with the
 # maker's, as SCHOTT_2017.
-OTHER_NAMES = {
+_OTHER_NAMES = {
     "OLD_SCHO": "SCHOTT",
     "OLD_OHAR": "OHARA",
     "OLD_HOYA": "HOYA",
@@ -237,35 +237,35 @@ OTHER_NAMES = {
 }
 # Names of Schott's glasses of before 1998, which other makers gave to glasses of their own: `SK16`
 # of Hikari is not that of Schott.
-SHARED_NAMES = re.compile(
+_SHARED_NAMES = re.compile(
     r"(BK|K|PK|FK|PSK|SK|SSK|ZK|UBK|BAK|BALK|BALF|BAF|BASF|KF|LLF|LF|F|SF|SFL|TIK|TIF|TIFN|TISF|LAK|LAKN|LAF|LAFN|LASF|LASFN|KZF|"
     r"KZFS|KZFSN|BAFN|SFN|SKN|SSKN)\d+[A-Z]?"
 )
-SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
-HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
+_SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
+_HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
 LIKE_N_D, LIKE_V_D = (
     5e-4,
     0.01,
 )  # of two statements of one glass, V_d relative: melts and rounding differ by less
 
 
-def of_code(name: str) -> tuple[float, float] | None:
+def _of_code(name: str) -> tuple[float, float] | None:
     """Return n_d and V_d of a six-digit code, as 517642 or 516800.641673; None for another name.
 
     >>> of_code("517642"), of_code("003283")
     ((1.517, 64.2), (2.003, 28.3))
     """
-    if not (found := SIX_DIGITS.fullmatch(name.strip())):
+    if not (found := _SIX_DIGITS.fullmatch(name.strip())):
         return None
     index, abbe = (found[1] or found[3]), (found[2] or found[4])
-    return float(f"{2 if int(index[:3]) < HIGH_INDEX else 1}.{index}"), float(
+    return float(f"{2 if int(index[:3]) < _HIGH_INDEX else 1}.{index}"), float(
         f"{abbe[:2]}.{abbe[2:]}"
     )
 
 
 def code_glass(name: str) -> Glass | None:
     """Return the Cauchy glass of a six-digit code; None for another name."""
-    numbers = of_code(name)
+    numbers = _of_code(name)
     if numbers is None or numbers[1] < ABBE_NUMBERS[0]:
         return None
     return abbe_glass(
@@ -282,7 +282,7 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
     n_f, n, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
     abbe = (n - 1) / (n_f - n_c)
     low, high = ABBE_NUMBERS
-    if not (1 < n + n_d <= INDEX_RANGE[1] and low <= abbe + v_d <= high):
+    if not (1 < n + n_d <= _INDEX_RANGE[1] and low <= abbe + v_d <= high):
         got = f"n_d {n + n_d:g} and V_d {abbe + v_d:g}, with n_d {n_d:+g} and V_d {v_d:+g}"
         raise invalid(
             f"shift of glass {named(glass.name)}",
@@ -302,21 +302,23 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
     )
 
 
-def maker_of(listed: str, makers: Sequence[str]) -> str | None:
+def _maker_of(listed: str, makers: Sequence[str]) -> str | None:
     """Return the maker among `makers` of a catalogue by its name in a file, as SCHOTT_2017; None if
     it is of no one of them.
     """
     name = listed.upper()
-    name = OTHER_NAMES.get(name, name)
+    name = _OTHER_NAMES.get(name, name)
     return next(
         (maker for maker in makers if re.fullmatch(rf"{re.escape(maker)}([^A-Z].*)?", name)), None
     )
 
 
 # What pixsim adds to the name of a glass, or names it by.
-OF_NUMBERS = r"n_d [-+.e\d]{1,24}, V_d [-+.e\d]{1,24}"
-GIVEN_NAME = re.compile(rf"(.*?)(, six digits of {OF_NUMBERS}| by {OF_NUMBERS})?(, {OF_NUMBERS})?")
-OWN_NAME = re.compile(rf"{OF_NUMBERS}|n = [-+.e\d]{{1,24}}|dispersion formula")
+_OF_NUMBERS = r"n_d [-+.e\d]{1,24}, V_d [-+.e\d]{1,24}"
+_GIVEN_NAME = re.compile(
+    rf"(.*?)(, six digits of {_OF_NUMBERS}| by {_OF_NUMBERS})?(, {_OF_NUMBERS})?"
+)
+_OWN_NAME = re.compile(rf"{_OF_NUMBERS}|n = [-+.e\d]{{1,24}}|dispersion formula")
 
 
 def named(name: str) -> str:
@@ -326,11 +328,11 @@ def named(name: str) -> str:
     >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
     ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")
     """
-    given = GIVEN_NAME.fullmatch(name)
+    given = _GIVEN_NAME.fullmatch(name)
     words = (given[1] if given else name).split(":", 1)
     return (
         f"'{name}'"
-        if all(map(PLAIN_WORD.fullmatch, words)) or OWN_NAME.fullmatch(name)
+        if all(map(PLAIN_WORD.fullmatch, words)) or _OWN_NAME.fullmatch(name)
         else excerpt(name)
     )
 
@@ -362,7 +364,7 @@ def find_glass(
         return own[mine[0]]
     found = _named(wanted, known)
     if ":" not in wanted and makers:
-        listed = [(maker, maker_of(maker, PACKAGED_MAKERS)) for maker in makers]
+        listed = [(maker, _maker_of(maker, _PACKAGED_MAKERS)) for maker in makers]
         of_listed = [
             full for _, maker in listed for full in found if full.partition(":")[0] == maker
         ]
@@ -426,7 +428,7 @@ def _among(wanted: str, own: Mapping[str, Glass], makers: Sequence[str]) -> list
 
 
 def _is_shared(wanted: str, full: str) -> bool:
-    return not full.startswith("SCHOTT:") and SHARED_NAMES.fullmatch(wanted) is not None
+    return not full.startswith("SCHOTT:") and _SHARED_NAMES.fullmatch(wanted) is not None
 
 
 def _alike(glass: Glass, numbers: tuple[float, float]) -> bool:
@@ -481,8 +483,8 @@ def lines_of(text: str) -> list[str]:
 
 
 # Formula of an AGF file -> that of refractiveindex.info, and its coefficients.
-Coefficients = tuple[float, ...]
-AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, Coefficients]]] = {
+_Coefficients = tuple[float, ...]
+_AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, _Coefficients]]] = {
     1: lambda c: _powers(c, (2, -2, -4, -6, -8)),  # Schott
     2: lambda c: (2, (0.0, *c[:6])),  # Sellmeier 1
     3: lambda c: (7, tuple(c[:6])),  # Herzberger
@@ -503,10 +505,10 @@ AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, Coefficients]]] =
     12: lambda c: _powers(c, (2, -2, -4, -6, -8, 4, 6)),  # extended 2
     13: lambda c: _powers(c, (2, 4, -2, -4, -6, -8, -10, -12)),  # extended 3
 }
-AGF_NUMBERS = 10  # coefficients of an AGF file
+_AGF_NUMBERS = 10  # coefficients of an AGF file
 
 
-def _powers(c: Sequence[float], powers: Sequence[int]) -> tuple[int, Coefficients]:
+def _powers(c: Sequence[float], powers: Sequence[int]) -> tuple[int, _Coefficients]:
     pairs = zip(c[1:], powers, strict=False)
     return 3, (c[0], *(number for value, power in pairs for number in (value, float(power))))
 
@@ -527,11 +529,11 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
         if not name:
             return
         where = f"'{path}', glass {quoted(name)} (line {line_number})"
-        if formula not in AGF_FORMULAS:
+        if formula not in _AGF_FORMULAS:
             raise invalid(
-                f"{where}: formula", formula, f"{min(AGF_FORMULAS)} to {max(AGF_FORMULAS)}"
+                f"{where}: formula", formula, f"{min(_AGF_FORMULAS)} to {max(_AGF_FORMULAS)}"
             )
-        c = [*parts.get("CD", ()), *([0.0] * AGF_NUMBERS)][:AGF_NUMBERS]
+        c = [*parts.get("CD", ()), *([0.0] * _AGF_NUMBERS)][:_AGF_NUMBERS]
         limits = tuple(parts.get("LD", ())[:2])
         if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
             raise invalid(
@@ -539,11 +541,11 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
             )
         check_coefficients(c, f"{where}: CD")
         full = f"{path.stem.upper()}:{one_line(name)}"
-        kind, coefficients = AGF_FORMULAS[formula](c)
+        kind, coefficients = _AGF_FORMULAS[formula](c)
         glass = Glass(full, kind, coefficients, (limits[0], limits[1]), f"file '{path.name}'")
         if n_d and limits[0] <= LINES_UM["d"] <= limits[1]:
             found = float(glass.index(1e3 * LINES_UM["d"]))
-            if not abs(found - n_d) < AGF_AGREEMENT:
+            if not abs(found - n_d) < _AGF_AGREEMENT:
                 raise invalid(
                     f"{where}: n_d of its formula",
                     f"{found:.6g}",

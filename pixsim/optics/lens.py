@@ -51,30 +51,30 @@ from pixsim.optics.ray_trace import (
     turned_round,
 )
 
-StopPoints = Annotated[
+_StopPoints = Annotated[
     ArrayLike, Bounds(-2, 2)
 ]  # over the stop's radius: a square grid, no lengths
-MM_PER_NM = 1e-6
+_MM_PER_NM = 1e-6
 # of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke
 # triplet at 20°
 DEGREE = 11
 RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
 # distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
 # tilt
-AIMED = 1e-9
-AIM_STEPS = 30
-APPROACHES = 12  # to a field whose chief ray is not found from the axis
-KEPT_INDICES = 256  # sets of wavelengths
+_AIMED = 1e-9
+_AIM_STEPS = 30
+_APPROACHES = 12  # to a field whose chief ray is not found from the axis
+_KEPT_INDICES = 256  # sets of wavelengths
 # rays at a time: with fewer, threads take longer to take turns than to trace; more need more memory
 BLOCK = 1 << 15
-SPOKES_OF_OUTLINE = (
+_SPOKES_OF_OUTLINE = (
     256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
 )
-OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
+_OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
 OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
-MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
-SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
-MAX_SPOKES = 4096
+_MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
+_SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
+_MAX_SPOKES = 4096
 ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = (
     60,
     1e-12,
@@ -82,8 +82,8 @@ ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = (
 )  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
-FOCUS_STEP_MM = 1e-3
-FAINTEST_F_NUMBER = (
+_FOCUS_STEP_MM = 1e-3
+_FAINTEST_F_NUMBER = (
     1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
 )
 # of the focal length: the image may lie as far in front of the last surface, as within a cover
@@ -94,7 +94,7 @@ LIMIT_FIELDS, LIMIT_PER_DEG = (
     10,
 )  # of the search for the largest field that can be traced, in tenths
 INSIDE = 1 + 1e-12  # of the stop's edge
-Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
+_Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
 
 @dataclass(frozen=True)
@@ -268,9 +268,9 @@ def _without_fields(prescription: Prescription) -> Lens:
     elif prescription.aperture == "stop_diameter":
         value = value / abs(bare._front(prescription.primary_nm)[0])
     f_number = focal / value
-    if f_number > FAINTEST_F_NUMBER:
+    if f_number > _FAINTEST_F_NUMBER:
         got = f"no real image: afocal, with a focal length of {focal:.4g} mm at f/{f_number:.4g}"
-        raise invalid(what, got, f"an image at f/{FAINTEST_F_NUMBER:g} or less")
+        raise invalid(what, got, f"an image at f/{_FAINTEST_F_NUMBER:g} or less")
     lens = Lens(prescription, value, 0.0, distance)
     trailing = 0.0  # from the last surface that refracts to the last vertex
     for before, one in pairwise(reversed(prescription.surfaces)):
@@ -525,7 +525,7 @@ class Lens:
                 if wavelength_nm.size > 1
                 else float(glass.index(wavelength_nm)[0])
             )
-        if len(self._known_indices) >= KEPT_INDICES:
+        if len(self._known_indices) >= _KEPT_INDICES:
             self._known_indices.clear()
         return self._known_indices.setdefault(
             key, [1.0, *(known[surface.glass] for surface in self.prescription.surfaces)]
@@ -619,7 +619,7 @@ class Lens:
             # Fields are approached in steps where a direct start fails.
             if (lost := np.flatnonzero(~np.isfinite(found))).size:
                 near = np.zeros(lost.size)
-                for share in np.linspace(1 / APPROACHES, 1.0, APPROACHES):
+                for share in np.linspace(1 / _APPROACHES, 1.0, _APPROACHES):
                     near = self._secants(share * fields[lost], wavelengths[lost], near)
                 found[lost] = near
             self._chief_heights.update(zip(new, found.tolist(), strict=True))
@@ -634,8 +634,8 @@ class Lens:
         step = 1e-3 * self.entrance_pupil_diameter_mm
         y, before = start + step, start
         error, error_before = miss(y), miss(before)
-        limit = 1e-3 * AIMED * self.stop_semi_diameter_mm
-        for _ in range(AIM_STEPS):
+        limit = 1e-3 * _AIMED * self.stop_semi_diameter_mm
+        for _ in range(_AIM_STEPS):
             with np.errstate(all="ignore"):
                 moving = (np.abs(error) > limit) & (error != error_before)
                 change = np.where(moving, error * (y - before) / (error - error_before), 0.0)
@@ -644,7 +644,7 @@ class Lens:
             before, error_before = y, error
             y = y - change
             error = miss(y)
-        return np.where(np.abs(error) <= AIMED * self.stop_semi_diameter_mm, y, np.nan)
+        return np.where(np.abs(error) <= _AIMED * self.stop_semi_diameter_mm, y, np.nan)
 
     def _aim(self, field_deg: Array, wavelength_nm: Array) -> Array:
         """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a
@@ -702,7 +702,7 @@ class Lens:
         across: Array,
         along: Array,
         inverse: Array,
-        aimed: float = AIMED,
+        aimed: float = _AIMED,
     ) -> tuple[Array, Array]:
         """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop;
         NaN if there are none.
@@ -717,7 +717,7 @@ class Lens:
             return np.stack([at_x / semi - x, at_y / semi - y], axis=-1)
 
         error = misses(across, along)
-        for _ in range(AIM_STEPS):
+        for _ in range(_AIM_STEPS):
             moving = np.abs(error).max(axis=-1) > aimed / 10
             if not moving.any():
                 break
@@ -821,7 +821,11 @@ class Lens:
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
 
     def opd_waves(
-        self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints
+        self,
+        field_deg: ArrayLike,
+        wavelength_nm: Positives,
+        stop_x: _StopPoints,
+        stop_y: _StopPoints,
     ) -> Array:
         """Return the optical path difference in waves of its own wavelength, (...); NaN outside the
         stop.
@@ -904,9 +908,9 @@ class Lens:
         self,
         field_deg: ArrayLike,
         wavelength_nm: Positives,
-        stop_x: StopPoints,
-        stop_y: StopPoints,
-        aimed: float = AIMED,
+        stop_x: _StopPoints,
+        stop_y: _StopPoints,
+        aimed: float = _AIMED,
     ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
@@ -951,7 +955,7 @@ class Lens:
         x: Array,
         y: Array,
         terms: Array,
-        bases: Bases,
+        bases: _Bases,
         chief: Rays,
         aimed: float,
     ) -> Wavefront:
@@ -1016,7 +1020,7 @@ class Lens:
         with np.errstate(all="ignore"):
             root = np.copysign(np.sqrt(radius * radius + square), radius)
             back = along_ray + (square / (radius + root) if math.isfinite(from_image) else 0.0)
-        opd = (chief.path_mm - rays.path_mm + index * back) / (MM_PER_NM * wavelength_nm[:, None])
+        opd = (chief.path_mm - rays.path_mm + index * back) / (_MM_PER_NM * wavelength_nm[:, None])
         semi, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
         passed = rays.passed
         if self.vignetting:
@@ -1081,7 +1085,7 @@ class Lens:
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
     def outline(
-        self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = SPOKES_OF_OUTLINE
+        self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = _SPOKES_OF_OUTLINE
     ) -> Outline:
         """Return the outline of the directions that light comes from at the chief rays' image
         points.
@@ -1094,8 +1098,8 @@ class Lens:
 
         Raises PixsimError if a chief ray does not reach the image.
         """
-        if spokes % 4 or not 0 < spokes <= MAX_SPOKES:
-            raise invalid("spokes", spokes, f"a multiple of 4, at most {MAX_SPOKES}")
+        if spokes % 4 or not 0 < spokes <= _MAX_SPOKES:
+            raise invalid("spokes", spokes, f"a multiple of 4, at most {_MAX_SPOKES}")
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         return self._outline(fields, wavelengths, spokes)
 
@@ -1129,7 +1133,7 @@ class Lens:
         # aspheres may let rays through again.
         low = np.zeros(horizon.shape)
         below = np.broadcast_to(np.minimum(excess(low[:, :1]), 0.0), horizon.shape)
-        near = np.minimum(horizon, OUTLINE_START / self.first_order(self.primary_nm).f_number)
+        near = np.minimum(horizon, _OUTLINE_START / self.first_order(self.primary_nm).f_number)
         with np.errstate(all="ignore"):
             edge = -near * below / (excess(near) - below)
         edge = np.where((edge > near) & (edge < horizon), edge, near)
@@ -1175,7 +1179,7 @@ class Lens:
         # What is left of a pupil may lie between two of the rays: the width has one minimum along a
         # line.
         spread = np.ptp(np.where(np.isfinite(along), along, chosen[:, None]), axis=1)
-        for part in range(1, MIDDLE_STEPS + 1):
+        for part in range(1, _MIDDLE_STEPS + 1):
             thin = ~(least < 1) & np.isfinite(chosen)
             if not thin.any():
                 break
@@ -1205,7 +1209,7 @@ class Lens:
             surface.clips for surface in self.prescription.surfaces
         )
         area = self._outline(
-            fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES
+            fields, wavelengths, _SPOKES_OF_OUTLINE if corners else _SMOOTH_SPOKES
         ).area
         return np.asarray(area.reshape(shape)[()])
 
@@ -1241,8 +1245,8 @@ class Lens:
 
         Raises PixsimError if no light reaches one of the points.
         """
-        if not 0 < rings <= MAX_SPOKES:
-            raise invalid("rings", rings, f"1 to {MAX_SPOKES}")
+        if not 0 < rings <= _MAX_SPOKES:
+            raise invalid("rings", rings, f"1 to {_MAX_SPOKES}")
         shape, fields, wavelengths, turn = _in_line(
             field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg
         )
@@ -1266,7 +1270,7 @@ class Lens:
         )
 
     def ray_points(
-        self, field_deg: float, wavelength_nm: Positive, stop_x: StopPoints, stop_y: StopPoints
+        self, field_deg: float, wavelength_nm: Positive, stop_x: _StopPoints, stop_y: _StopPoints
     ) -> Array:
         """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from
         the first vertex: x, y, z.
@@ -1582,7 +1586,7 @@ class Lens:
         x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
         waves = self.wavefront(fields, wavelength, x, y)
         change = (
-            self._moved(FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves
+            self._moved(_FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves
             - waves.opd_waves
         )
         top = bottom = 0.0
@@ -1597,7 +1601,7 @@ class Lens:
             if along.size <= basis.shape[1]:
                 continue
             both = np.stack(
-                [waves.opd_waves[index, seen], change[index, seen] / FOCUS_STEP_MM], axis=1
+                [waves.opd_waves[index, seen], change[index, seen] / _FOCUS_STEP_MM], axis=1
             )
             both = both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]
             top += weight[index] * float((both[:, 0] * both[:, 1]).mean())
@@ -1705,18 +1709,18 @@ def _in_line(**parts: ArrayLike) -> tuple[Any, ...]:
     return arrays[0].shape, *(array.ravel() for array in arrays)
 
 
-EXPONENTS = tuple(
+_EXPONENTS = tuple(
     np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T
     for start in (1, 0)
 )  # of the monomials x^i y^j odd in x and even in x
 
 
-def _bases(x: Array, y: Array) -> Bases:
+def _bases(x: Array, y: Array) -> _Bases:
     """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
     powers_x, powers_y = (
         np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
     )
-    odd, even = ((powers_x[i] * powers_y[j]).T for i, j in EXPONENTS)
+    odd, even = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
     return odd, even
 
 
@@ -1730,18 +1734,18 @@ def _polynomials(terms: Array, basis: Array) -> Array:
     return total
 
 
-def _slopes(x: Array, y: Array) -> tuple[Bases, Bases]:
+def _slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
     """Return the derivatives of the monomials of `_bases`, by x and by y."""
     powers_x, powers_y = (
         np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
     )
-    by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in EXPONENTS]
-    by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in EXPONENTS]
+    by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in _EXPONENTS]
+    by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in _EXPONENTS]
     return (by_x[0], by_x[1]), (by_y[0], by_y[1])
 
 
 @cache
-def _nodes() -> tuple[Array, Array, Bases, Bases]:
+def _nodes() -> tuple[Array, Array, _Bases, _Bases]:
     """Return points of half of the stop, the monomials there, and the matrices (terms, points) that
     fit polynomials to values.
     """

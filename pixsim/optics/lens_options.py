@@ -20,7 +20,7 @@ from pixsim.light.quantities import Wavelength
 from pixsim.optics.chief_rays import RelativeIllumination
 from pixsim.optics.quantities import FNumber, FocalLength, OutsideLight
 
-OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
+_OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
 
 
 def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
@@ -30,7 +30,7 @@ def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
         return []
     return [
         name
-        for name in OF_THIN_LENS
+        for name in _OF_THIN_LENS
         if camera.get(name) is not None
         and not (isinstance(own, dict) and own.get(name) is not None)
     ]

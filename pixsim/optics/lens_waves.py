@@ -12,7 +12,7 @@ from pixsim.optics.field_blur import PupilRays
 from pixsim.optics.lens import Lens, Outline
 
 RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
-OUTLINE_SPOKES = 180
+_OUTLINE_SPOKES = 180
 # of the outline's radius: what lies further is blocked, and near the end of an image circle goes
 # anywhere
 NEAR = 1.5
@@ -33,7 +33,7 @@ def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[
     known_nm = np.clip(wavelength_nm, *lens.known_nm)
     fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(known_nm, field_deg.size)
     waves_per_wave = np.repeat(known_nm / wavelength_nm, field_deg.size)
-    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, OUTLINE_SPOKES)
+    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, _OUTLINE_SPOKES)
     spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
     from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
     found = []

@@ -54,24 +54,27 @@ from pixsim.optics.glass import (
 from pixsim.optics.lens_options import PrescriptionOptions
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
-MAX_SURFACES = 200
+_MAX_SURFACES = 200
 # of a .zmx file, which has some dozen for each surface: operands and lines are looked up in each
 # other
-MAX_LINES = 50_000
+_MAX_LINES = 50_000
 MAX_POWER = 60  # of an asphere
-FIELD_ANGLES_DEG = (1e-6, 180.0)  # that a file may state; `lens` limits fields to what it can trace
-LONGEST_MM = 1e6
-FARTHEST_MM = 1e13  # of an object that is not at infinity: `FAR` in m
+_FIELD_ANGLES_DEG = (
+    1e-6,
+    180.0,
+)  # that a file may state; `lens` limits fields to what it can trace
+_LONGEST_MM = 1e6
+_FARTHEST_MM = 1e13  # of an object that is not at infinity: `FAR` in m
 # What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal
 # numbers take very long.
-SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
+_SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
 LEAST_CURVATURE_PER_MM, LEAST_CONIC = 1e-12, 1e-9
-LEAST_SAG_MM = 1e-15  # of a term of an asphere at `LONGEST_MM`
-WAVELENGTHS_NM = (10.0, 1e6)
+_LEAST_SAG_MM = 1e-15  # of a term of an asphere at `_LONGEST_MM`
+_WAVELENGTHS_NM = (10.0, 1e6)
 F_NUMBERS = (0.1, 1e5)
-NUMERICAL_APERTURES = (5e-6, 0.9999)
-COMPRESSIONS = (-10.0, 0.9999)  # of vignetting factors: the pupil at most 11 times as wide
-AGREEMENT = 1e-9  # of a radius with its curvature
+_NUMERICAL_APERTURES = (5e-6, 0.9999)
+_COMPRESSIONS = (-10.0, 0.9999)  # of vignetting factors: the pupil at most 11 times as wide
+_AGREEMENT = 1e-9  # of a radius with its curvature
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     kind = path.suffix.lower()
     if kind not in READERS:
         what = f"'{file}'" if kind or not file else f"the unknown lens '{file}'"
-        hint = HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
+        hint = _HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
         raise invalid(
             "lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint
         )
@@ -241,39 +244,39 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     return prescription
 
 
-IN_OPTICSTUDIO = "In OpticStudio, save it as .zmx (File, Save As)."
-OF_CODE_V = (
+_IN_OPTICSTUDIO = "In OpticStudio, save it as .zmx (File, Save As)."
+_OF_CODE_V = (
     "Open it in OpticStudio (File, Convert File Formats) and save it as .zmx, or write its surfaces"
     " as .toml: docs/lens.md."
 )
 # Other files of lenses -> how to get one that is read.
-HOW_TO_EXPORT = {
-    ".zos": f"That is OpticStudio's own format. {IN_OPTICSTUDIO}",
+_HOW_TO_EXPORT = {
+    ".zos": f"That is OpticStudio's own format. {_IN_OPTICSTUDIO}",
     ".zar": (
         "That is an archive of OpticStudio. Open it there (File, Load Archive), and save the lens"
         " as .zmx (File, Save As)."
     ),
-    ".zda": f"That is data of a Zemax session. {IN_OPTICSTUDIO}",
-    ".seq": f"That is a file of CODE V. {OF_CODE_V}",
-    ".len": f"That is a file of CODE V or OSLO. {OF_CODE_V}",
-    ".osd": f"That is a file of OSLO. {OF_CODE_V}",
-    ".otx": f"That is a file of another program. {OF_CODE_V}",
+    ".zda": f"That is data of a Zemax session. {_IN_OPTICSTUDIO}",
+    ".seq": f"That is a file of CODE V. {_OF_CODE_V}",
+    ".len": f"That is a file of CODE V or OSLO. {_OF_CODE_V}",
+    ".osd": f"That is a file of OSLO. {_OF_CODE_V}",
+    ".otx": f"That is a file of another program. {_OF_CODE_V}",
     ".roa": "That is a file of rayoptics. Write its surfaces as .toml: docs/lens.md.",
     ".json": "Write its surfaces as .toml: docs/lens.md.",
     ".agf": "That is a glass catalogue: name it in lens.glass_catalogues, beside the lens.",
 }
 
 
-APERTURES: dict[Aperture, tuple[float, float]] = {
-    "entrance_pupil_diameter": (SHORTEST_MM, LONGEST_MM),
-    "stop_diameter": (SHORTEST_MM, LONGEST_MM),
+_APERTURES: dict[Aperture, tuple[float, float]] = {
+    "entrance_pupil_diameter": (_SHORTEST_MM, _LONGEST_MM),
+    "stop_diameter": (_SHORTEST_MM, _LONGEST_MM),
     "f_number": F_NUMBERS,
     "working_f_number": F_NUMBERS,
-    "object_numerical_aperture": NUMERICAL_APERTURES,
+    "object_numerical_aperture": _NUMERICAL_APERTURES,
 }
 LEAST = {
     "curvature_per_mm": LEAST_CURVATURE_PER_MM,
-    "thickness_mm": SHORTEST_MM,
+    "thickness_mm": _SHORTEST_MM,
     "conic": LEAST_CONIC,
 }
 
@@ -286,8 +289,8 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     Raises PixsimError if a length is too large, a thickness in glass is negative, or an aspheric
     term is not allowed.
     """
-    if not 0 < len(prescription.surfaces) <= MAX_SURFACES:
-        raise invalid(f"surfaces of {where}", len(prescription.surfaces), f"1 to {MAX_SURFACES}")
+    if not 0 < len(prescription.surfaces) <= _MAX_SURFACES:
+        raise invalid(f"surfaces of {where}", len(prescription.surfaces), f"1 to {_MAX_SURFACES}")
     for index, surface in enumerate(prescription.surfaces):
         numbers = {
             "curvature_per_mm": surface.curvature_per_mm,
@@ -295,11 +298,11 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
             "conic": surface.conic,
         }
         for name, value in numbers.items():
-            if not (value == 0 or LEAST[name] <= abs(value) <= LONGEST_MM):
+            if not (value == 0 or LEAST[name] <= abs(value) <= _LONGEST_MM):
                 raise invalid(
                     f"{place(index)}: {name}",
                     f"{value:g}",
-                    f"0, or {LEAST[name]:g} to {LONGEST_MM:g} in size",
+                    f"0, or {LEAST[name]:g} to {_LONGEST_MM:g} in size",
                 )
         if surface.thickness_mm < 0 and surface.glass != AIR:
             got = f"{surface.thickness_mm:g} in the glass {named(surface.glass.name)}"
@@ -308,11 +311,11 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
             )
         if (
             surface.semi_diameter_mm is not None
-            and not SHORTEST_MM <= surface.semi_diameter_mm <= LONGEST_MM
+            and not _SHORTEST_MM <= surface.semi_diameter_mm <= _LONGEST_MM
         ):
             got = f"{surface.semi_diameter_mm:g}"
             raise invalid(
-                f"{place(index)}: semi_diameter_mm", got, f"{SHORTEST_MM:g} to {LONGEST_MM:g}"
+                f"{place(index)}: semi_diameter_mm", got, f"{_SHORTEST_MM:g} to {_LONGEST_MM:g}"
             )
         for power, value in surface.asphere:
             if not (2 <= power <= MAX_POWER and math.isfinite(value)):
@@ -324,20 +327,22 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
                     f"finite terms A2 to A{MAX_POWER}, by the power of r",
                     hint,
                 )
-            least = LEAST_SAG_MM / LONGEST_MM**power
+            least = _LEAST_SAG_MM / _LONGEST_MM**power
             if 0 < abs(value) < least:
                 raise invalid(
                     f"{place(index)}: asphere",
                     f"A{power} = {value:g}",
                     f"0, or at least {least:.1g} in size",
                 )
-    low, high = APERTURES[prescription.aperture]
+    low, high = _APERTURES[prescription.aperture]
     if not low <= prescription.aperture_value <= high:
         raise invalid(
             f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}"
         )
     low, high = (
-        FIELD_ANGLES_DEG if prescription.field_of_view == "angle_deg" else (SHORTEST_MM, LONGEST_MM)
+        _FIELD_ANGLES_DEG
+        if prescription.field_of_view == "angle_deg"
+        else (_SHORTEST_MM, _LONGEST_MM)
     )
     if not (prescription.field_value == 0 or low <= prescription.field_value <= high):
         allowed = (
@@ -346,12 +351,12 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
         )
         raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", allowed)
     distance = prescription.object_distance_mm
-    if not (SHORTEST_MM <= distance <= FARTHEST_MM or distance == math.inf):
-        allowed = f"{SHORTEST_MM:g} to {FARTHEST_MM:g}, or at infinity"
+    if not (_SHORTEST_MM <= distance <= _FARTHEST_MM or distance == math.inf):
+        allowed = f"{_SHORTEST_MM:g} to {_FARTHEST_MM:g}, or at infinity"
         raise invalid(f"object of {where}", f"{distance:g} mm in front of the lens", allowed)
     if not prescription.wavelengths_nm:
         raise invalid(f"wavelengths of {where}", "none", "at least one")
-    low, high = WAVELENGTHS_NM
+    low, high = _WAVELENGTHS_NM
     if outside := [nm for nm in prescription.wavelengths_nm if not low <= nm <= high]:
         raise invalid(f"wavelengths of {where}", f"{outside[0]:g} nm", f"{low:g} to {high:g} nm")
     return prescription
@@ -360,12 +365,12 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
 # TOML
 # ------------------------------------------------------------------------------------------------------------------------
 
-Length = Annotated[float, Field(ge=-LONGEST_MM, le=LONGEST_MM)]
-MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
-Positive = Annotated[float, Field(ge=SHORTEST_MM, le=LONGEST_MM)]
+Length = Annotated[float, Field(ge=-_LONGEST_MM, le=_LONGEST_MM)]
+_MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
+Positive = Annotated[float, Field(ge=_SHORTEST_MM, le=_LONGEST_MM)]
 
 
-class GlassTable(Record):
+class _GlassTable(Record):
     """A glass of a prescription file: a dispersion formula, or n_d and V_d, or one index."""
 
     formula: Annotated[int, Field(ge=1, le=9)] | None = Field(
@@ -393,7 +398,7 @@ class GlassTable(Record):
     def words(self) -> str:
         """A name for a glass that the file gives none."""
         if self.n_d is not None and self.v_d is not None:
-            return model_name(self.n_d, self.v_d)
+            return _model_name(self.n_d, self.v_d)
         return "dispersion formula" if self.n is None else f"n = {self.n:g}"
 
     def glass(self, name: str, where: str) -> Glass:
@@ -441,23 +446,23 @@ class GlassTable(Record):
         return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
 
 
-def model_name(n_d: float, v_d: float) -> str:
+def _model_name(n_d: float, v_d: float) -> str:
     """Return the name of a glass that is known by two numbers."""
     return f"n_d {n_d:g}, V_d {v_d:g}"
 
 
-class SurfaceTable(Record):
+class _SurfaceTable(Record):
     """A surface of a prescription file."""
 
     curvature_per_mm: Length | None = Field(None, description="1/radius")
-    radius_mm: MaybeInfinite | None = Field(
+    radius_mm: _MaybeInfinite | None = Field(
         None, description="instead of the curvature, or beside it; inf for a plane"
     )
     thickness_mm: Length = Field(
         description="along the axis to the next vertex, or to the image plane",
         examples=["thickness_mm = 3.2"],
     )
-    glass: str | AnyNumber | GlassTable = Field("air", description="medium behind the surface")
+    glass: str | AnyNumber | _GlassTable = Field("air", description="medium behind the surface")
     conic: Length = Field(0.0, description="k of the conic")
     asphere: dict[str, AnyNumber] = Field(
         default_factory=dict, description="A4, A6 …: coefficients by the power of r"
@@ -469,7 +474,7 @@ class SurfaceTable(Record):
     stop: bool = Field(False, description="whether the surface is the stop")
 
 
-class ApertureTable(Record):
+class _ApertureTable(Record):
     """Aperture of a prescription file."""
 
     type: Literal["entrance_pupil_diameter", "stop_diameter", "f_number"] = Field(
@@ -482,17 +487,17 @@ class ApertureTable(Record):
     f_number: Positive | None = Field(None, description="for information, unless it is the type")
 
 
-class FieldsTable(Record):
+class _FieldsTable(Record):
     """Fields of a prescription file."""
 
     type: Literal["angle_deg"] = "angle_deg"
-    max_deg: Annotated[float, Field(ge=0, le=FIELD_ANGLES_DEG[1])] = Field(
+    max_deg: Annotated[float, Field(ge=0, le=_FIELD_ANGLES_DEG[1])] = Field(
         examples=["max_deg = 20"]
     )
     angles_deg: tuple[AnyNumber, ...] = ()
 
 
-class WavelengthsTable(Record):
+class _WavelengthsTable(Record):
     """Wavelengths of a prescription file."""
 
     unit: Literal["um", "nm"] = Field(examples=['unit = "nm"'])
@@ -501,7 +506,7 @@ class WavelengthsTable(Record):
     primary: Positive = Field(examples=["primary = 587.6"])
 
 
-class PrescriptionFile(Record):
+class _PrescriptionFile(Record):
     """A prescription in TOML."""
 
     name: str = ""
@@ -511,30 +516,30 @@ class PrescriptionFile(Record):
     note: str = ""
     zmx: str = ""
     units: Literal["mm"] = "mm"
-    object_distance_mm: MaybeInfinite = math.inf
-    stop_surface: Annotated[int, Field(ge=1, le=MAX_SURFACES)] | None = None
-    aperture: ApertureTable = Field(
+    object_distance_mm: _MaybeInfinite = math.inf
+    stop_surface: Annotated[int, Field(ge=1, le=_MAX_SURFACES)] | None = None
+    aperture: _ApertureTable = Field(
         examples=['[aperture] with type = "f_number" and f_number = 5.6 below it']
     )
-    fields: FieldsTable = Field(examples=["[fields] with max_deg = 20 below it"])
-    wavelengths: WavelengthsTable = Field(
+    fields: _FieldsTable = Field(examples=["[fields] with max_deg = 20 below it"])
+    wavelengths: _WavelengthsTable = Field(
         examples=[
             '[wavelengths] with unit = "nm", values = [486.1, 587.6, 656.3] and primary = 587.6'
             " below it"
         ]
     )
-    surface: tuple[SurfaceTable, ...] = Field(
+    surface: tuple[_SurfaceTable, ...] = Field(
         min_length=1,
-        max_length=MAX_SURFACES,
+        max_length=_MAX_SURFACES,
         examples=[
             '[[surface]] with radius_mm = 61.5, thickness_mm = 6 and glass = "SCHOTT:N-BK7" below'
             " it, for each surface"
         ],
     )
-    glass: dict[str, GlassTable] = Field(default_factory=dict)
+    glass: dict[str, _GlassTable] = Field(default_factory=dict)
 
 
-HOW_TO_GIVE_TOML = (
+_HOW_TO_GIVE_TOML = (
     'Give the numbers of another glass in a table [glass."NAME"]: formula and coefficients, n_d and'
     " v_d, or n."
 )
@@ -567,7 +572,7 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         return f"'{path}', surface {index + 1}{line}"
 
     try:
-        file: PrescriptionFile = checked(PrescriptionFile, [Layer(table, str(path), named=True)])
+        file: _PrescriptionFile = checked(_PrescriptionFile, [Layer(table, str(path), named=True)])
     except PixsimError as error:  # pydantic counts surfaces from 0
         before = re.escape(f"{path}: ")
         located = re.sub(
@@ -634,18 +639,18 @@ def _one_stop(stops: set[int], where: str, count: int, hint: str) -> int:
     return stops.pop()
 
 
-def _toml_surface(table: SurfaceTable, glass: Glass, where: str) -> Surface:
+def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
     curvature, radius = table.curvature_per_mm, table.radius_mm
     if radius is not None:
         of_radius = 0.0 if math.isinf(radius) else 1 / radius if radius else math.inf
-        if not abs(of_radius) <= LONGEST_MM:
+        if not abs(of_radius) <= _LONGEST_MM:
             raise invalid(
                 f"{where}: radius_mm",
                 f"{radius:g}",
-                f"at least {1 / LONGEST_MM:g} in size; inf for a plane",
+                f"at least {1 / _LONGEST_MM:g} in size; inf for a plane",
             )
         if curvature is not None and not math.isclose(
-            of_radius, curvature, rel_tol=AGREEMENT, abs_tol=1e-15
+            of_radius, curvature, rel_tol=_AGREEMENT, abs_tol=1e-15
         ):
             got = f"{radius:.12g}, with curvature_per_mm = {curvature:.12g}"
             raise invalid(
@@ -683,12 +688,12 @@ def _toml_surface(table: SurfaceTable, glass: Glass, where: str) -> Surface:
 
 
 def _toml_glass(
-    given: str | float | GlassTable,
-    glasses: Mapping[str, GlassTable],
+    given: str | float | _GlassTable,
+    glasses: Mapping[str, _GlassTable],
     where: str,
     own: Mapping[str, Glass],
 ) -> Glass:
-    if isinstance(given, GlassTable):
+    if isinstance(given, _GlassTable):
         return given.glass(given.words, where)
     if not isinstance(given, str):
         if not 1 <= given <= 10:
@@ -706,7 +711,7 @@ def _toml_glass(
         return code
     near = did_you_mean(given, [*filter(_is_plain, own), *catalogue()])
     other = f"{near} It is another glass, so nothing is substituted. " if near else ""
-    return find_glass(given, f"{where}: glass", hint=other + HOW_TO_GIVE_TOML, own=own)
+    return find_glass(given, f"{where}: glass", hint=other + _HOW_TO_GIVE_TOML, own=own)
 
 
 def _is_plain(full: str) -> bool:
@@ -716,7 +721,7 @@ def _is_plain(full: str) -> bool:
 # Zemax
 # -----------------------------------------------------------------------------------------------------------------------
 
-UNITS_MM = {
+_UNITS_MM = {
     "MM": 1.0,
     "CM": 10.0,
     "IN": 25.4,
@@ -733,21 +738,21 @@ STEP = {
     "XASPHERE": 2,
     "XOSPHERE": 1,
 }  # of the powers of r of an asphere's terms
-EXTENDED = (
+_EXTENDED = (
     "XASPHERE",
     "XOSPHERE",
 )  # terms in XDAT: their number, the radius that r is taken over, and the terms
-NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
-GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
-TRACED = f"{', '.join(STEP)}, and {NULL} of zeros"
-HOW_TRACED = "pixsim traces centred spheres, conics and aspheres of powers of r."
+_NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
+_GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
+TRACED = f"{', '.join(STEP)}, and {_NULL} of zeros"
+_HOW_TRACED = "pixsim traces centred spheres, conics and aspheres of powers of r."
 # Apertures that are not a centred disc.
-OTHER_APERTURES = {
+_OTHER_APERTURES = {
     "SQAP": "rectangular aperture", "ELAP": "elliptical aperture", "OBSC": "central obscuration", "SPID": "spider",
     "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDOB": "user obscuration",
     **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
 }  # fmt: skip
-FIELD_KINDS: dict[int, FieldOfView] = {
+_FIELD_KINDS: dict[int, FieldOfView] = {
     0: "angle_deg",
     1: "object_height",
     2: "paraxial_image_height",
@@ -759,11 +764,11 @@ USUAL_FIELDS, MOST_FIELDS = (
 )  # of older files, in which the places of unused ones are filled up, and of any
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
-HOW_TO_GIVE_ZMX = (
+_HOW_TO_GIVE_ZMX = (
     "Or give those of this glass in its line, as N-BK7's in GLAS ___BLANK 1 0 1.5168 64.17."
 )
-OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
-PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
+_OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
+_PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
 MODEL_GLASS, SHIFTED_GLASS = 1, 4  # what a GLAS line says of its glass
 FIXED = ("1", "2")  # flags of a semi-diameter: typed, and picked up from another surface
 # Keywords of the head of a file. Files that others wrote have them anywhere, and surfaces without
@@ -829,10 +834,10 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     scale = 1.0
     if unit := head.first("UNIT"):
         name = unit.words[0].upper() if unit.words else ""
-        if name not in UNITS_MM:
+        if name not in _UNITS_MM:
             got = f"UNIT with {excerpt(name)}"
-            raise invalid(f"'{path}', line {unit.number}", got, ", ".join(UNITS_MM))
-        scale = UNITS_MM[name]
+            raise invalid(f"'{path}', line {unit.number}", got, ", ".join(_UNITS_MM))
+        scale = _UNITS_MM[name]
     notes: list[str] = []
     solved = _configured(path, head, blocks, operands, options.configuration, notes)
     _check_traced(path, blocks[1:-1])
@@ -885,10 +890,10 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
 
 # Operands of several configurations that are read: a thickness, the aperture, and a field -> its
 # list in newer and older files.
-OF_FIELDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
-SET_HERE = frozenset({"THIC", "APER", *OF_FIELDS})
+_OF_FIELDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
+_SET_HERE = frozenset({"THIC", "APER", *_OF_FIELDS})
 # Those that change no ray: comments, weights, coatings, labels.
-WITHOUT_EFFECT = frozenset(
+_WITHOUT_EFFECT = frozenset(
     re.findall(
         r"\w+",
         """
@@ -897,7 +902,7 @@ WITHOUT_EFFECT = frozenset(
     )
 )
 # The others that Zemax has.
-OTHER_OPERANDS = frozenset(
+_OTHER_OPERANDS = frozenset(
     re.findall(
         r"\w+",
         """
@@ -922,8 +927,8 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     is indented or no line is.
     """
     text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
-    if len(text) > MAX_LINES:
-        raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {MAX_LINES}")
+    if len(text) > _MAX_LINES:
+        raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {_MAX_LINES}")
     words_of = [line.split() for line in text]
     first = next(
         (index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"),
@@ -952,9 +957,9 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
                     what,
                     "SURF with the number of each surface, from 0, once",
                 )
-            if len(blocks) > MAX_SURFACES + 1:
+            if len(blocks) > _MAX_SURFACES + 1:
                 raise invalid(
-                    f"'{path}', line {number}", "more surfaces", f"at most {MAX_SURFACES}"
+                    f"'{path}', line {number}", "more surfaces", f"at most {_MAX_SURFACES}"
                 )
             block = blocks[at] = _Block(line=number, number=at)
         elif one.keyword == "MNUM":
@@ -985,7 +990,7 @@ def _is_operand(line: _Line, configurations: int) -> bool:
     """Whether a line is an operand: its name, what it acts on, and the number of a
     configuration.
     """
-    if line.keyword not in SET_HERE | WITHOUT_EFFECT | OTHER_OPERANDS or len(line.words) < 2:
+    if line.keyword not in _SET_HERE | _WITHOUT_EFFECT | _OTHER_OPERANDS or len(line.words) < 2:
         return False
     return all(map(_is_count, line.words[:2])) and 1 <= int(line.words[1]) <= configurations
 
@@ -1025,16 +1030,16 @@ def _configured(
     unread = []
     for (keyword, at), of in values.items():
         one = of.get(wanted)
-        if one is None or keyword in WITHOUT_EFFECT:
+        if one is None or keyword in _WITHOUT_EFFECT:
             continue
         value = one.words[2] if len(one.words) > 2 else ""
         before = of[active].words[2:3] if active in of else None
-        if keyword in SET_HERE:
+        if keyword in _SET_HERE:
             _set(path, head, blocks, one, value)
         elif before != [value]:
             unread.append(f"{keyword} {at} (line {one.number})")
     if unread:
-        expected = f"operands {', '.join(sorted(SET_HERE))}"
+        expected = f"operands {', '.join(sorted(_SET_HERE))}"
         hint = (
             f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
         )
@@ -1069,10 +1074,10 @@ def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str
         if not at < len(blocks):
             raise invalid(f"{where}: {keyword}", f"surface {at}", f"0 to {len(blocks) - 1}")
         blocks[at].put("DISZ", value)
-    elif keyword in OF_FIELDS:
+    elif keyword in _OF_FIELDS:
         if not 1 <= at <= MOST_FIELDS:
             raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MOST_FIELDS}")
-        name, older = OF_FIELDS[keyword]
+        name, older = _OF_FIELDS[keyword]
         head.put(older if head.first(name) is None and head.first(older) else name, value, at - 1)
     else:
         stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
@@ -1191,7 +1196,7 @@ def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
     medium = ""
     for block in blocks:
         errors += _untraced(block, block.place(path), medium)
-        medium = _glass_name(block) if _kind(block) != NULL else medium
+        medium = _glass_name(block) if _kind(block) != _NULL else medium
     if errors:
         raise PixsimError("\n".join(map(str, errors)))
 
@@ -1213,7 +1218,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
     medium : name of the glass in front of it
     """
     kind = _kind(block)
-    if kind == NULL:
+    if kind == _NULL:
         names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
         terms = [
             (_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")
@@ -1230,13 +1235,13 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
         if moved:
             yield invalid(
                 where,
-                f"{NULL}, a tilted or decentred axis ({', '.join(moved)})",
+                f"{_NULL}, a tilted or decentred axis ({', '.join(moved)})",
                 TRACED,
-                HOW_TRACED,
+                _HOW_TRACED,
             )
     elif kind not in STEP:
-        what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
-        yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, HOW_TRACED)
+        what = ", a gradient index" if kind.startswith(_GRADIENTS) else ""
+        yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, _HOW_TRACED)
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
             expected = "refracting surfaces: pixsim traces no mirrors"
@@ -1255,10 +1260,10 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 "a tilted or decentred surface (SCBD)",
                 "surfaces on the axis",
             )
-    for other in block.all(*OTHER_APERTURES):
+    for other in block.all(*_OTHER_APERTURES):
         yield invalid(
             f"{where}, line {other.number}",
-            f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}",
+            f"{other.keyword}, a {_OTHER_APERTURES[other.keyword]}",
             "discs: CLAP or FLAP",
         )
     for decentre in block.all("OBDC"):
@@ -1275,7 +1280,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 f"{aperture.keyword} with a hole inside",
                 "full discs, from radius 0",
             )
-    if kind in EXTENDED:
+    if kind in _EXTENDED:
         stated, extra = (
             [term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)]
             for name in ("PARM", "XDAT")
@@ -1303,10 +1308,10 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
         _zmx_number(where, line) if (line := block.first(keyword)) else 0.0
         for keyword in ("CURV", "DISZ", "CONI")
     )
-    if kind == NULL:
+    if kind == _NULL:
         return Surface(0.0, thickness, glass)
     step, asphere = STEP[kind], []
-    if kind in EXTENDED:
+    if kind in _EXTENDED:
         extra = {
             int(_zmx_number(where, line)): _zmx_number(where, line, 1) for line in block.all("XDAT")
         }
@@ -1391,7 +1396,7 @@ def _zmx_glasses(
     modelled: list[str] = []
     for block in blocks:
         line = block.first("GLAS")
-        if _kind(block) == NULL:  # in the medium that it stands in
+        if _kind(block) == _NULL:  # in the medium that it stands in
             glasses.append(glasses[-1] if glasses else AIR)
             continue
         if line is None or not line.words or line.words[0].upper() == "AIR":
@@ -1405,7 +1410,7 @@ def _zmx_glasses(
             numbers = _own_numbers(line)
             if options.unknown_glass == "model" and numbers:
                 name = one_line(line.words[0])
-                glasses.append(abbe_glass(f"{name} by {model_name(*numbers)}", *numbers))
+                glasses.append(abbe_glass(f"{name} by {_model_name(*numbers)}", *numbers))
                 modelled.append(f"{names_in([name])[0]} (surface {block.number})")
             else:
                 unknown.append(f"{error} {_ready(line)}")
@@ -1416,7 +1421,7 @@ def _zmx_glasses(
             f" {', '.join(modelled)}"
         )
     if unknown:
-        raise PixsimError("\n".join([*unknown, OWN_CATALOGUE]))
+        raise PixsimError("\n".join([*unknown, _OWN_CATALOGUE]))
     return glasses
 
 
@@ -1428,7 +1433,9 @@ def _own_numbers(line: _Line) -> tuple[float, float] | None:
     n_d, v_d = map(float, words)
     return (
         (n_d, v_d)
-        if 1 < n_d <= 10 and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1] and (n_d, v_d) != PLACEHOLDER
+        if 1 < n_d <= 10
+        and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1]
+        and (n_d, v_d) != _PLACEHOLDER
         else None
     )
 
@@ -1441,7 +1448,7 @@ def _ready(line: _Line) -> str:
             f"Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass ="
             ' "model".'
         )
-    return f"Its line states no n_d and V_d of its own. {HOW_TO_GIVE_ZMX}"
+    return f"Its line states no n_d and V_d of its own. {_HOW_TO_GIVE_ZMX}"
 
 
 def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Glass]) -> Glass:
@@ -1456,7 +1463,7 @@ def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Gl
                 f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}",
             )
         return (
-            abbe_glass(model_name(n_d, v_d), n_d, v_d)
+            abbe_glass(_model_name(n_d, v_d), n_d, v_d)
             if v_d
             else constant_glass(f"n = {n_d:g}", n_d)
         )
@@ -1520,7 +1527,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
     kind, fields, line = _zmx_fields(path, head)
     largest = max((math.hypot(*pair) for pair in fields), default=0.0)
     where = f"'{path}', line {line.number if line else 0}: FTYP"
-    if kind not in FIELD_KINDS:
+    if kind not in _FIELD_KINDS:
         if largest:
             raise invalid(
                 where,
@@ -1528,7 +1535,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
                 "0 (angles), 1 (object heights), 2 or 3 (paraxial or real image heights)",
             )
         kind = 0
-    if FIELD_KINDS[kind] == "object_height" and object_distance >= FAR:
+    if _FIELD_KINDS[kind] == "object_height" and object_distance >= FAR:
         if largest and math.isinf(object_distance):
             raise invalid(
                 where,
@@ -1536,7 +1543,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
                 "angles (FTYP 0), or a finite DISZ under SURF 0",
             )
         return "angle_deg", math.degrees(math.atan2(largest, object_distance))
-    return FIELD_KINDS[kind], largest
+    return _FIELD_KINDS[kind], largest
 
 
 def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignetting, ...]:
@@ -1552,14 +1559,14 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
     ):
         size = math.hypot(x, y)
         towards = (x / size, y / size) if size else (0.0, 1.0)
-        low, high = COMPRESSIONS
+        low, high = _COMPRESSIONS
         if not (low <= cx <= high and low <= cy <= high and abs(dx) < 1 and abs(dy) < 1):
             got = f"decentres {dx:g} and {dy:g}, compressions {cx:g} and {cy:g}"
             allowed = f"decentres below 1 in size, and compressions from {low:g} to {high:g}"
             raise invalid(f"'{path}': vignetting factors of field {number}", got, allowed)
         along = dx * towards[0] + dy * towards[1]
-        off_axis = abs(dx * towards[1] - dy * towards[0]) > FACTORS_ZERO
-        round_ = abs(cx - cy) <= FACTORS_ZERO
+        off_axis = abs(dx * towards[1] - dy * towards[0]) > _FACTORS_ZERO
+        round_ = abs(cx - cy) <= _FACTORS_ZERO
         if (
             off_axis
             or (not round_ and (turned or (size and 0.0 not in (x, y))))
@@ -1571,7 +1578,7 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
         # A higher object sends its light down.
         rows.setdefault(
             size,
-            Vignetting(size, -along if FIELD_KINDS.get(kind) == "object_height" else along, *semi),
+            Vignetting(size, -along if _FIELD_KINDS.get(kind) == "object_height" else along, *semi),
         )
     if unused:
         what = ", ".join(map(str, unused))
@@ -1583,7 +1590,7 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
     return found if any(row != Vignetting(row.field_value) for row in found) else ()
 
 
-FACTORS_ZERO = 1e-9
+_FACTORS_ZERO = 1e-9
 
 
 def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float]:

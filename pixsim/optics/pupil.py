@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, Finites, UnitIntervals
 from pixsim.base.errors import invalid
 
-AREA_NODES = 256  # of the trapezoidal rule along a boundary, exact to rounding up to f/0.5 and 89°
+_AREA_NODES = 256  # of the trapezoidal rule along a boundary, exact to rounding up to f/0.5 and 89°
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Pupil:
         """Area in direction cosines, (...), sr: E/L for light that fills the pupil."""
         if not self.of_tangents:
             return np.asarray(np.pi * np.abs(_cross(self.radial, self.tangential)))
-        s, slope = self.boundary(np.linspace(0, 2 * np.pi, AREA_NODES, endpoint=False))
+        s, slope = self.boundary(np.linspace(0, 2 * np.pi, _AREA_NODES, endpoint=False))
         return np.asarray(np.abs(_cross(s, slope).mean(axis=-1)) * np.pi)
 
     def boundary(self, angle: Array) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from pixsim.optics.prescription import Surface
 
 NEWTON_STEPS = 30  # an aspheric surface takes 3 to 5
 # last step along a ray over its height, or 1 mm: what is left is its square, times the curvature
-CONVERGED = 2e-8
+_CONVERGED = 2e-8
 EDGE = 1e-12  # relative: a ray on the edge of a clear aperture passes
 
 
@@ -139,7 +139,7 @@ def _aspheric_step(
         # A ray that has arrived stays, so that its bits do not depend on the others of its batch.
         change = np.where(moving, (step * n - sag) / (n - slope * (x_at * l + y_at * m)), 0.0)
         step -= change
-        moving = np.abs(change) > CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))  # False for NaN
+        moving = np.abs(change) > _CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))  # False for NaN
         if not moving.any():
             return np.asarray(step)
     return np.where(moving, np.nan, step)

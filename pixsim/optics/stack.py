@@ -51,11 +51,11 @@ LOWEST_LENS = 1 / math.sqrt(
 # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all
 # rounding
 NARROWEST = 1e-8
-BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
-TABLE_STEPS = 64  # of the width of a spot
+_BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
+_TABLE_STEPS = 64  # of the width of a spot
 MAX_TURN = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
-FAR_SPOTS = 2000.0  # widths of a spot from all photodiodes, where they collect 1e-7 of it at most
-MAX_RAYS = 1 << 12  # at a time, so that their shares fit into a core's cache
+_FAR_SPOTS = 2000.0  # widths of a spot from all photodiodes, where they collect 1e-7 of it at most
+_MAX_RAYS = 1 << 12  # at a time, so that their shares fit into a core's cache
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Ar
 
     The weights (..., rays) are the parts of the collected light, with a sum of 1.
     """
-    rays = pupil.directions(*BARE_NODES) if isinstance(pupil, Pupil) else pupil
+    rays = pupil.directions(*_BARE_NODES) if isinstance(pupil, Pupil) else pupil
     landing = stack.landing_um(rays)
     side = np.maximum(stack.photodiode_side_um - np.abs(landing), 0.0)
     weight = rays.shares * side[..., 0] * side[..., 1]
@@ -349,7 +349,7 @@ OFFSETS = np.arange(-2.0, 3.0)  # of the photodiodes that collect light, in pixe
 # ---------------------------------------------------------------------------------
 
 STEPS = 32  # of the boundary; within one, a coordinate turns at most once
-PIECES = 8  # at least, of a boundary
+_PIECES = 8  # at least, of a boundary
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 NEWTON_STEPS, WITHIN = (
     60,
@@ -479,8 +479,8 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     bracket, rises = (angle[which, step], angle[which, step + 1]), above[which, step + 1, edge]
     edge_at = edges.reshape(line.size, -1)[which, edge]
     cut = _crossings(stack, pupil.at(line[which]), axis[which], bracket, edge_at, rises)
-    point = np.concatenate([line[which], np.repeat(np.arange(count), PIECES + 1)])
-    cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, PIECES + 1), count)])
+    point = np.concatenate([line[which], np.repeat(np.arange(count), _PIECES + 1)])
+    cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, _PIECES + 1), count)])
     order = np.lexsort((cut, point))
     point, cut = point[order], cut[order]
     pieces = np.flatnonzero((np.diff(point) == 0) & (np.diff(cut) > 0))
@@ -592,7 +592,7 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
             else pupil
         )
         spot_um = 1e-3 * nm * stack.height_um / (stack.index * stack.pitch_um)
-        farthest = 3 * stack.pitch_um / spot_um + FAR_SPOTS
+        farthest = 3 * stack.pitch_um / spot_um + _FAR_SPOTS
         landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(
             len(result), -1, 2
         )
@@ -601,10 +601,10 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
         pitch, side = stack.pitch_um / spot_um, stack.photodiode_side_um / spot_um
         table = (
             _spot_table(low, high, pitch, side)
-            if (high - low) * TABLE_STEPS < landing.size
+            if (high - low) * _TABLE_STEPS < landing.size
             else None
         )
-        points = max(1, MAX_RAYS // weight.shape[1])
+        points = max(1, _MAX_RAYS // weight.shape[1])
         for first in range(0, len(result), points):
             part = slice(first, first + points)
             places = landing[part]
@@ -624,9 +624,9 @@ def _spot_table(low: float, high: float, pitch: float, side: float) -> tuple[Arr
     low, high : the first and the last place of the spots' centres; all lengths are in units of the
         spot's
     """
-    x = low + np.arange(int((high - low) * TABLE_STEPS) + 2) / TABLE_STEPS
+    x = low + np.arange(int((high - low) * _TABLE_STEPS) + 2) / _TABLE_STEPS
     first, last = (pitch * OFFSETS - x[:, None] + edge for edge in (-side / 2, side / 2))
-    return _of_spots(x, pitch, side), (np.sinc(first) ** 2 - np.sinc(last) ** 2) / TABLE_STEPS
+    return _of_spots(x, pitch, side), (np.sinc(first) ** 2 - np.sinc(last) ** 2) / _TABLE_STEPS
 
 
 def _of_spots(x: Array, pitch: float, side: float) -> Array:
@@ -643,7 +643,7 @@ def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
 
     It is interpolated by cubic Hermite polynomials, with an error of 2e-8.
     """
-    part = landing * TABLE_STEPS
+    part = landing * _TABLE_STEPS
     below = part.astype(np.intp)
     part = (part - below)[..., None]
     rest = 1 - part

@@ -15,11 +15,11 @@ from pixsim.light.spectral import WHOLE
 from pixsim.optics.pupil import Pupil
 from pixsim.optics.quantities import FNumberOrPinhole
 
-FNumbers = Annotated[ArrayLike, POSITIVE_OR_INFINITE]  # infinite for a pinhole
+_FNumbers = Annotated[ArrayLike, POSITIVE_OR_INFINITE]  # infinite for a pinhole
 
 
 def irradiance_factor(
-    f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0
+    f_number: _FNumbers, tan_field: Numbers, magnification: Finites = 0.0
 ) -> Array:
     """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin
     lens.
@@ -65,7 +65,7 @@ def irradiance_factor(
         return 2 * np.pi * a / (q * (q + p))
 
 
-FALL_OFF_STEPS = 512  # linear in between: 1e-5 of a fall-off to a third
+_FALL_OFF_STEPS = 512  # linear in between: 1e-5 of a fall-off to a third
 
 
 @lru_cache(maxsize=16)
@@ -84,7 +84,7 @@ def dense_fall_off(
     from scipy.interpolate import PchipInterpolator  # takes 0.3 s
 
     height_mm, relative = np.array(rows, float).T
-    dense = np.union1d(height_mm, np.linspace(0.0, height_mm[-1], FALL_OFF_STEPS + 1))
+    dense = np.union1d(height_mm, np.linspace(0.0, height_mm[-1], _FALL_OFF_STEPS + 1))
     return tuple(dense.tolist()), tuple(
         PchipInterpolator(height_mm**2, relative)(dense**2).tolist()
     )

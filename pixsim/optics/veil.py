@@ -22,7 +22,7 @@ VEIL = "veil_of_w_per_m2_nm"
 
 
 @dataclass(frozen=True)
-class Veil:
+class _Veil:
     """What strays of a light.
 
     kept : (B,) share of each band that does not stray
@@ -33,7 +33,7 @@ class Veil:
     even_w_per_m2_nm: Array
 
 
-def veil_of(irradiance: SpectralImage, camera: Camera) -> Veil | None:
+def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
     """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`);
     None without veiling glare.
 
@@ -59,7 +59,7 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> Veil | None:
         and all(isinstance(each, float) for each in known)
     )
     mean = np.asarray(known) if is_known else irradiance.whole.mean_spectrum()
-    return Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
+    return _Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
 
 def _of_bands(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:

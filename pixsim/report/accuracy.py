@@ -34,32 +34,32 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         command="accuracy",
         kind="accuracy and run time",
         title=f"Accuracy and run time of {accuracy.name}",
-        data=accuracy_data(accuracy),
+        data=_accuracy_data(accuracy),
         answers=(answer(accuracy),),
         lead=(Plot(partial(work_precision, accuracy)), *facts(accuracy)),
         sections=(
             Section(
                 "failed",
                 "Extreme cases that fail",
-                [cases_table(failed)] if failed else (),
+                [_cases_table(failed)] if failed else (),
                 brief=True,
             ),
             Section(
                 "ladder",
                 "Films",
-                (ladder_table(accuracy), "The last one is that of the default settings."),
+                (_ladder_table(accuracy), "The last one is that of the default settings."),
                 brief=True,
             ),
             Section("made", "How this was computed", (made,), folded=True),
         ),
         files={
-            "ladder.csv": ladder_csv(accuracy),
+            "ladder.csv": _ladder_csv(accuracy),
             "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases]),
         },
     )
 
 
-def accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
+def _accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
     """Return summary.json."""
     content = {
         "scene": accuracy.name,
@@ -73,7 +73,7 @@ def accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
     return result_data(content, settings=settings, notes=[], table="ladder.csv")
 
 
-def ladder_csv(accuracy: Accuracy) -> str:
+def _ladder_csv(accuracy: Accuracy) -> str:
     """Return a row for each rung of the ladder as CSV."""
     return rows_csv([rung.as_dict() for rung in accuracy.rungs])
 
@@ -152,7 +152,7 @@ def work_precision(accuracy: Accuracy) -> Drawing:
     }
 
 
-def ladder_table(accuracy: Accuracy) -> DocumentTable:
+def _ladder_table(accuracy: Accuracy) -> DocumentTable:
     """Return the time and the errors of each film."""
     rows = [
         (
@@ -178,7 +178,7 @@ def ladder_table(accuracy: Accuracy) -> DocumentTable:
     return DocumentTable("ladder", head, rows, words=None)
 
 
-def cases_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
+def _cases_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
     """Return extreme cases, their errors and limits."""
     rows = []
     for case in cases:
@@ -199,4 +199,4 @@ def cases_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
     return DocumentTable("extreme cases", head, rows, words=(5,))
 
 
-PRESENTER = Presenter(document=accuracy_document, figure=work_precision, csv=ladder_csv)
+PRESENTER = Presenter(document=accuracy_document, figure=work_precision, csv=_ladder_csv)

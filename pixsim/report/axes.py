@@ -51,22 +51,22 @@ from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Study
 from pixsim.viewer.display import white_light
 
-REGRETS_FILE = "regrets.csv"
-ABOUT_CASES = (
+_REGRETS_FILE = "regrets.csv"
+_ABOUT_CASES = (
     "All pixel sizes see the same die in all cases, which have the same random numbers: they differ"
     " by their settings only. The regret of a pixel size in a condition is its value there over"
     " that of the best size for that condition, less 1."
 )
-SHOWN_CASES = 4  # with a report of their own
-SHOWN_REGRETS = 6  # with a figure of their own
+_SHOWN_CASES = 4  # with a report of their own
+_SHOWN_REGRETS = 6  # with a figure of their own
 
 
-def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
+def _shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     """Return the cases with a report of their own: the first combination of values under each
     condition, at most 4.
     """
     return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][
-        :SHOWN_CASES
+        :_SHOWN_CASES
     ]
 
 
@@ -112,7 +112,7 @@ def optima_columns(result: CasesResult) -> dict[str, Column]:
     )
 
 
-def axes_document(
+def _axes_document(
     result: CasesResult, regrets: Sequence[Regrets], warned: Collection[str] = ()
 ) -> Document:
     """Return the answer of `pixsim study` with axes or conditions, without the figures of its page.
@@ -179,10 +179,10 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
 def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
-    plates = [*plate_names(study), *(f"{REGRETS}_{number + 1}" for number in range(SHOWN_REGRETS))]
+    plates = [*plate_names(study), *(f"{REGRETS}_{number + 1}" for number in range(_SHOWN_REGRETS))]
     case_files = {
         f"{case.folder}/{name}"
-        for case in shown_cases(cases)
+        for case in _shown_cases(cases)
         for name in report_files(case.settings)
     }
     plates += [NAME] * study.noise_budget
@@ -191,7 +191,7 @@ def axes_files(study: Study) -> set[str]:
         "summary.json",
         SETTINGS_FILE,
         "optima.csv",
-        REGRETS_FILE,
+        _REGRETS_FILE,
         *figure_files(plates),
         *case_files,
     }
@@ -209,7 +209,7 @@ def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -
     draw = partial(study_page, workers=workers, drawing=drawing)
     if not isinstance(result, CasesResult):
         return with_files_of_study(draw(result, budgets=noise_budgets(result)), result)
-    cases = shown_cases(
+    cases = _shown_cases(
         [
             Case(part.study, curve.at, curve.condition, curve.alone)
             for part in result.parts
@@ -236,7 +236,7 @@ def axes_page(
     plates = [*axis_plates(result), *([alone] if alone else [])]
     plates += [
         regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
-        for number, metric_regrets in enumerate(regrets[:SHOWN_REGRETS], 1)
+        for number, metric_regrets in enumerate(regrets[:_SHOWN_REGRETS], 1)
     ]
     first, *others = map(
         plot_of, plates or [delta_e_against_pitch(result.curves)]
@@ -250,12 +250,12 @@ def axes_page(
         for case, part in parts
     ]
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
-    all_regrets = (Link("The same with all digits (CSV)", REGRETS_FILE),)
+    all_regrets = (Link("The same with all digits (CSV)", _REGRETS_FILE),)
     rendered = rendered_words(result.irradiance.header)
     made = (
-        f"{ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+        f"{_ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
     )
-    brief = axes_document(result, regrets)
+    brief = _axes_document(result, regrets)
     return replace(
         brief,
         answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
@@ -273,7 +273,7 @@ def axes_page(
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),
-            **({REGRETS_FILE: table_csv(regrets_columns(regrets))} if regrets else {}),
+            **({_REGRETS_FILE: table_csv(regrets_columns(regrets))} if regrets else {}),
         },
     )
 
@@ -311,11 +311,11 @@ def result_document(result: StudyResult, warned: Collection[str] = ()) -> Docume
     warned : notes that a reader of the terminal has seen
     """
     if isinstance(result, CasesResult):
-        return axes_document(result, condition_regrets(result.study, result.curves), warned)
+        return _axes_document(result, condition_regrets(result.study, result.curves), warned)
     return study_document(result, warned)
 
 
-def result_page(result: StudyResult, figures: Figures) -> Document:
+def _result_page(result: StudyResult, figures: Figures) -> Document:
     """Return the document of any study with its page and all other files."""
     with study_drawing(figures) as drawing:
         page = study_report(result, Workers(), drawing)
@@ -323,7 +323,7 @@ def result_page(result: StudyResult, figures: Figures) -> Document:
     return page
 
 
-def result_csv(result: StudyResult) -> str:
+def _result_csv(result: StudyResult) -> str:
     """Return a row for each evaluation as CSV."""
     assert result.table is not None
     return result.table.to_csv()
@@ -332,6 +332,6 @@ def result_csv(result: StudyResult) -> str:
 PRESENTER = Presenter(
     document=result_document,
     figure=lambda result: delta_e_against_pitch(result.curves),
-    csv=result_csv,
-    page=result_page,
+    csv=_result_csv,
+    page=_result_page,
 )

@@ -13,12 +13,12 @@ from pixsim.scene.own_chart import SUFFIXES, read_luminance, with_border
 from pixsim.show.document import Document
 
 PICTURE, TARGET, CSF = "a picture", "the chart target", "the chart csf"
-TAKEN_BY = {  # option -> what takes it alone
+_TAKEN_BY = {  # option -> what takes it alone
     **dict.fromkeys(("linear", "aspect"), PICTURE),
     **dict.fromkeys(("shape", "size_um", "contrast", "direction"), TARGET),
     "colour_axis": CSF,
 }
-ASPECTS = (1e-3, 1e3)
+_ASPECTS = (1e-3, 1e3)
 
 
 def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Document:
@@ -36,10 +36,10 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
         **dict.fromkeys(
             ("width", "height", "die_mm"), "a chart of pixsim: pictures keep their size"
         ),
-        **TAKEN_BY,
+        **_TAKEN_BY,
     }
     for option in options:
-        takes = chart == TAKEN_BY[option] if option in TAKEN_BY else not is_picture
+        takes = chart == _TAKEN_BY[option] if option in _TAKEN_BY else not is_picture
         if not takes:
             others = [name for name in options if taken_by[name] == taken_by[option]]
             names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
@@ -58,7 +58,7 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
     border = 0.0
     if is_picture:
         aspect = options.get("aspect", 1.0)
-        if not ASPECTS[0] <= aspect <= ASPECTS[1]:
+        if not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
             raise invalid("--aspect", f"{aspect:g}", "0.001 to 1000")
         texels, border = with_border(read_luminance(kind, options.get("linear", False)), aspect)
     else:

@@ -94,8 +94,8 @@ from pixsim.viewer.metrics import DELTA_E as DELTA_E_METRIC, Metric
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import Run
 
-JSON_FILE = "compare.json"
-SCORES = "scores"
+_JSON_FILE = "compare.json"
+_SCORES = "scores"
 FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
 
 
@@ -175,8 +175,8 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
 def comparison_files(job: ComparisonJob) -> set[str]:
     """Return the names of all files of a comparison but the list of them."""
-    figures = [SCORES, *[NAME] * job.shown.first.settings.noise_budget]
-    names = {PAGE, JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
+    figures = [_SCORES, *[NAME] * job.shown.first.settings.noise_budget]
+    names = {PAGE, _JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
         names |= {f"sensors/{sensor}.toml"} | {
             f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")
@@ -191,7 +191,7 @@ def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     check_replaceable(folder, comparison_files(job))
 
 
-def settings_files(job: ComparisonJob) -> dict[str, str]:
+def _settings_files(job: ComparisonJob) -> dict[str, str]:
     """Return settings.toml and a file for each sensor, as name -> text; their command makes the
     same numbers again.
 
@@ -264,7 +264,7 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         answers=answers,
         lead=(Plot(lambda: scores_plate(result)), *facts(result), common, *new_notes),
         about=(DELTA_E,) if judged_by_delta_e(result.job.base[0]) else (),
-        data_file=JSON_FILE,
+        data_file=_JSON_FILE,
     )
 
 
@@ -281,11 +281,11 @@ def comparison_page(result: Comparison) -> Document:
         comparison_document(result),
         lead=(_slider(result), *facts(result), *notes(result)),
         sections=_sections(result, end),
-        files={**pictures, **settings_files(result.job)},
+        files={**pictures, **_settings_files(result.job)},
     )
 
 
-def comparison_csv(result: Comparison) -> str:
+def _comparison_csv(result: Comparison) -> str:
     """Return the evaluations of all sensors as CSV."""
     return result.table.to_csv()
 
@@ -363,7 +363,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
 
 
 @figure(
-    SCORES,
+    _SCORES,
     "Difference of the first metric of each later sensor from that of the first one, with its 95 %"
     " interval, at each value of the axes. The film's error is not in it. The table has each"
     " frame.",
@@ -577,7 +577,7 @@ def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[st
 # -------------------------------------------------------------------------------------------------------
 
 
-PAIRED = (
+_PAIRED = (
     "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another"
     " pair of individual sensors."
 )
@@ -611,7 +611,7 @@ def _sections(result: Comparison, end: float) -> Iterator[Section]:
     yield Section(
         "differences",
         "Differences",
-        [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)],
+        [*tables, Plot(lambda: scores_plate(result)), _PAIRED.format(job.repeats)],
     )
     if judged_by_delta_e(job.base[0]):
         yield _detail(result, end)
@@ -761,6 +761,6 @@ def _settings(result: Comparison) -> list[Block]:
 PRESENTER = Presenter(
     document=comparison_document,
     figure=scores_plate,
-    csv=comparison_csv,
+    csv=_comparison_csv,
     page=lambda result, _: comparison_page(result),
 )

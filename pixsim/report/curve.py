@@ -68,7 +68,7 @@ def optimum_line(curve: Curve) -> str:
 
 def _optimum_parts(curve: Curve) -> list[Text]:
     """Return the parts of the headline on an optimum, without the label."""
-    best, value = curve.optimum, best_value_words(curve)
+    best, value = curve.optimum, _best_value_words(curve)
     size, limits = f"{best.pitch_um:.2f} µm", f"(95 %: {interval_words(curve)})"
     end = "" if best.inside else ", the end of the range"
     if curve.no_difference_um is not None:
@@ -91,7 +91,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     return [whole] if has_room([joined([f"{curve.label}: ", whole], "")]) else [optimum, value]
 
 
-def best_value_words(curve: Curve) -> str:
+def _best_value_words(curve: Curve) -> str:
     """Return the first metric at the optimum as text, with half of its 95 % interval; of ΔE as
     `shown_mean_of`.
     """
@@ -115,7 +115,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
             if best.inside
             else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
         )
-        value = best_value_words(curve).removeprefix(f"{curve.metric.words} ")
+        value = _best_value_words(curve).removeprefix(f"{curve.metric.words} ")
         rows.append(
             (curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um))
         )
@@ -152,12 +152,12 @@ def interval_words(curve: Curve) -> str:
 # ------------------------------------------------------------------------------------------------------------------
 
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
-BAND_POINTS = (
+_BAND_POINTS = (
     150  # of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
 )
 
 
-def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
+def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 %
     intervals.
     """
@@ -190,7 +190,7 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
             mfc="white",
             mec=colour,
         )
-    drawn = np.unique(np.linspace(0, low.size - 1, BAND_POINTS).round().astype(int))
+    drawn = np.unique(np.linspace(0, low.size - 1, _BAND_POINTS).round().astype(int))
     axes.fill_between(
         curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0
     )
@@ -211,11 +211,11 @@ def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> t
     return first if low is None else low, last if high is None else high
 
 
-DELTA_E_AGAINST_PITCH = "delta_e_against_pitch"  # name of the figure
+_DELTA_E_AGAINST_PITCH = "delta_e_against_pitch"  # name of the figure
 
 
 @figure(
-    DELTA_E_AGAINST_PITCH,
+    _DELTA_E_AGAINST_PITCH,
     "The first metric against pixel size. Points: means of sensors with 95 % intervals; line: the"
     " fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval;"
     " vertical band: sizes within 1 % of the minimum; hollow points: the microlens has a Fresnel"
@@ -227,7 +227,7 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     axes = drawing.subplots()
     fix_margins(drawing)
     for curve, look in zip(curves, cycle(LOOKS), strict=False):
-        draw_curve(axes, curve, look)
+        _draw_curve(axes, curve, look)
     axes.set(xlabel="pixel size (µm)", ylabel=curves[0].metric.label)
     axes.set_ylim(0, axes.get_ylim()[1] * (HEADROOM if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
@@ -366,7 +366,7 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def curve_document(curve: Curve) -> Document:
+def _curve_document(curve: Curve) -> Document:
     """Return the page of a curve: its optimum, its figure, its numbers."""
     return Document(
         command="curve",
@@ -379,7 +379,7 @@ def curve_document(curve: Curve) -> Document:
 
 
 PRESENTER = Presenter(
-    document=curve_document,
+    document=_curve_document,
     figure=lambda curve: delta_e_against_pitch([curve]),
     csv=lambda curve: table_csv(curve_table([curve])),
 )

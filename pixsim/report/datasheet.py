@@ -27,10 +27,10 @@ from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import setting_value
 
-BINS = 101
+_BINS = 101
 STEPS = {**LINE, "drawstyle": "steps-mid"}
-PHOTONS = "photons per pixel, μ_p"
-SIGNAL = "mean gray value minus dark (DN)"
+_PHOTONS = "photons per pixel, μ_p"
+_SIGNAL = "mean gray value minus dark (DN)"
 MAPS = {
     "dsnu": "dark, deviation from the mean (e⁻)",
     "prnu": "response, deviation from the mean (%)",
@@ -72,7 +72,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
         "saturation": signal[transfer.saturation_index],
     }
     return draw_panels(
-        table, [LinePanel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)]
+        table, [LinePanel(_SIGNAL, "temporal variance minus dark (DN²)", lines, marks)]
     )
 
 
@@ -87,7 +87,7 @@ def responsivity_plate(sheet: DataSheet) -> Drawing:
         Line("photons_p", "fitted_dn", "fit, slope R"),
     )
     marks = {"saturation": transfer.saturation_p.value}
-    return draw_panels(table, [LinePanel(PHOTONS, SIGNAL, lines, marks)])
+    return draw_panels(table, [LinePanel(_PHOTONS, _SIGNAL, lines, marks)])
 
 
 @figure("snr", "Signal over noise. The dynamic range lies between the vertical lines.")
@@ -117,7 +117,7 @@ def snr_plate(sheet: DataSheet) -> Drawing:
     axes = {"xscale": "log", "yscale": "log", "ylim": (0.1, None)}
     return draw_panels(
         table,
-        [LinePanel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")],
+        [LinePanel(_PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")],
     )
 
 
@@ -136,7 +136,7 @@ def linearity_plate(sheet: DataSheet) -> Drawing:
     }
     lines = (Line("photons_p", "counted_percent", style=POINTS),)
     figure, _ = draw_panels(
-        table, [LinePanel(PHOTONS, "deviation from a straight line (%)", lines)]
+        table, [LinePanel(_PHOTONS, "deviation from a straight line (%)", lines)]
     )
     figure.axes[0].errorbar(
         light.at, table["counted_percent"], error_percent, fmt="none", lw=1, color="0.5"
@@ -203,7 +203,7 @@ def histogram_plate(sheet: DataSheet) -> Drawing:
     panels = []
     for name, deviation in deviations(sheet).items():
         limit = 1.02 * max(float(np.abs(deviation).max()), 1e-9)
-        counts, edges = np.histogram(deviation, np.linspace(-limit, limit, BINS + 1))
+        counts, edges = np.histogram(deviation, np.linspace(-limit, limit, _BINS + 1))
         centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(deviation.std()), 1e-12)
         normal = (
             deviation.size
@@ -284,23 +284,23 @@ def profile_plate(sheet: DataSheet) -> Drawing:
 # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low
 # temperature
 ROUNDING = 1e-8
-HEADLINE = ("K", "η", "σ_d", "μ_e.sat")  # symbols
+_HEADLINE = ("K", "η", "σ_d", "μ_e.sat")  # symbols
 
 
 def sheet_name(pixel: Pixel) -> str:
     return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
 
 
-def value_text(value: float, digits: int = MAX_DIGITS) -> str:
+def _value_text(value: float, digits: int = MAX_DIGITS) -> str:
     """Return a value in significant digits, 0 for the rounding of a 0."""
     return "0" if abs(value) < ROUNDING else number(value, digits)
 
 
-def measured_text(entry: Entry) -> str:
+def _measured_text(entry: Entry) -> str:
     """Return a measured value with the digits that its standard error allows."""
     if math.isfinite(entry.measured) and entry.standard_error > 0:
         return within_error(entry.measured, entry.standard_error)
-    return value_text(entry.measured)
+    return _value_text(entry.measured)
 
 
 def described(sheet: DataSheet) -> Answer:
@@ -309,7 +309,7 @@ def described(sheet: DataSheet) -> Answer:
     readout = experiment.readout
     entries = {entry.symbol: entry for entry in sheet.entries}
     values = ", ".join(
-        f"{symbol} {measured_text(entries[symbol])} {entries[symbol].unit}" for symbol in HEADLINE
+        f"{symbol} {_measured_text(entries[symbol])} {entries[symbol].unit}" for symbol in _HEADLINE
     )
     filters = f", filters {physics.layout}" if physics.layout else ""
     channel = f" on channel {physics.channel}" if physics.channel else ""
@@ -335,15 +335,15 @@ COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit")
 WORDS = (1, 5)  # columns
 
 
-def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
+def _entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
     """Return the lines of the sheet in `COLUMNS`, below the name of their standard."""
     rows: list[tuple[str, ...]] = []
     for standard, entries in groupby(sheet.entries, attrgetter("standard")):
         rows.append((standard,))
         for entry in entries:
-            error, true = value_text(entry.standard_error, 2), value_text(entry.true)
+            error, true = _value_text(entry.standard_error, 2), _value_text(entry.true)
             rows.append(
-                (entry.quantity, entry.symbol, measured_text(entry), error, true, entry.unit)
+                (entry.quantity, entry.symbol, _measured_text(entry), error, true, entry.unit)
             )
     return rows
 
@@ -405,7 +405,7 @@ def measurement_words(sheet: DataSheet) -> str:
     return words
 
 
-def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
+def _datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
     """Return summary.json."""
     experiment = sheet.experiment
     content = {
@@ -429,7 +429,7 @@ def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
     return result_data(content, settings=settings, notes=notes, table="datasheet.csv")
 
 
-def datasheet_csv(sheet: DataSheet) -> str:
+def _datasheet_csv(sheet: DataSheet) -> str:
     """Return a row for each line of the data sheet as CSV."""
     return rows_csv([entry.as_dict() for entry in sheet.entries])
 
@@ -439,17 +439,17 @@ def datasheet_document(sheet: DataSheet) -> Document:
     ones, further figures.
     """
     notes = datasheet_notes(sheet)
-    transfer, *others = (Plot(partial(draw_plate, sheet)) for draw_plate in PLATES)
+    transfer, *others = (Plot(partial(draw_plate, sheet)) for draw_plate in _PLATES)
     pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
     settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
     values = DocumentTable(
-        "measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True
+        "measured and true values", COLUMNS, _entry_rows(sheet), words=WORDS, stacks=True
     )
     return Document(
         command="datasheet",
         kind="data sheet of one simulated sensor",
         title=f"Data sheet of {sheet.experiment.pixel.pitch_um:g} µm pixels",
-        data=datasheet_data(sheet, notes),
+        data=_datasheet_data(sheet, notes),
         answers=(described(sheet),),
         lead=(transfer, *notes),
         sections=(
@@ -457,12 +457,12 @@ def datasheet_document(sheet: DataSheet) -> Document:
             Section("figures", "Figures", others),
             Section("made", "How it was made", (measurement_words(sheet), settings), folded=True),
         ),
-        files={"datasheet.csv": datasheet_csv(sheet)},
+        files={"datasheet.csv": _datasheet_csv(sheet)},
     )
 
 
-PLATES = (
+_PLATES = (
     *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate),
     *(dark_current_plate, histogram_plate, spectrogram_plate, profile_plate),
 )
-PRESENTER = Presenter(document=datasheet_document, figure=photon_transfer_plate, csv=datasheet_csv)
+PRESENTER = Presenter(document=datasheet_document, figure=photon_transfer_plate, csv=_datasheet_csv)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
-SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
+_SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = (
     "layout",
     "spots",
@@ -94,15 +94,15 @@ def layout(data: LensData) -> Drawing:
     return figure, table
 
 
-def shown_fields(data: LensData) -> list[int]:
+def _shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
 
 
-def field_panels(
+def _field_panels(
     data: LensData, height_in: float, legend_in: float = 0.0
 ) -> tuple[Figure, dict[int, Axes]]:
     """Return a figure and the axes of the image plane at some fields, by their numbers."""
-    fields = shown_fields(data)
+    fields = _shown_fields(data)
     figure, row = panels_of(len(fields), height_in, shared=True, legend_in=legend_in)
     for axes, index in zip(row, fields, strict=True):
         words = "no light" if data.dark[index] else f"rms {data.spots[index].rms_um:.3g} µm"
@@ -117,7 +117,7 @@ def spot_plate(data: LensData) -> Drawing:
     """Draw the spots of some fields on one scale, with the first dark ring of diffraction."""
     from matplotlib.patches import Circle
 
-    figure, panels = field_panels(data, 2.9, LEGEND_IN)
+    figure, panels = _field_panels(data, 2.9, LEGEND_IN)
     rays = []
     for index, axes in panels.items():
         spot = data.spots[index]
@@ -148,10 +148,10 @@ def spot_plate(data: LensData) -> Drawing:
 )
 def psf_plate(data: LensData) -> Drawing:
     """Show the point spread functions of some fields on one scale."""
-    figure, panels = field_panels(data, 2.7)
+    figure, panels = _field_panels(data, 2.7)
     largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
     half_um = max(
-        SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number
+        _SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number
     )
     cells = min(
         math.ceil(half_um / data.psf_pitch_um),
@@ -176,7 +176,7 @@ def psf_plate(data: LensData) -> Drawing:
     return figure, table
 
 
-def mtf_lines(
+def _mtf_lines(
     table: dict[str, Array], x: str, curves: Sequence[tuple[str, str, Array]]
 ) -> list[Line]:
     """Return the lines of tangential and sagittal MTFs, and add them to a table.
@@ -195,11 +195,11 @@ def mtf_lines(
 def mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     table = {"frequency_lp_per_mm": data.frequency_lp_per_mm, "diffraction": data.diffraction_mtf}
-    angles = {index: data.field_deg[index] for index in shown_fields(data)}
+    angles = {index: data.field_deg[index] for index in _shown_fields(data)}
     curves = [
         (f"{angle:.3g}°", f"{angle:.4g}_deg", data.mtf[index]) for index, angle in angles.items()
     ]
-    lines = mtf_lines(table, "frequency_lp_per_mm", curves)
+    lines = _mtf_lines(table, "frequency_lp_per_mm", curves)
     lines.append(Line("frequency_lp_per_mm", "diffraction", "diffraction, on the axis"))
     nyquist = (
         {} if data.pitch_um is None else {f"Nyquist of {data.pitch_um:g} µm": 500 / data.pitch_um}
@@ -220,7 +220,7 @@ def mtf_over_field(data: LensData) -> Drawing:
         (f"{frequency:.4g} lp/mm", f"{frequency:.4g}", data.mtf_at(frequency).T)
         for frequency in data.asked_lp_per_mm
     ]
-    lines = mtf_lines(table, "image_height_mm", curves)
+    lines = _mtf_lines(table, "image_height_mm", curves)
     return draw_panels(
         table,
         [LinePanel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})],
@@ -265,7 +265,7 @@ CURVES = {
 }
 
 
-def curve_drawing(data: LensData, name: str) -> Drawing:
+def _curve_drawing(data: LensData, name: str) -> Drawing:
     """Draw two panels of curves over the field or the wavelengths."""
     nm, focus_um = data.axial_colour()
     curves = {
@@ -288,13 +288,13 @@ def curve_drawing(data: LensData, name: str) -> Drawing:
 )
 def curvature_plate(data: LensData) -> Drawing:
     """Plot the tangential and sagittal foci and the distortion against the field angle."""
-    return curve_drawing(data, "field_curvature")
+    return _curve_drawing(data, "field_curvature")
 
 
 @figure("illumination", "Relative illumination, and chief ray angle in image space.")
 def illumination_plate(data: LensData) -> Drawing:
     """Plot the relative illumination and the chief ray angle against image height."""
-    return curve_drawing(data, "illumination")
+    return _curve_drawing(data, "illumination")
 
 
 @figure(
@@ -304,7 +304,7 @@ def illumination_plate(data: LensData) -> Drawing:
 )
 def colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
-    return curve_drawing(data, "colour")
+    return _curve_drawing(data, "colour")
 
 
 # The document
@@ -333,18 +333,18 @@ def lens_document(data: LensData) -> Document:
         command="lens",
         kind="lens",
         title=prescription.name,
-        data=lens_values(data),
-        answers=(Answer(title_of(data), (prescription.title,), named=True),),
+        data=_lens_values(data),
+        answers=(Answer(_title_of(data), (prescription.title,), named=True),),
         lead=(Plot(partial(layout, data)), *data.notes),
         sections=(
-            Section("first-order", "First-order data", (first_order_table(data),), brief=True),
-            Section("fields", "Fields", (field_table(data),), brief=True),
+            Section("first-order", "First-order data", (_first_order_table(data),), brief=True),
+            Section("fields", "Fields", (_field_table(data),), brief=True),
             Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
             Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
             Section(
                 "reflections",
                 "Reflected twice",
-                (ghost_table(data),) if data.ghosts else (),
+                (_ghost_table(data),) if data.ghosts else (),
                 folded=True,
             ),
             Section("made", "How this was computed", (source,), folded=True),
@@ -352,7 +352,7 @@ def lens_document(data: LensData) -> Document:
     )
 
 
-LENS_NUMBERS = (
+_LENS_NUMBERS = (
     "primary_nm",
     "max_field_deg",
     "object_distance_mm",
@@ -361,12 +361,12 @@ LENS_NUMBERS = (
 )
 
 
-def lens_values(data: LensData) -> dict[str, Any]:
+def _lens_values(data: LensData) -> dict[str, Any]:
     """Return summary.json."""
     lens, prescription = data.lens, data.lens.prescription
     content = {
         **{name: getattr(prescription, name) for name in ("name", "title", "source")},
-        **{name: getattr(lens, name) for name in LENS_NUMBERS},
+        **{name: getattr(lens, name) for name in _LENS_NUMBERS},
         "image_distance_mm": prescription.surfaces[-1].thickness_mm,
         "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
         "reflectance": data.reflectance,
@@ -378,7 +378,7 @@ def lens_values(data: LensData) -> dict[str, Any]:
             for nm, order in zip(data.wavelength_nm.tolist(), data.first, strict=True)
         ],
         "glasses": [{"name": glass.name, "source": glass.source} for glass in prescription.glasses],
-        "fields": field_values(data),
+        "fields": _field_values(data),
     }
     settings = {
         "lens": {"file": prescription.name, "primary_nm": lens.primary_nm},
@@ -387,7 +387,7 @@ def lens_values(data: LensData) -> dict[str, Any]:
     return result_data(plain(content), settings=settings, notes=data.notes)
 
 
-def field_columns(data: LensData) -> dict[str, Array]:
+def _field_columns(data: LensData) -> dict[str, Array]:
     """Return what rays and waves of the fields do, by names with units."""
     columns = {
         "field_deg": data.field_deg,
@@ -401,9 +401,9 @@ def field_columns(data: LensData) -> dict[str, Array]:
     }
 
 
-def field_values(data: LensData) -> list[dict[str, Any]]:
+def _field_values(data: LensData) -> list[dict[str, Any]]:
     """Return a row for each field, with its MTF at the frequencies of the tables."""
-    columns = field_columns(data)
+    columns = _field_columns(data)
     rows = [
         plain(dict(zip(columns, row, strict=True)))
         for row in np.column_stack([*columns.values()]).tolist()
@@ -417,9 +417,9 @@ def field_values(data: LensData) -> list[dict[str, Any]]:
     return rows
 
 
-def lens_csv(data: LensData) -> str:
+def _lens_csv(data: LensData) -> str:
     """Return a row for each field as CSV."""
-    columns = field_columns(data) | {
+    columns = _field_columns(data) | {
         f"mtf_{name}_{frequency:.4g}_lp_per_mm": mtf
         for frequency in data.asked_lp_per_mm
         for name, mtf in zip(MTF_LINES, data.mtf_at(frequency).T, strict=True)
@@ -427,7 +427,7 @@ def lens_csv(data: LensData) -> str:
     return table_csv({name: values.tolist() for name, values in columns.items()})
 
 
-def title_of(data: LensData) -> str:
+def _title_of(data: LensData) -> str:
     """Return one line that says which lens this is."""
     lens, first = data.lens, data.primary
     place = (
@@ -443,8 +443,8 @@ def title_of(data: LensData) -> str:
 
 
 # Digits that tell wavelengths apart; rays are exact.
-FIRST_ORDER_DIGITS = 5
-FIRST_ORDER = {
+_FIRST_ORDER_DIGITS = 5
+_FIRST_ORDER = {
     "focal_length_mm": "focal length (mm)",
     "back_focal_length_mm": "back focal length (mm)",
     "entrance_pupil_diameter_mm": "entrance pupil, diameter (mm)",
@@ -455,18 +455,18 @@ FIRST_ORDER = {
 }
 
 
-def first_order_table(data: LensData) -> DocumentTable:
+def _first_order_table(data: LensData) -> DocumentTable:
     """Return the first-order data, with a column for each wavelength."""
     head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
     rows = [
-        (words, *(number(getattr(order, name), FIRST_ORDER_DIGITS) for order in data.first))
-        for name, words in FIRST_ORDER.items()
+        (words, *(number(getattr(order, name), _FIRST_ORDER_DIGITS) for order in data.first))
+        for name, words in _FIRST_ORDER.items()
     ]
     return DocumentTable("first-order data", head, rows, "Paraxial, with the object at infinity")
 
 
-FIELD_DIGITS = 3
-FIELD_HEADS = {
+_FIELD_DIGITS = 3
+_FIELD_HEADS = {
     "field_deg": "field\n°",
     "height_mm": "height\nmm",
     "chief_ray_angle_deg": "chief ray\n°",
@@ -477,16 +477,16 @@ FIELD_HEADS = {
 }
 
 
-def field_table(data: LensData) -> DocumentTable:
+def _field_table(data: LensData) -> DocumentTable:
     """Return what rays and waves of every second field do."""
-    columns = field_columns(data)
+    columns = _field_columns(data)
     columns["distortion_percent"] = 100 * columns["distortion"]
-    cells = [[number(value, FIELD_DIGITS) for value in columns[name]] for name in FIELD_HEADS]
+    cells = [[number(value, _FIELD_DIGITS) for value in columns[name]] for name in _FIELD_HEADS]
     for frequency in data.asked_lp_per_mm:
         both = data.mtf_at(frequency)
         cells.append([UNKNOWN if math.isnan(t) else f"{t:.2f}/{s:.2f}" for t, s in both])
     heads = (
-        *FIELD_HEADS.values(),
+        *_FIELD_HEADS.values(),
         *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm),
     )
     caption = (
@@ -497,14 +497,14 @@ def field_table(data: LensData) -> DocumentTable:
     return DocumentTable("fields", heads, list(zip(*cells, strict=True))[::2], caption)
 
 
-SHOWN_GHOSTS = 5
+_SHOWN_GHOSTS = 5
 
 
-def ghost_table(data: LensData) -> DocumentTable:
+def _ghost_table(data: LensData) -> DocumentTable:
     """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that
     focuses nearest to the sensor.
     """
-    ghosts = dict.fromkeys([*data.ghosts[:SHOWN_GHOSTS], data.focused_ghost])
+    ghosts = dict.fromkeys([*data.ghosts[:_SHOWN_GHOSTS], data.focused_ghost])
     rows = [
         (
             f"{ghost.surfaces[0]} and {ghost.surfaces[1]}",
@@ -535,4 +535,4 @@ def ghost_table(data: LensData) -> DocumentTable:
     return DocumentTable("reflected-twice", head, rows, caption)
 
 
-PRESENTER = Presenter(document=lens_document, figure=layout, csv=lens_csv)
+PRESENTER = Presenter(document=lens_document, figure=layout, csv=_lens_csv)

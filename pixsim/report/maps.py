@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Transform
 
 MAX_PANELS = 6  # of a figure, or lines: as many looks that a reader tells apart
-MAX_ROWS = 3  # of panels of axes that are moved alone
-MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
-LOG_SPAN = (
+_MAX_ROWS = 3  # of panels of axes that are moved alone
+_MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
+_LOG_SPAN = (
     10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
 )
-MAP_SIZES = 41  # pixel sizes of a map
-CONTOURS = 7
+_MAP_SIZES = 41  # pixel sizes of a map
+_CONTOURS = 7
 WIDTH_IN = 6.4
-PT_PER_IN = 72.0
+_PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
 SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
-LEAST_SPAN = 0.02  # of a value, for the colours of a map: rounding errors would look like changes
-DODGE_PT = 3.0  # between lines, whose bars would hide each other
-PIXEL_SIZE = "optimal pixel size (µm)"
+_LEAST_SPAN = 0.02  # of a value, for the colours of a map: rounding errors would look like changes
+_DODGE_PT = 3.0  # between lines, whose bars would hide each other
+_PIXEL_SIZE = "optimal pixel size (µm)"
 
 
 def short(text: str, max_characters: int = SHORT) -> str:
@@ -86,7 +86,7 @@ class Scale:
             return cls(axis.name, tuple(values))
         values.sort()
         units = {unit_of(setting_path(dotted)[-1]) for dotted in axis.set}
-        is_listed_over_a_decade = axis.values is not None and values[-1] > LOG_SPAN * values[0] > 0
+        is_listed_over_a_decade = axis.values is not None and values[-1] > _LOG_SPAN * values[0] > 0
         log = axis.spacing == "log" or is_listed_over_a_decade
         return cls(axis.name, tuple(values), units.pop() if len(units) == 1 else "", log)
 
@@ -274,12 +274,12 @@ def case_columns(
     table: dict[str, Column] = {"technology": [labels[curve.technology] for curve in curves]}
     if result.study.condition:
         table["condition"] = [curve.condition for curve in curves]
-    for name, column in zip(axes, unique_names(axes, OWN_COLUMNS), strict=True):
+    for name, column in zip(axes, _unique_names(axes, _OWN_COLUMNS), strict=True):
         table[column] = [curve.at[name] for curve in curves]
     return table
 
 
-OWN_COLUMNS = (
+_OWN_COLUMNS = (
     *(
         "technology",
         "condition",
@@ -303,7 +303,7 @@ OWN_COLUMNS = (
 )
 
 
-def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
+def _unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
     """Return names that differ by more than case from each other and from those taken, numbered
     where they would not.
     """
@@ -327,7 +327,7 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
 
     Further metrics have columns of their own, empty where one tells no optimum.
     """
-    value = best_column(curves[0])
+    value = _best_column(curves[0])
     further = [
         metric.name
         for metric in curves[0].metrics[1:]
@@ -368,7 +368,7 @@ def _optimum_cells(best: Optimum | None, prefix: str, value: str) -> dict[str, f
     )
 
 
-def best_column(curve: Curve) -> str:
+def _best_column(curve: Curve) -> str:
     """Return the name of a column of the best values by a curve's first metric."""
     return "mean_delta_e" if curve.judged_by_delta_e else f"best_{curve.metric.name}"
 
@@ -390,7 +390,7 @@ def plate_names(study: Study) -> list[str]:
         for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")
     ]
     names += [f"optimum_by_{first}_and_{second}" for first, second in combinations(together, 2)]
-    return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
+    return _unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
 
 def axis_plates(result: CasesResult) -> list[Plate]:
@@ -424,10 +424,10 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
     scale.draw_on(axes.xaxis, 70)
-    apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
+    apart_pt = min(_DODGE_PT, 0.6 * WIDTH_IN * _PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
-        aside_in = apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN
-        draw_optima(
+        aside_in = apart_pt * (number - (len(lines) - 1) / 2) / _PT_PER_IN
+        _draw_optima(
             axes,
             scale,
             line,
@@ -435,7 +435,7 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
             axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans),
         )
     axes.autoscale_view(scalex=False)
-    axes.set_ylabel(PIXEL_SIZE)
+    axes.set_ylabel(_PIXEL_SIZE)
     axes.grid(alpha=0.25)
     figure.suptitle(title, fontsize=SMALL_PT)
     if len(lines) > 1:
@@ -449,7 +449,7 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
-def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transform) -> None:
+def _draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transform) -> None:
     """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open
     ends.
     """
@@ -500,9 +500,9 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
         min(curve.fit.pitch_um[0] for curve in curves),
         max(curve.fit.pitch_um[-1] for curve in curves),
     )
-    sizes_um = np.geomspace(low_um, high_um, MAP_SIZES)
+    sizes_um = np.geomspace(low_um, high_um, _MAP_SIZES)
     sizes = Scale("pixel size", tuple(sizes_um.tolist()), "µm")
-    unknown = np.full(MAP_SIZES, np.nan)
+    unknown = np.full(_MAP_SIZES, np.nan)
     maps = [
         np.transpose(
             [unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]
@@ -548,7 +548,7 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
         **range_columns("within_1_percent", row_curves),
         "cutoff_pitch_um": (
             np.repeat(
-                [cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], MAP_SIZES
+                [cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], _MAP_SIZES
             ).tolist()
         ),
         **fresnel_column(row_curves, pitch_um),
@@ -571,7 +571,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
         [_numbers(panel, "value") for panel in panels] if across.numeric and up.numeric else None
     )
     figure, axes_of_panels = draw_maps(
-        panels, across.categories, up.categories, sizes_um, values, PIXEL_SIZE
+        panels, across.categories, up.categories, sizes_um, values, _PIXEL_SIZE
     )
     figure.suptitle(title, fontsize=SMALL_PT)
     for panel, axes in zip(panels, axes_of_panels, strict=True):
@@ -630,9 +630,9 @@ def draw_maps(
     axes_of_panels = axes_of_panels[: len(panels)]
 
     low, high = float(np.nanmin(maps)), float(np.nanmax(maps))
-    if high - low < LEAST_SPAN * abs(high):
-        low, high = low - LEAST_SPAN * abs(high), high + LEAST_SPAN * abs(high)
-    is_wide = 0 < LOG_SPAN * low <= high
+    if high - low < _LEAST_SPAN * abs(high):
+        low, high = low - _LEAST_SPAN * abs(high), high + _LEAST_SPAN * abs(high)
+    is_wide = 0 < _LOG_SPAN * low <= high
     norm = LogNorm(low, high) if is_wide else Normalize(low, high)
     for panel, axes, values in zip(panels, axes_of_panels, maps, strict=True):
         axes.set_title(short(panel.label), fontsize=SMALL_PT + 1)
@@ -649,9 +649,9 @@ def draw_maps(
     )
     if contours and least < highest and min(contours[0].shape) > 1:
         levels = (
-            np.geomspace(least, highest, CONTOURS + 2)
+            np.geomspace(least, highest, _CONTOURS + 2)
             if least > 0
-            else np.linspace(least, highest, CONTOURS + 2)
+            else np.linspace(least, highest, _CONTOURS + 2)
         )
         for axes, heights in zip(axes_of_panels, contours, strict=True):
             lines = axes.contour(
@@ -689,7 +689,7 @@ class Group:
 def alone_plate(result: CasesResult) -> Plate | None:
     """Return the figure of the axes that are moved alone about the base; None without such."""
     names = [axis.name for axis in result.study.axis if axis.alone]
-    return tornado(result, alone_groups(result, names)) if names and bases_of(result) else None
+    return tornado(result, alone_groups(result, names)) if names and _bases_of(result) else None
 
 
 @figure(
@@ -707,7 +707,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     figure = new_figure(WIDTH_IN, 0.46 * len(bars) + 1.1)
     axes = figure.subplots()
     for place, (group, name) in enumerate(bars):
-        draw_moves(axes, place, group, name)
+        _draw_moves(axes, place, group, name)
     axes.grid(axis="x", alpha=0.25)
     axes.use_sticky_edges = False
     axes.margins(x=0.1)  # for labels beside the bars
@@ -718,7 +718,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     ]
     axes.set_yticks(range(len(bars)), [short(label) for label in labels])
     axes.set_ylim(len(bars) - 0.4, -0.6)
-    axes.set_xlabel(PIXEL_SIZE)
+    axes.set_xlabel(_PIXEL_SIZE)
 
     widest_first = list(dict.fromkeys(name for _, name in bars))
     curves = [
@@ -732,7 +732,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     return figure, table | optimum_columns(curves)
 
 
-def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
+def _draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
     """Draw a bar from the lowest to the highest optimum of an axis, including the base, with the
     axis' values at its ends.
     """
@@ -757,7 +757,7 @@ def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
         )
 
 
-def bases_of(result: CasesResult) -> dict[str, StudyResult]:
+def _bases_of(result: CasesResult) -> dict[str, StudyResult]:
     """Return the case about which axes are moved alone, by its condition."""
     return {
         part.curves[0].condition: part
@@ -770,7 +770,7 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
     """Return the curves about the base, a group for each technology and condition, the first where
     there are many.
     """
-    bases = bases_of(result)
+    bases = _bases_of(result)
     technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
     process_axes = {
@@ -779,7 +779,7 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
         if all(set(point.table) == {"process"} for point in axis.points)
     }
     groups = []
-    max_groups = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
+    max_groups = max(1, min(_MAX_ROWS, _MAX_BARS // len(names)))
     for place, condition in list(product(range(len(labels)), bases))[:max_groups]:
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
@@ -791,7 +791,7 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
                 if (part.curves[0].condition, part.curves[0].alone) == (condition, name)
             ]
             parts = (
-                touching(parts, bases[condition], technologies[place])
+                _touching(parts, bases[condition], technologies[place])
                 if name in process_axes
                 else parts
             )
@@ -802,7 +802,9 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
     return groups
 
 
-def touching(parts: Sequence[StudyResult], base: StudyResult, technology: str) -> list[StudyResult]:
+def _touching(
+    parts: Sequence[StudyResult], base: StudyResult, technology: str
+) -> list[StudyResult]:
     """Return the cases that change a technology's numbers, each of its changes once."""
     changes: dict[str, StudyResult] = {}
     for part in parts:

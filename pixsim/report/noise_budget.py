@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 NAME = "noise_budget"  # of the figure
 REMAINDER, RENDER, ALL, MEASURED = "remainder", "render", "all causes", "measured"
-ORDER = (
+_ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
     " the mean ΔE depend on the order."
 )
@@ -28,7 +28,7 @@ SHOWN = 6  # pixels in one figure
 BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
 
 
-def budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
+def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
     """Return noise in electrons and mean ΔE of each cause of a budget, and of its sums; NaN for
     what it does not have.
     """
@@ -51,7 +51,7 @@ def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     """
     rows: list[dict[str, float | str | None]] = []
     for label, budget in budgets.items():
-        for cause, (noise_e, delta_e) in budget_numbers(budget).items():
+        for cause, (noise_e, delta_e) in _budget_numbers(budget).items():
             part = budget.part_of(cause) if cause in budget.delta_e or cause == REMAINDER else ""
             rows.append(
                 {
@@ -75,7 +75,7 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
         for budget in budgets.values()
         for cause in (*budget.delta_e, REMAINDER)
     }
-    numbers = [budget_numbers(budget) for budget in budgets.values()]
+    numbers = [_budget_numbers(budget) for budget in budgets.values()]
     nothing = float("nan"), float("nan")
     rows: list[tuple[str, ...]] = []
 
@@ -141,5 +141,5 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
 
 def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:
     """Return the section of a page on noise budgets; empty without them."""
-    blocks = (budget_table(budgets), Plot(lambda: budget_plate(budgets)), ORDER) if budgets else ()
+    blocks = (budget_table(budgets), Plot(lambda: budget_plate(budgets)), _ORDER) if budgets else ()
     return Section("causes", "Noise budget", blocks, brief=True)

@@ -18,15 +18,15 @@ WIDTH_IN = 8.6
 TICKS = 10  # at most, along the whole width
 # Beside the axes and between them there is room for the labels of six characters, such as -0.025,
 # and the name of the axis.
-MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
+_MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
 BOTTOM_IN, BETWEEN_IN = 0.5, 0.9
 LEGEND_IN, ROW_IN = 0.35, 0.2  # height of a legend of one row, and of another row
-HEIGHT_IN = 4.0
+_HEIGHT_IN = 4.0
 BETWEEN_SHARED_IN, TICKS_SHARED = (
     0.4,
     4,
 )  # of panels that share their scales: labels at their ends do not meet
-MARKED = 8  # markers along a line of many points, which identify it in greyscale
+_MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
 NOTHING: Mapping[str, Any] = {}
 LINE: Mapping[str, Any] = {"marker": ""}
@@ -76,7 +76,7 @@ def panels_of(
     figure = new_figure(WIDTH_IN, height_in)
     row = figure.subplots(1, count, squeeze=False, sharex=shared, sharey=shared)[0]
     between_in = BETWEEN_SHARED_IN if shared else BETWEEN_IN
-    fix_margins(figure, bottom_in=BOTTOM_IN + legend_in, between_in=between_in, **MARGINS_IN)
+    fix_margins(figure, bottom_in=BOTTOM_IN + legend_in, between_in=between_in, **_MARGINS_IN)
     for axes in row:
         axes.locator_params(nbins=TICKS_SHARED if shared else TICKS // count)
     return figure, list(row)
@@ -85,7 +85,7 @@ def panels_of(
 def draw_panels(
     table: Mapping[str, Array],
     panels: Sequence[LinePanel],
-    height_in: float = HEIGHT_IN,
+    height_in: float = _HEIGHT_IN,
     legend_columns: int = 0,
 ) -> tuple[Figure, Mapping[str, Array]]:
     """Draw lines of a table in panels side by side, and return the figure and the table.
@@ -100,7 +100,7 @@ def draw_panels(
             y = table[line.y]
             style = (
                 look.line
-                | {"ms": 4, "lw": 1.2, "markevery": max(1, len(y) // MARKED)}
+                | {"ms": 4, "lw": 1.2, "markevery": max(1, len(y) // _MARKED)}
                 | dict(line.style)
             )
             axes.plot(table[line.x][: len(y)], y, label=line.name, **style)

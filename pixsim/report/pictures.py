@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.score import FrameScore
 
 MAX_TICKS = 7
-CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
+_CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 
 
 def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
@@ -45,7 +45,7 @@ def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> Pi
     return PictureAxes(
         extent_mm,
         AxisLabels("spatial frequency on the sensor (lp/mm)", across),
-        AxisLabels(CONTRAST_LABEL, down),
+        AxisLabels(_CONTRAST_LABEL, down),
         fixed=True,
     )
 

@@ -19,7 +19,7 @@ from pixsim.studies.paired import mean_interval
 from pixsim.studies.regret import Criterion, Regrets
 
 REGRETS = "regrets"  # name of the figure
-MAX_REGRET_PERCENT = 100.0  # that is drawn
+_MAX_REGRET_PERCENT = 100.0  # that is drawn
 HEADROOM = 1.05  # of an axis, so that no mark is cut
 
 
@@ -52,7 +52,7 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
         axes.plot(best_um, 0.0, look.marker, ms=6, mfc="white", mec=look.colour, clip_on=False)
         largest = max(largest, float(along[np.isfinite(along)].max()))
         table[f"{criterion.name} regret"] = criterion.regret(pitch_um)
-    top = HEADROOM * min(largest, MAX_REGRET_PERCENT)
+    top = HEADROOM * min(largest, _MAX_REGRET_PERCENT)
     axes.set(xlabel="pixel size (µm)", ylabel="regret (%)", ylim=(0, top or 1.0))
     axes.grid(alpha=0.25)
     axes.set_title(literal(regrets.label), fontsize=9)
@@ -119,7 +119,7 @@ def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
         low, high = best.value_interval
         unit = "ΔE" if criterion.metric.is_delta_e else criterion.metric.unit
         value = f"{within_error(best.value, (high - low) / 2)} {unit}".rstrip()
-        rows.append((name, best_size_words(criterion), interval(best.interval_um), value))
+        rows.append((name, _best_size_words(criterion), interval(best.interval_um), value))
         cells = (
             "–" if column == place else regret_percent(regret)
             for column, regret in enumerate(criterion_regrets)
@@ -147,7 +147,7 @@ def regret_percent(regret: float) -> str:
     return rounded(100 * regret) if np.isfinite(regret) else "∞"
 
 
-def best_size_words(criterion: Criterion) -> str:
+def _best_size_words(criterion: Criterion) -> str:
     """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes
     tried.
     """

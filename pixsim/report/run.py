@@ -98,7 +98,7 @@ FILES = (  # next to the page
     ),
     *(SETTINGS_FILE, "pixsim.json"),
 )
-MEANINGS = {
+_MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
     "full_well_e": "full well (electrons)",
@@ -178,7 +178,7 @@ class RunFiles(NamedTuple):
     def names(self, frames: int) -> set[str]:
         """Return the names of all files of a run of so many frames."""
         raw = {
-            f"{raw_stem(number)}{suffix}"
+            f"{_raw_stem(number)}{suffix}"
             for number in range(1, frames + 1)
             for suffix in self.formats
         }
@@ -210,7 +210,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         answers=(answer,),
         lead=(Plot(lambda: score_plate(result.score)), *facts(result), *new_notes),
         about=(DELTA_E_WORDS,) if judged else (),
-        sections=(budgets_section(budgets_of(result)),),
+        sections=(budgets_section(_budgets_of(result)),),
         data_file="score.json",
     )
 
@@ -238,7 +238,7 @@ def run_page(
         write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
         for number, frame in enumerate(chain([score.frame], result.further_frames()), 1):
             for suffix in files.formats:
-                write_frame(folder / f"{raw_stem(number)}{suffix}", frame)
+                write_frame(folder / f"{_raw_stem(number)}{suffix}", frame)
             if progress is not None:
                 progress(number / result.prepared.frames)
 
@@ -259,17 +259,17 @@ def run_page(
             "image.png": light_png(score.image),
             "delta_e.png": delta_e,
             SETTINGS_FILE: run_settings_text(result.prepared, irradiance),
-            ROWS_FILE: run_csv(result),
+            ROWS_FILE: _run_csv(result),
         },
     )
 
 
-def run_plate(result: RunResult) -> Plate:
+def _run_plate(result: RunResult) -> Plate:
     """Return the figure of the ideal image, the sensor's image and the ΔE map with its scale."""
     return score_plate(result.score)
 
 
-def run_csv(result: RunResult) -> str:
+def _run_csv(result: RunResult) -> str:
     """Return results.csv: a row for each sensor, with the hash of all that it depends on."""
     store = Store(None, (), result.table.metrics)
     names = ("technology", "pitch_um", "repeat", *store.numbers)
@@ -410,7 +410,7 @@ def run_answer(result: RunResult) -> Answer:
     """
     first, *_ = metrics_named(result.settings.metrics)
     return Answer(
-        metric_text(result, first),
+        _metric_text(result, first),
         unsure_words(result) if judged_by_delta_e(result.settings) else (),
     )
 
@@ -420,7 +420,7 @@ def facts(result: RunResult) -> Iterator[Block]:
     run.
     """
     for metric in metrics_named(result.settings.metrics)[1:]:
-        yield Fact(plain_text(metric_text(result, metric)))
+        yield Fact(plain_text(_metric_text(result, metric)))
     if result.interval_delta_e is not None:
         words = f"{result.delta_e.size} sensors{'' if result.is_spread else ' at one registration'}"
         if judged_by_delta_e(result.settings):
@@ -431,13 +431,13 @@ def facts(result: RunResult) -> Iterator[Block]:
         yield Fact(f"{words}; pictures and frames are of the first")
     if (frames := result.prepared.frames) > 1:
         yield Fact(
-            f"{frames} frames of this sensor: raw.exr to {raw_stem(frames)}.exr; the first is"
+            f"{frames} frames of this sensor: raw.exr to {_raw_stem(frames)}.exr; the first is"
             " scored"
         )
-    yield from map(Fact, setup_words(result))
+    yield from map(Fact, _setup_words(result))
 
 
-def metric_text(result: RunResult, metric: Metric) -> Text:
+def _metric_text(result: RunResult, metric: Metric) -> Text:
     """Return what a metric says of a run, with half of the 95 % interval of several sensors; beside
     ΔE, of what it is.
     """
@@ -451,11 +451,11 @@ def metric_text(result: RunResult, metric: Metric) -> Text:
     half = (high - low) / 2
     value = with_error(mean, half) if half > ROUNDING * abs(mean) else estimate(mean)
     judged = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
-    seen = f"; {threshold_words(result, mean)}" if metric is DETECTABILITY else ""
+    seen = f"; {_threshold_words(result, mean)}" if metric is DETECTABILITY else ""
     return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of {judged}{seen}"
 
 
-def threshold_words(result: RunResult, d_prime: float) -> str:
+def _threshold_words(result: RunResult, d_prime: float) -> str:
     """Return where a target is seen as well as the threshold asks: at a value of the scene, or at a
     part of its contrast.
     """
@@ -502,7 +502,7 @@ def unsure_words(result: RunResult) -> list[str]:
     return [*map(str, result.causes), *unconverged(result.irradiance.header, film)]
 
 
-def setup_words(result: RunResult) -> list[str]:
+def _setup_words(result: RunResult) -> list[str]:
     """Return what was run: pixels and exposure, development where there is one, and how it is shown
     and rendered.
     """
@@ -527,7 +527,7 @@ def setup_words(result: RunResult) -> list[str]:
         settings.window_mm,
         columns,
     )
-    light = light_words(result) if judged_by_delta_e(settings) else []
+    light = _light_words(result) if judged_by_delta_e(settings) else []
     view_line = "; ".join(
         filter(None, (*view, lens_words(result.camera), assumption(result), *light))
     )
@@ -539,7 +539,7 @@ def setup_words(result: RunResult) -> list[str]:
     ]
 
 
-def light_words(result: RunResult) -> list[str]:
+def _light_words(result: RunResult) -> list[str]:
     """Return the film and the render noise of a run; what was not measured of light that pixsim
     rendered.
     """
@@ -608,7 +608,7 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
     yield size_words(factor_for(score.ideal), result.settings.display.samples_per_deg)
 
 
-def shown_statistics(result: RunResult) -> list[str]:
+def _shown_statistics(result: RunResult) -> list[str]:
     """Return the names of the statistics that are printed; those of ΔE where it was asked for."""
     judged = judged_by_delta_e(result.settings)
     return [name for name in result.statistics[0] if judged or not name.endswith("_delta_e")]
@@ -625,8 +625,8 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     yield "irradiance", rendered_words(result.irradiance.header)
 
     statistics = result.statistics[0]
-    for name in shown_statistics(result):
-        if name in MEANINGS:
+    for name in _shown_statistics(result):
+        if name in _MEANINGS:
             value = (
                 estimate(statistics[name])
                 if name.endswith("_delta_e")
@@ -635,7 +635,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
             if (
                 name != "fill_factor" or value != "1"
             ):  # a data sheet gives the numbers of the whole pixel
-                yield MEANINGS[name], value
+                yield _MEANINGS[name], value
 
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(
@@ -645,7 +645,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
         yield f"MTF at {frequency_lp_per_mm:.3g} lp/mm, {name}: {term}", estimate(mtf)
 
 
-def budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
+def _budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
     """Return the noise budget of a run by the words of its pixel; none where nobody asks."""
     budget = result.noise_budget
     return {} if budget is None else {f"{result.score.physics.pitch_um:g} µm": budget}
@@ -665,7 +665,7 @@ def _settings(result: RunResult) -> list[DocumentTable]:
     )
 
 
-def raw_stem(number: int) -> str:
+def _raw_stem(number: int) -> str:
     """Return the name, without its suffix, of the file of a frame: raw, raw_002, raw_003, …; sorted
     names keep their order.
     """
@@ -685,16 +685,16 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     command = [
         "pixsim",
         "run",
-        whole_source(prepared),
+        _whole_source(prepared),
         "--config",
         SETTINGS_FILE,
         *["--full"] * imaging.full,
     ]
     command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
-    return settings_text(repeating_settings(prepared, irradiance), shlex.join(command))
+    return settings_text(_repeating_settings(prepared, irradiance), shlex.join(command))
 
 
-def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
+def _repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
     """Return the settings with which `pixsim run` makes the same numbers again.
 
     irradiance : of this run
@@ -709,7 +709,7 @@ def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
     return without_clock(job.asked, irradiance).model_copy(update=view)
 
 
-def whole_source(job: Job[Run]) -> str:
+def _whole_source(job: Job[Run]) -> str:
     """Return the scene or picture of a run, for a command in another folder."""
     if job.cases[0].picture:
         return str(Path(job.file).resolve())
@@ -718,8 +718,8 @@ def whole_source(job: Job[Run]) -> str:
 
 PRESENTER = Presenter(
     document=run_document,
-    figure=run_plate,
-    csv=run_csv,
+    figure=_run_plate,
+    csv=_run_csv,
     page=lambda result, _: run_page(result),
     has_figures=False,
 )

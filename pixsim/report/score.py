@@ -20,8 +20,8 @@ from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, FrameScore, LightError, Score, exceeded
 from pixsim.viewer.setting import Setting
 
-ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
-PANEL_IN = 3.1  # width of each picture of the figure
+_ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
+_PANEL_IN = 3.1  # width of each picture of the figure
 
 
 @figure(
@@ -31,7 +31,7 @@ PANEL_IN = 3.1  # width of each picture of the figure
 )
 def score_plate(score: Score) -> Drawing:
     """Draw the ideal image, the sensor's image and the ΔE map with its scale."""
-    figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
+    figure = new_figure(3 * _PANEL_IN + 0.6, _PANEL_IN + 0.3)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for panel, picture, title in zip(
         axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False
@@ -51,12 +51,12 @@ def score_plate(score: Score) -> Drawing:
     return figure, coarse_table(score.delta_e, "delta_e")
 
 
-def score_csv(score: Score) -> str:
+def _score_csv(score: Score) -> str:
     """Return the statistics of a score as CSV."""
     return rows_csv([score.statistics()])
 
 
-def score_document(score: Score) -> Document:
+def _score_document(score: Score) -> Document:
     """Return the page of a score: its mean ΔE, its pictures, its statistics."""
     statistics = score.statistics()
     files = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
@@ -113,7 +113,7 @@ def unmet(error: LightError, limit: LightError) -> list[str]:
         limit_text = (
             "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{limit_text} tolerated"
         )
-        texts.append(f"{ERROR_WORDS[name]} is {size}, {limit_text}")
+        texts.append(f"{_ERROR_WORDS[name]} is {size}, {limit_text}")
     return texts
 
 
@@ -163,4 +163,4 @@ def shown_mean(
     return f"{value}{uncertainty}, {NOT_CONVERGED}" if above else f"{value}{uncertainty}"
 
 
-PRESENTER = Presenter(document=score_document, figure=score_plate, csv=score_csv)
+PRESENTER = Presenter(document=_score_document, figure=score_plate, csv=_score_csv)

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from pixsim.viewer.screen import LightLevel
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
-OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
-OF_COLOUR = frozenset(
+_OF_A_PROCESS = frozenset(
+    {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"}
+)
+_OF_COLOUR = frozenset(
     {"adaptation", *OF_COLOUR_FRAMES}
 )  # options of display and development for coloured pictures
 DEFAULTS = ("default", "")  # sources of what nobody stated
@@ -73,8 +75,10 @@ def record_rows(
 
     coloured : of a sensor with colour filters; without, what only coloured pictures use is left out
     """
-    left_out = OF_A_PROCESS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
-    left_out |= frozenset() if coloured else OF_COLOUR
+    left_out = (
+        _OF_A_PROCESS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
+    )
+    left_out |= frozenset() if coloured else _OF_COLOUR
     fields, rows = type(record).model_fields, []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")

@@ -22,12 +22,12 @@ FILES = (
     "summary.json",
     "report.html",
 )
-MAX_SFR_SHOWN = 3.0
+_MAX_SFR_SHOWN = 3.0
 
 
 def sfr_document(edge: EdgeResponse) -> Document:
     """Return the page of a slanted edge: its MTF50 and its SFR, the notes, its edge spread."""
-    data = sfr_data(edge)
+    data = _sfr_data(edge)
     response, *edge_and_interval = sfr_parts(data)
     answer = Answer(response, ("; ".join(edge_and_interval),))
     return Document(
@@ -43,17 +43,17 @@ def sfr_document(edge: EdgeResponse) -> Document:
     )
 
 
-ATTRIBUTES = (
+_ATTRIBUTES = (
     "mtf50_cy_per_px", "channel", "angle_deg", "contrast", "edge_degree", "edge_sagitta_px", "half_window_px", "rows_used",
     "pitch_um",
 )  # fmt: skip
 
 
-def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
+def _sfr_data(edge: EdgeResponse) -> dict[str, Any]:
     """Return summary.json: frequencies in cy/px, and in cy/mm if the pitch is known."""
     mtf50, ends = edge.mtf50_cy_per_px, edge.mtf50_interval_cy_per_px
     at_nyquist, *interval = edge.at(NYQUIST_CY_PER_PX)
-    data: dict[str, Any] = {name: getattr(edge, name) for name in ATTRIBUTES} | {
+    data: dict[str, Any] = {name: getattr(edge, name) for name in _ATTRIBUTES} | {
         "mtf50_interval_cy_per_px": list(ends),
         "sfr_at_nyquist": at_nyquist,
         "sfr_at_nyquist_interval": interval,
@@ -78,7 +78,7 @@ def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
 def sfr_parts(data: Mapping[str, Any]) -> list[str]:
     """Return the response, the edge, and what the intervals are of.
 
-    data : of `sfr_data`
+    data : of `_sfr_data`
     """
     bow = (
         f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})"
@@ -120,7 +120,7 @@ def _channel_words(data: Mapping[str, Any]) -> str:
     )
 
 
-def sfr_table(edge: EdgeResponse) -> dict[str, Array]:
+def _sfr_table(edge: EdgeResponse) -> dict[str, Array]:
     """Return the SFR and its interval at each frequency."""
     low, high = edge.sfr_interval
     columns = {
@@ -137,7 +137,7 @@ def sfr_table(edge: EdgeResponse) -> dict[str, Array]:
 @figure("sfr", "SFR (ISO 12233) and its 95 % interval.")
 def sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
-    table = sfr_table(edge)
+    table = _sfr_table(edge)
     x, scale, unit = "frequency_cy_per_px", 1.0, "cycles/pixel"
     if edge.pitch_um is not None:
         x, scale, unit = "frequency_cy_per_mm", 1e3 / edge.pitch_um, "cycles/mm on the sensor"
@@ -147,7 +147,7 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
 
     limits = {
         "xlim": (0, table[x][-1]),
-        "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))),
+        "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), _MAX_SFR_SHOWN))),
     }
     panel = LinePanel(
         f"frequency along the normal of the edge ({unit})",
@@ -175,9 +175,9 @@ def edge_plate(edge: EdgeResponse) -> Drawing:
     return draw_panels(table, [panel])
 
 
-def sfr_csv(edge: EdgeResponse) -> str:
+def _sfr_csv(edge: EdgeResponse) -> str:
     """Return the SFR and its interval at each frequency as CSV."""
-    return table_csv({name: values.tolist() for name, values in sfr_table(edge).items()})
+    return table_csv({name: values.tolist() for name, values in _sfr_table(edge).items()})
 
 
-PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=sfr_csv)
+PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=_sfr_csv)

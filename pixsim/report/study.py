@@ -100,10 +100,10 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
 
 P = ParamSpec("P")
-NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
-ANSWERS_SHOWN = 12  # optima at the top
+_NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
+_ANSWERS_SHOWN = 12  # optima at the top
 ANSWERS_OF_PAGE = 4  # before its figure; a table has all
-LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
+_LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
 @figure(
@@ -198,7 +198,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
         label="MTF50 on the display (left axis)",
     )
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(0, LEGEND_HEADROOM * max(mtf50))
+    axes.set_ylim(0, _LEGEND_HEADROOM * max(mtf50))
     other = axes.twinx()
     light = other.semilogy(
         curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)"
@@ -304,7 +304,7 @@ def study_drawing(figures: Figures = "svg") -> Iterator[StudyDrawing]:
         yield StudyDrawing(thread, figures)
 
 
-def pictures_of_workers(
+def _pictures_of_workers(
     result: StudyResult, workers: Workers, sizes_um: Sequence[float]
 ) -> tuple[list[Views], dict[float, SizeMaps]]:
     """Return pictures of each technology judged by ΔE, and maps of pixel sizes of the paper's."""
@@ -405,7 +405,7 @@ def document_of(
         weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first
     ]
     answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
-    left = len(answers) - ANSWERS_SHOWN
+    left = len(answers) - _ANSWERS_SHOWN
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
     notes = [note for note in study_notes(result) if note not in warned]
     return Document(
@@ -413,7 +413,7 @@ def document_of(
         kind="study of pixel sizes",
         title=result.study.title or result.study.name,
         data=data,
-        answers=answers[:ANSWERS_SHOWN],
+        answers=answers[:_ANSWERS_SHOWN],
         lead=(
             Plot(lambda: delta_e_against_pitch(result.curves)),
             *(*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty), *notes),
@@ -449,7 +449,7 @@ def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -
     )
 
 
-ABOUT = (
+_ABOUT = (
     "All pixel sizes see the same light on the same die. Small pixels suffer from noise, large ones"
     " from blur. The 95 % interval is that of the size with the smallest expected error. It"
     " includes noise and fixed pattern of the sensors, the registration of pixels with the detail,"
@@ -466,7 +466,7 @@ def study_page(
     result: StudyResult,
     workers: Workers,
     drawing: StudyDrawing,
-    budgets: Mapping[str, NoiseBudget] = NO_BUDGETS,
+    budgets: Mapping[str, NoiseBudget] = _NO_BUDGETS,
 ) -> Document:
     """Return the document of a study without axes, or of one of the cases of another, with its
     page.
@@ -482,7 +482,7 @@ def study_page(
         drawing.wait()
 
     sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun]
-    views, sizes = pictures_of_workers(result, workers, sizes_um)
+    views, sizes = _pictures_of_workers(result, workers, sizes_um)
     evidence = Evidence(
         result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()}
     )
@@ -520,7 +520,7 @@ def plot_of(made: Plate | Drawn) -> Plot:
 
 def _about(result: StudyResult) -> Iterator[Block]:
     """Yield what the numbers of a page mean."""
-    yield ABOUT
+    yield _ABOUT
     if any(curve.has_delta_e for curve in result.curves):
         yield DELTA_E
     if result.study.display.raster == "fixed_size":

@@ -17,7 +17,7 @@ from pixsim.studies.result import StudyResult
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.raw_metrics import INFORMATION
 
-MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has all
+_MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has all
 
 
 def study_unconverged(result: StudyResult) -> list[Note]:
@@ -88,7 +88,7 @@ def study_facts(result: StudyResult) -> list[Block]:
     """Return what follows the optima of a study: regrets, errors of its light, and how it is
     shown.
     """
-    regrets = filter(None, map(metric_regrets, result.curves[:MAX_REGRET_TABLES]))
+    regrets = filter(None, map(metric_regrets, result.curves[:_MAX_REGRET_TABLES]))
     contrasts = [line for curve in result.curves for line in contrast_words(result, curve)]
     lines = [
         *contrasts,
@@ -117,7 +117,7 @@ def study_notes(result: StudyResult) -> list[Note]:
     """Return what a reader should know besides the optima: warnings, missed targets, a black level
     that clips dark noise.
     """
-    kinds = target_notes, open_notes, silent_notes, study_dark_notes
+    kinds = target_notes, _open_notes, _silent_notes, _study_dark_notes
     noted = [note for notes in kinds for note in few([*map(notes, result.cases)])]
     return [*cause_notes(result), *sorted(result.warned), *noted]
 
@@ -145,7 +145,7 @@ def target_notes(result: StudyResult) -> list[Note]:
     return notes
 
 
-def silent_notes(result: StudyResult) -> list[Note]:
+def _silent_notes(result: StudyResult) -> list[Note]:
     """Return a note for each metric that tells a best size, with the pitches that its fitted curve
     does not take, and why.
     """
@@ -165,7 +165,7 @@ def silent_notes(result: StudyResult) -> list[Note]:
     return notes
 
 
-def open_notes(result: StudyResult) -> list[Note]:
+def _open_notes(result: StudyResult) -> list[Note]:
     """Return a note for each optimum whose interval is open at one end, which a size beyond those
     tried may close.
     """
@@ -177,7 +177,7 @@ def open_notes(result: StudyResult) -> list[Note]:
         end = 0 if low is None else -1
         tried_um = curve.fitted_range_um[end]
         # Both open: no size would help, but more sensors. A range that does not reach the end: said
-        # by `silent_notes`.
+        # by `_silent_notes`.
         if (low is None) != (high is None) and tried_um == curve.pitch_um[end]:
             end_word, beyond, limit = (
                 ("smallest", "smaller", "min") if low is None else ("largest", "larger", "max")
@@ -193,7 +193,7 @@ def open_notes(result: StudyResult) -> list[Note]:
     return notes
 
 
-def study_dark_notes(result: StudyResult) -> list[Note]:
+def _study_dark_notes(result: StudyResult) -> list[Note]:
     """Return a note for each curve whose black level clips dark noise, of the worst of its pixel
     sizes.
     """

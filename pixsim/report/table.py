@@ -23,7 +23,7 @@ DIGITS = 4
 MAX_NAMED = len(LOOKS)  # lines that a legend names
 
 
-class SizeMeans(NamedTuple):
+class _SizeMeans(NamedTuple):
     """Means over the sensors of one pixel size of one case.
 
     values : of the first column of each metric
@@ -34,7 +34,7 @@ class SizeMeans(NamedTuple):
     values: list[float]
 
 
-def size_means(table: Table) -> list[SizeMeans]:
+def _size_means(table: Table) -> list[_SizeMeans]:
     """Return the means of each pixel size of each case, in the order of the cases and sizes; NaN
     without numbers.
     """
@@ -49,16 +49,16 @@ def size_means(table: Table) -> list[SizeMeans]:
         for metric in table.metrics
     ]
     return [
-        SizeMeans(int(case), pitch_um, values)
+        _SizeMeans(int(case), pitch_um, values)
         for (case, pitch_um), *values in zip(sizes.tolist(), *means, strict=True)
     ]
 
 
-def table_document(table: Table) -> Document:
+def _table_document(table: Table) -> Document:
     """Return the page of a table: its first metric against pixel size, and the means of each
     size.
     """
-    means = size_means(table)
+    means = _size_means(table)
     sensors = 1 + int(table.columns["repeat"].max(initial=0))
     head = f"{len(means)} pixels, " + (
         f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each"
@@ -76,11 +76,11 @@ def table_document(table: Table) -> Document:
         answers=(Answer(head),),
         lead=(Plot(lambda: table_plate(table)),),
         sections=(Section("means", "Means", (_means_table(table, means),), brief=True),),
-        files={"table.csv": table_text(table)},
+        files={"table.csv": _table_text(table)},
     )
 
 
-def _means_table(table: Table, means: list[SizeMeans]) -> DocumentTable:
+def _means_table(table: Table, means: list[_SizeMeans]) -> DocumentTable:
     label_names = tuple(table.labels[0])
     head = *label_names, "size (µm)", *(metric.label for metric in table.metrics)
     rows = [
@@ -102,7 +102,7 @@ def table_plate(table: Table) -> Drawing:
     """Plot the first metric against pixel size, a line a case."""
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
-    means = size_means(table)
+    means = _size_means(table)
     for (case, rows), look in zip(groupby(means, attrgetter("case")), cycle(LOOKS), strict=False):
         curve = list(rows)
         name = literal(", ".join(map(str, table.labels[case].values())))
@@ -129,11 +129,11 @@ def table_plate(table: Table) -> Drawing:
     return figure, columns
 
 
-def table_text(table: Table) -> str:
+def _table_text(table: Table) -> str:
     """Return all rows as CSV."""
     rows = iter(table)
     first = next(rows, {})
     return csv_text(chain([first, first.values()], (row.values() for row in rows)))
 
 
-PRESENTER = Presenter(document=table_document, figure=table_plate, csv=table_text)
+PRESENTER = Presenter(document=_table_document, figure=table_plate, csv=_table_text)

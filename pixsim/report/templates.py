@@ -26,7 +26,7 @@ KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
 # Plausible values for fields without a default, by name or by table and name; those of [pixel]
 # stand in its record.
-EXAMPLES: dict[str, Any] = Camera().model_dump() | {
+_EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
     "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
@@ -48,11 +48,11 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "sources": {"pixel.bits": "data sheet, page 3"},
 }  # fmt: skip
 # Fields that are not commented out.
-SENSOR_SHOWN = tuple(
+_SENSOR_SHOWN = tuple(
     f"pixel.{name}"
     for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu")
 )
-STUDY_SHOWN = (
+_STUDY_SHOWN = (
     *("name", "title", "technologies", "repeats"),
     *(
         "pitch.count",
@@ -63,22 +63,22 @@ STUDY_SHOWN = (
         "display.white_cd_per_m2",
     ),
 )
-SENSOR_HEAD = """
+_SENSOR_HEAD = """
 A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
 examples: replace them with yours. Lines with one # show defaults, or examples of optional values; remove the # to set them.
 With pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency (or the words of EMVA 1288 for them) no
 technology is needed; if one of them is missing, it comes from a technology, by default 0.35um.
 """
-STUDY_HEAD = """
+_STUDY_HEAD = """
 A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours.
 Lines with one # show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from
 the technology.
 """
-UNCERTAINTY = (
+_UNCERTAINTY = (
     "how far numbers of the data sheet may be wrong, each by its standard deviation or its range;"
     " frames do not depend on it"
 )
-UNCERTAINTY_EXAMPLE = """
+_UNCERTAINTY_EXAMPLE = """
 ##   [pixel.uncertainty]
 ##   read_noise_e = { sd = 0.2 }
 ##   full_well_e = { range = [10000, 11000], distribution = "normal" }"""
@@ -90,7 +90,7 @@ def template(kind: str) -> str:
     """
     schema = record_of(kind).model_json_schema()
     head, uncommented = (
-        (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
+        (_SENSOR_HEAD, _SENSOR_SHOWN) if kind == "sensor" else (_STUDY_HEAD, _STUDY_SHOWN)
     )
     lines = [f"# {line}" for line in head.strip().splitlines()]
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
@@ -122,7 +122,7 @@ def template(kind: str) -> str:
                 *_fields(record["properties"], uncommented, f"{name}.{key}."),
             ]
         if (kind, name) == ("sensor", "pixel"):
-            lines += [f"## {UNCERTAINTY}:{UNCERTAINTY_EXAMPLE}"]
+            lines += [f"## {_UNCERTAINTY}:{_UNCERTAINTY_EXAMPLE}"]
     return "\n".join(lines) + "\n"
 
 
@@ -138,7 +138,7 @@ def template_document(kind: str, of: str | None, output: Path | None) -> Documen
         raise invalid(
             "--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`"
         )
-    text = template(kind) if of is None else packaged_study(of)
+    text = template(kind) if of is None else _packaged_study(of)
     if output is None:
         return Document("template", "template", kind, {"template": text}, (text.rstrip(),))
 
@@ -150,7 +150,7 @@ def template_document(kind: str, of: str | None, output: Path | None) -> Documen
     return Document("template", "template", kind, {"file": str(output), "use": use}, (line,))
 
 
-def packaged_study(name: str) -> str:
+def _packaged_study(name: str) -> str:
     """TOML file of a packaged study, to be edited. Raises PixsimError for another name."""
     studies = packaged("data/studies")
     if name not in studies:
@@ -171,7 +171,7 @@ def json_schema(kind: str) -> dict[str, Any]:
         schema["$defs"]["Spread"] = Spread.model_json_schema()
         schema["$defs"]["Pixel"]["properties"]["uncertainty"] = {
             "type": "object",
-            "description": UNCERTAINTY,
+            "description": _UNCERTAINTY,
             "propertyNames": {"enum": list(MAY_BE_UNCERTAIN)},
             "additionalProperties": {"$ref": "#/$defs/Spread"},
         }
@@ -208,7 +208,7 @@ def _fields(properties: dict[str, Any], uncommented: tuple[str, ...], table: str
         example = (
             NUMBERS[name].example
             if table == "pixel." and name in NUMBERS
-            else EXAMPLES.get(table + name, EXAMPLES.get(name))
+            else _EXAMPLES.get(table + name, _EXAMPLES.get(name))
         )
         if example is not None and (is_set or optional or value is ...):
             value = example

@@ -30,7 +30,7 @@ def results_document(result: ResultsComparison) -> Document:
     content = {
         "names": list(result.names),
         "verdicts": sentences,
-        "differences": [pair_data(pair) for pair in result.differences],
+        "differences": [_pair_data(pair) for pair in result.differences],
         "film_delta_e": result.film_delta_e,
         "only_in_one": result.only_in_one,
     }
@@ -40,13 +40,13 @@ def results_document(result: ResultsComparison) -> Document:
         title=" against ".join(result.names),
         data=result_data(content, settings={"folders": list(result.names)}, notes=[]),
         answers=[Answer((Strong(sentence),), named=True) for sentence in sentences],
-        lead=(differences_table(result), *only),
+        lead=(_differences_table(result), *only),
     )
 
 
 def results_csv(result: ResultsComparison) -> str:
     """Return a row for each metric and place as CSV."""
-    rows = (pair_data(pair) for pair in result.differences)
+    rows = (_pair_data(pair) for pair in result.differences)
     return rows_csv(
         [{name: "" if value is None else value for name, value in row.items()} for row in rows]
     )
@@ -76,7 +76,7 @@ def differences_plate(result: ResultsComparison) -> Drawing:
     }
 
 
-def pair_data(pair: ResultPairs) -> dict[str, Any]:
+def _pair_data(pair: ResultPairs) -> dict[str, Any]:
     """Return the numbers for JSON; those that one pair does not tell are None."""
     pairs = pair.pairs
     is_one = pairs.a.size < FEWEST_PAIRS
@@ -114,7 +114,7 @@ def verdicts(result: ResultsComparison) -> list[str]:
     return sentences
 
 
-def differences_table(result: ResultsComparison) -> DocumentTable:
+def _differences_table(result: ResultsComparison) -> DocumentTable:
     """Return the table of all differences."""
     labels = list(dict.fromkeys(name for pair in result.differences for name in pair.place))
     first, other = result.names

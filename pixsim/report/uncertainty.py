@@ -14,14 +14,14 @@ from pixsim.show.pages import Drawing, Plate, figure, figure_files
 from pixsim.show.sentences import capital
 from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult
 
-MOST_BARS = 30  # of a histogram
-MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
+_MOST_BARS = 30  # of a histogram
+_MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
 DRAWN = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at"
     " once. Each draw is a sensor type; the study finds its optimum. All types have the same random"
     " numbers, so that they differ by their inputs only. "
 )
-SHARES = (
+_SHARES = (
     "Shares of the variance that inputs explain, each with its standard error. The share of the"
     " scatter is an upper end: the interval of each type's optimum includes errors that all types"
     " have in common."
@@ -30,7 +30,7 @@ SHARES = (
 
 def uncertainty_files() -> set[str]:
     """Return the names of all files that the results of sensor types may have."""
-    numbers = range(1, MOST_RESULTS + 1)
+    numbers = range(1, _MOST_RESULTS + 1)
     figures = figure_files([f"uncertainty_distribution_{number}" for number in numbers])
     return {*figures, *(f"sensor_types_{number}.csv" for number in numbers)}
 
@@ -39,11 +39,13 @@ def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Secti
     """Yield a section for each optimum over sensor types: its distribution, and the shares of its
     variance.
     """
-    for number, result in enumerate(results[:MOST_RESULTS], 1):
+    for number, result in enumerate(results[:_MOST_RESULTS], 1):
         title = f"Sensor types: {capital(result.label) or 'optimum'}{result.by}"
         drawn = Plot(partial(_numbered_plate, result, number))
         types = (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)
-        yield Section(f"types-{number}", title, (DRAWN, drawn, SHARES, shares_table(result), types))
+        yield Section(
+            f"types-{number}", title, (DRAWN, drawn, _SHARES, shares_table(result), types)
+        )
 
 
 def _numbered_plate(result: UncertaintyResult, number: int) -> Plate:
@@ -54,7 +56,7 @@ def uncertainty_csv(results: Sequence[UncertaintyResult]) -> dict[str, str]:
     """Return a file of the sensor types of each optimum, name -> CSV."""
     return {
         f"sensor_types_{number}.csv": result.to_csv()
-        for number, result in enumerate(results[:MOST_RESULTS], 1)
+        for number, result in enumerate(results[:_MOST_RESULTS], 1)
     }
 
 
@@ -103,7 +105,7 @@ def distribution_plate(result: UncertaintyResult) -> Drawing:
         axes.axvspan(low, high, color="0.9", lw=0)
         axes.hist(
             distribution.values,
-            bins=MOST_BARS if result.draws > MOST_BARS**2 else "sqrt",
+            bins=_MOST_BARS if result.draws > _MOST_BARS**2 else "sqrt",
             color=COLOURS[0],
             edgecolor="white",
         )
@@ -155,11 +157,11 @@ def pair_words(drawn: PairUncertainty) -> str:
     return (
         f"{judge}over {better.draws} sensor types {first} is better than {other} with the"
         f" probability {better}; difference {middle}{unit} in the median, nine tenths from {low} to"
-        f" {high}; {largest_share_words(drawn)}"
+        f" {high}; {_largest_share_words(drawn)}"
     )
 
 
-def largest_share_words(drawn: PairUncertainty) -> str:
+def _largest_share_words(drawn: PairUncertainty) -> str:
     """Return the unknown number with the largest share of the variance of a difference."""
     shares = {
         label: drawn.shares[name]["first"] for name, label in input_labels(drawn.sample).items()

@@ -22,11 +22,11 @@ Response = Callable[[Array], Array]  # of a sensor or an eye, at wavelengths in 
 NARROWEST_BAND_NM = 1.0
 MAX_BANDS = 256
 PARTS_OF_A_BAND = 10
-MIN_SHIFT_NM = 1.0  # shift of the centroid from the band centre below which the centre is reported
-PULSES_PER_PASS = 4
+_MIN_SHIFT_NM = 1.0  # shift of the centroid from the band centre below which the centre is reported
+_PULSES_PER_PASS = 4
 SHAPE_TOLERANCE = 0.1  # error of any band, relative to the brightest band of the same light
-PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
-FLANK_STEPS = (
+_PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
+_FLANK_STEPS = (
     2  # zeros at either end of a pulse, so that the film's combined table has no other nodes
 )
 # regularisation towards linear interpolation between pulses, which limits noise amplification
@@ -231,7 +231,7 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
     shares = energy / energy.sum(axis=1, keepdims=True)
     centre = (edges_nm[:-1] + edges_nm[1:]) / 2
     centroid = (shares * nodes).sum(axis=1)
-    near = np.abs(centroid - centre) < MIN_SHIFT_NM
+    near = np.abs(centroid - centre) < _MIN_SHIFT_NM
     return Bands(edges_nm, np.where(near, centre, centroid), nodes, shares)
 
 
@@ -256,9 +256,9 @@ def window_pulse(
     first, last, last_node = (
         round((nm - span.low_nm) / step) for nm in (low_nm, high_nm, span.high_nm)
     )
-    flank = 0 if inside else FLANK_STEPS
-    start = max(min(first - flank, last_node - 2 * FLANK_STEPS), 0)
-    stop = min(max(last + flank, 2 * FLANK_STEPS), last_node)
+    flank = 0 if inside else _FLANK_STEPS
+    start = max(min(first - flank, last_node - 2 * _FLANK_STEPS), 0)
+    stop = min(max(last + flank, 2 * _FLANK_STEPS), last_node)
     index = np.arange(start, stop + 1)
     values = lamp.on_grid(step, span)[index] if lamp else np.ones(index.size)
     values[(index < first) | (index > last)] = 0.0
@@ -268,9 +268,9 @@ def window_pulse(
         not inside
     ):  # flanks must stay within the range: light at the ends is moved two steps inwards
         values = np.bincount(
-            np.clip(index - start, FLANK_STEPS, stop - start - FLANK_STEPS), values, index.size
+            np.clip(index - start, _FLANK_STEPS, stop - start - _FLANK_STEPS), values, index.size
         ).astype(float)
-    values[:FLANK_STEPS] = values[-FLANK_STEPS:] = 0.0
+    values[:_FLANK_STEPS] = values[-_FLANK_STEPS:] = 0.0
     area = values.sum() * step
     return (
         Pulse(span.low_nm + step * start, span.low_nm + step * stop, values / area)
@@ -304,7 +304,7 @@ def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     ]
     are_disjoint = (
         all(low[1] <= high[0] for span in spans for low, high in pairwise(span))
-        and len(pulses) >= 2 * PULSES_PER_PASS
+        and len(pulses) >= 2 * _PULSES_PER_PASS
     )
     return Fit(
         pulses,
@@ -322,8 +322,8 @@ def passes(count: int) -> list[list[int]]:
     """
     if count <= 3:
         return [[], [[0]], [[0, 1]], [[0, 1], [2]]][count]
-    stride = -(-count // PULSES_PER_PASS)
-    fours = [[start + stride * k for k in range(PULSES_PER_PASS)] for start in range(stride)]
+    stride = -(-count // _PULSES_PER_PASS)
+    fours = [[start + stride * k for k in range(_PULSES_PER_PASS)] for start in range(stride)]
     return [[index if index < count else group[0] for index in group] for group in fours]
 
 
@@ -361,7 +361,7 @@ def fit(
     reference = np.maximum(
         truth, np.array([[witness.least] for witness in witnesses]) * truth[:, :1]
     )
-    for count in PULSE_COUNTS:
+    for count in _PULSE_COUNTS:
         cuts = np.linspace(lit[0], lit[-1], count + 1)
         pulses = [window_pulse(lamp, a, b, inside=count > 1, span=span) for a, b in pairwise(cuts)]
         pulses_lit = [pulse for pulse in pulses if pulse is not None]

@@ -27,32 +27,32 @@ from pixsim.optics.quantities import DieWidth
 from pixsim.scene.target import Target
 
 Side = Annotated[int, Bounds(1, 32768)]  # texels
-HighestFrequency = Annotated[float, Bounds(SMALLEST, 1e6)]
+_HighestFrequency = Annotated[float, Bounds(SMALLEST, 1e6)]
 Texels = Annotated[NDArray[np.float32], Axes(2)]
 KIND = "charts"  # of entries of the cache
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
-MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
+_MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
 MIN_FREQUENCY_LP_PER_MM = 1.0
 MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
-CSF_STEPS = 2**18
-CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
-TEXELS_PER_CYCLE = (
+_CSF_STEPS = 2**18
+_CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
+_TEXELS_PER_CYCLE = (
     32  # at the highest frequency: bilinear interpolation keeps its contrast to 0.3 %
 )
 MAX_LP_PER_MM = (  # scene parameter of the CSF chart: its highest frequency on the sensor
     "max_lp_per_mm"
 )
-MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
-SLANT_DEG = 5.0  # ISO 12233
-STAR_CYCLES = 72
-TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
-POINTS_PER_TEXEL = 8  # along each side, for the area coverage
+_MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
+_SLANT_DEG = 5.0  # ISO 12233
+_STAR_CYCLES = 72
+_TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
+_POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
 def csf_frequency_lp_per_mm(
-    x: UnitIntervals, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
+    x: UnitIntervals, highest_lp_per_mm: _HighestFrequency = _MAX_FREQUENCY_LP_PER_MM
 ) -> Array:
     """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3
     lp/mm (Chen et al. 2000).
@@ -85,7 +85,7 @@ def csf_frequency_on_sensor(
     highest = (
         float(parameters[MAX_LP_PER_MM]) / scale
         if MAX_LP_PER_MM in parameters
-        else MAX_FREQUENCY_LP_PER_MM
+        else _MAX_FREQUENCY_LP_PER_MM
     )
     return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
 
@@ -104,7 +104,7 @@ def csf_value(
     x: UnitIntervals,
     y: UnitIntervals,
     die_mm: DieWidth = DIE_MM,
-    highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM,
+    highest_lp_per_mm: _HighestFrequency = _MAX_FREQUENCY_LP_PER_MM,
 ) -> Array:
     """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of
     2π frequency.
@@ -127,7 +127,7 @@ def csf(
     width: Side = 8192,
     height: Side = 256,
     die_mm: DieWidth = DIE_MM,
-    highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM,
+    highest_lp_per_mm: _HighestFrequency = _MAX_FREQUENCY_LP_PER_MM,
 ) -> NDArray[np.float32]:
     """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at
     the texel centres.
@@ -137,7 +137,7 @@ def csf(
     the lowest contrast, which halves the file.
     """
     x, y = (np.arange(width) + 0.5) / width, ((np.arange(height) + 0.5) / height)[:, None]
-    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * CSF_STEPS) / CSF_STEPS).astype(
+    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * _CSF_STEPS) / _CSF_STEPS).astype(
         np.float32
     )
 
@@ -146,7 +146,7 @@ def _antialiased(
     inside: Callable[[Array, Array], Array], width: int, height: int, dark: float
 ) -> NDArray[np.float32]:
     """Return the area coverage of a shape, from 8 × 8 points per texel."""
-    factor = POINTS_PER_TEXEL
+    factor = _POINTS_PER_TEXEL
     x = (np.arange(width * factor) + 0.5) / (width * factor)
     rows = ((np.arange(height * factor) + 0.5) / (height * factor)).reshape(height, factor, 1)
     cover = np.stack([inside(x, y).reshape(factor, width, factor).mean(axis=(0, 2)) for y in rows])
@@ -159,7 +159,7 @@ def slanted_edge(
     """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the
     right, `dark` on the left.
     """
-    factor, slope = POINTS_PER_TEXEL, np.tan(np.radians(SLANT_DEG))
+    factor, slope = _POINTS_PER_TEXEL, np.tan(np.radians(_SLANT_DEG))
     x, y = ((np.arange(size * factor) + 0.5) / (size * factor) for size in (width, height))
     # All points of a line to the right of the edge are inside, so the first one says how many each
     # texel has.
@@ -178,7 +178,7 @@ def siemens_star(
     """
 
     def inside(x: Array, y: Array) -> Array:
-        sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
+        sector = np.sin(_STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
         return sector | (np.hypot(x - 0.5, y - 0.5) > 0.45)
 
     return _antialiased(inside, width, height, dark)
@@ -202,7 +202,7 @@ def target(
     Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels`
     does.
     """
-    drawn = Target.of_parameters(fields, {"size_um": TARGET_UM})
+    drawn = Target.of_parameters(fields, {"size_um": _TARGET_UM})
     if drawn.shape != "edge" and drawn.size_um is None:
         raise invalid(
             "target",
@@ -216,7 +216,7 @@ def target(
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
     chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge, target)
 }
-CHARTS_OF_A_DIE = (csf.__name__, target.__name__)
+_CHARTS_OF_A_DIE = (csf.__name__, target.__name__)
 
 
 def make_chart(
@@ -249,11 +249,11 @@ def make_chart(
     if any(not 2 <= value <= 32768 for value in size.values()):
         got = " and ".join(f"{key} {value}" for key, value in size.items())
         raise invalid("chart size", got, "2 to 32768 texels per side")
-    if die_mm is not None and (kind not in CHARTS_OF_A_DIE or not 0 < die_mm < 1000):
+    if die_mm is not None and (kind not in _CHARTS_OF_A_DIE or not 0 < die_mm < 1000):
         raise invalid(
             "chart die_mm",
             f"{die_mm:g} for {kind}",
-            f"0 to 1000 mm, for {' and '.join(CHARTS_OF_A_DIE)} only",
+            f"0 to 1000 mm, for {' and '.join(_CHARTS_OF_A_DIE)} only",
         )
     if target and kind != "target":
         raise invalid(
@@ -313,21 +313,21 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     return path
 
 
-def csf_file(highest_lp_per_mm: HighestFrequency, die_mm: DieWidth) -> Path:
+def csf_file(highest_lp_per_mm: _HighestFrequency, die_mm: DieWidth) -> Path:
     """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7
     cycles across the die.
 
     Raises PixsimError if that frequency is not above the lowest.
     """
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / die_mm
-    if not highest_lp_per_mm >= MIN_CSF_RANGE * lowest:
+    if not highest_lp_per_mm >= _MIN_CSF_RANGE * lowest:
         raise invalid(
             MAX_LP_PER_MM,
             f"{highest_lp_per_mm:g}",
-            f"at least {MIN_CSF_RANGE * lowest:.3g} on a die of {die_mm:g} mm",
+            f"at least {_MIN_CSF_RANGE * lowest:.3g} on a die of {die_mm:g} mm",
         )
     cycles = highest_lp_per_mm * die_mm
-    width = int(min(max(TEXELS_PER_CYCLE * cycles, CSF_WIDTHS[0]), CSF_WIDTHS[1]))
+    width = int(min(max(_TEXELS_PER_CYCLE * cycles, _CSF_WIDTHS[0]), _CSF_WIDTHS[1]))
     return texture_file(
         ["csf", width, cycles], partial(csf, width, highest_lp_per_mm=cycles / DIE_MM)
     )

@@ -35,7 +35,7 @@ MEAN = sum(LUMINANCE_CD_PER_M2) / (
     2 * LUMINANCE_CD_PER_M2[1]
 )  # of each slide, as of the grey chart
 PROJECTOR_M = 30.0  # from the screen
-BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
+_BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
 SCENE = """<!-- {title}
      Three projectors shine the primaries of a display through slides onto a white screen; all slides at 1 are D65 of 1000 cd/m2.
      The camera looks along +z, up is +y. Row 0 of a slide is up and column 0 is left. pixsim sets the parameters of the camera
@@ -86,7 +86,7 @@ SCENE = """<!-- {title}
 {projectors}
 </scene>
 """
-PROJECTOR = """
+_PROJECTOR = """
     <emitter type="spot" id="{name}">
         <transform name="to_world">
             <scale x="$chart_half_width" y="$chart_half_height"/>
@@ -198,9 +198,9 @@ def write_colour_chart(
     intensities = (
         math.pi * PROJECTOR_M**2 * radiance
     )  # of a screen that reflects all light: L = E/π, E = I/r²
-    cutoff_deg = math.degrees(math.atan(BEAM / PROJECTOR_M))
+    cutoff_deg = math.degrees(math.atan(_BEAM / PROJECTOR_M))
     projectors = [
-        PROJECTOR.format(
+        _PROJECTOR.format(
             name=name,
             distance=PROJECTOR_M,
             intensity=", ".join(
@@ -209,8 +209,8 @@ def write_colour_chart(
             cutoff_deg=cutoff_deg,
             beam_deg=0.999 * cutoff_deg,
             slide=quoteattr(file.name),
-            beam=BEAM,
-            centre=(1 + BEAM) / 2,
+            beam=_BEAM,
+            centre=(1 + _BEAM) / 2,
         )
         for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True)
     ]

@@ -37,9 +37,9 @@ from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, num
 # The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
 EMISSION |= {"point": "intensity", "spot": "intensity", "directional": "irradiance"}
-LUMINANCE_STEP_NM = 1 / 8
-BLACK_BODY_NM = (300.0, 1111.0)  # of its spectrum, every nanometre
-SECOND_RADIATION_NM_K = 1.438776877e7  # hc/k, SI 2019
+_LUMINANCE_STEP_NM = 1 / 8
+_BLACK_BODY_NM = (300.0, 1111.0)  # of its spectrum, every nanometre
+_SECOND_RADIATION_NM_K = 1.438776877e7  # hc/k, SI 2019
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class Lamp:
         """Luminance of texel value 1: 683.002 ∫ ȳ L dλ."""
         if self.spectrum is None:
             return 0.0
-        edges = grid_nm(LUMINANCE_STEP_NM)
+        edges = grid_nm(_LUMINANCE_STEP_NM)
         at = (edges[:-1] + edges[1:]) / 2
         luminous = self.spectrum.cell_means(edges) * spectral.photopic_efficiency(at)
-        return float(spectral.LUMINOUS_EFFICACY_LM_PER_W * LUMINANCE_STEP_NM * luminous.sum())
+        return float(spectral.LUMINOUS_EFFICACY_LM_PER_W * _LUMINANCE_STEP_NM * luminous.sum())
 
 
 def find_lamps(state: Tree, variant: str) -> list[Lamp]:
@@ -153,7 +153,7 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
         return (("uniform",), float(values.get("value", 1.0)), picture)
     if plugin == "d65":
         return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node else None
-    if (table := table_of(node)) is not None:
+    if (table := _table_of(node)) is not None:
         return (
             ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())),
             1.0,
@@ -174,7 +174,7 @@ def parsed_table(value: SpectrumTable) -> Spectrum:
     return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
 
 
-def table_of(node: Node) -> Spectrum | None:
+def _table_of(node: Node) -> Spectrum | None:
     """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else
     None.
     """
@@ -209,7 +209,7 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     if key[0] != "blackbody" or "wavelength_max" in described or "wavelength_min" in described:
         return tabulated(values)
     # Mitsuba ends at 360 and 830 nm; what a sensor misses beyond them follows from Planck's law.
-    nm = np.arange(*BLACK_BODY_NM)
+    nm = np.arange(*_BLACK_BODY_NM)
     whole = planck(nm, described["temperature"])
     with np.errstate(invalid="ignore"):  # 0/0 where it is too cold to shine
         shape = (
@@ -229,7 +229,7 @@ def planck(wavelength_nm: Array, temperature_k: float) -> Array:
     """Return the spectrum of a black body in any unit, (...) as the wavelengths."""
     with np.errstate(over="ignore", divide="ignore"):
         return np.asarray(
-            wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k))
+            wavelength_nm**-5.0 / np.expm1(_SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k))
         )
 
 
@@ -311,27 +311,27 @@ def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spec
 
 # The spectral properties of the stock BSDFs.
 LAMBERTIAN = ("diffuse", "twosided")
-METALS = ("conductor", "roughconductor")
+_METALS = ("conductor", "roughconductor")
 INSIDE = ("plastic", "roughplastic")  # multiple reflections under a coat: ρ/(1 - F ρ)
 SPECTRA: dict[str, tuple[str, ...]] = {
     "diffuse": ("reflectance",),
     **dict.fromkeys(INSIDE, ("diffuse_reflectance", "specular_reflectance")),
-    **dict.fromkeys(METALS, ("specular_reflectance",)),
+    **dict.fromkeys(_METALS, ("specular_reflectance",)),
     **dict.fromkeys(
         ("dielectric", "roughdielectric", "thindielectric"),
         ("specular_reflectance", "specular_transmittance"),
     ),
     **dict.fromkeys(("twosided", "blendbsdf", "mask", "bumpmap", "normalmap", "null"), ()),
 }
-INTERNAL_REFLECTION = 0.6  # F of a coat of index 1.49, from inside
-METAL_COSINES = (1.0, 0.7, 0.3)
+_INTERNAL_REFLECTION = 0.6  # F of a coat of index 1.49, from inside
+_METAL_COSINES = (1.0, 0.7, 0.3)
 MAX_POWER = 3  # of a reflectance, for interreflections of similar surfaces; higher orders are weak
-TO_AND_FRO = (0.5, 0.8, 0.95)
-MAX_PRODUCTS = 160
-MAX_SPECTRA = (
+_TO_AND_FRO = (0.5, 0.8, 0.95)
+_MAX_PRODUCTS = 160
+_MAX_SPECTRA = (
     256  # of surfaces; more take longer to plan than a pass for every band takes to render
 )
-NEUTRAL_SPREAD = 1e-6
+_NEUTRAL_SPREAD = 1e-6
 
 
 Beyond = Literal["hold", "zero"]
@@ -374,7 +374,7 @@ class Surfaces:
         # aρ).
         series = [
             single / (1 - part * np.minimum(single, 1.0))
-            for part in (TO_AND_FRO if bounces < 0 else ())
+            for part in (_TO_AND_FRO if bounces < 0 else ())
         ]
         powers = [
             single**power
@@ -385,7 +385,7 @@ class Surfaces:
             for i, j in combinations_with_replacement(range(len(single)), 2)
             if i != j
         ]
-        spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PRODUCTS)).astype(int)
+        spread = np.linspace(0, len(pairs) - 1, min(len(pairs), _MAX_PRODUCTS)).astype(int)
         return np.vstack(
             [single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])]
         )
@@ -435,7 +435,7 @@ def find_surfaces(
         if span != VISIBLE:
             surfaces.ending.append(surfaces.unknown)
         return surfaces
-    coloured = [rho for rho in spectra if np.ptp(rho) > NEUTRAL_SPREAD * max(rho.max(), 1.0)]
+    coloured = [rho for rho in spectra if np.ptp(rho) > _NEUTRAL_SPREAD * max(rho.max(), 1.0)]
     unique = {rho.round(9).tobytes(): rho for rho in coloured}
     surfaces.spectra = np.array(list(unique.values())).reshape(-1, grid_nm(span=span).size)
     return surfaces
@@ -448,13 +448,13 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
     spectra: list[Array] = []
     for index, node in nodes_of(state, "BSDF"):
         plugin = node.plugin
-        if len(spectra) > MAX_SPECTRA:
-            raise _UnknownError(f"more than {MAX_SPECTRA} spectra of surfaces")
+        if len(spectra) > _MAX_SPECTRA:
+            raise _UnknownError(f"more than {_MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
             raise _UnknownError(f"a BSDF '{plugin}' of unknown spectra")
 
         metal: list[Array] = []
-        if plugin in METALS:
+        if plugin in _METALS:
             try:
                 metal = _metal(state, node, variant, surfaces.span)
             except (
@@ -472,7 +472,7 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
                 )
                 spectra += colours
                 if plugin in INSIDE:
-                    spectra += [rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours]
+                    spectra += [rho / (1 - _INTERNAL_REFLECTION * rho) for rho in colours]
                 spectra += [rho * fresnel for rho in colours for fresnel in metal]
     return spectra
 
@@ -502,7 +502,7 @@ def _property(
         texture = state.nodes[child]
         if texture.plugin == "uniform" or is_neutral(texture):
             return []
-        table = table_of(texture)
+        table = _table_of(texture)
         if table is not None:
             return [surfaces.on_grid(table, at, name, words)]
         if texture.plugin == "checkerboard":
@@ -535,13 +535,13 @@ def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
     # Beyond its tables, where a metal renders as a mirror, its reflectance along the normal is 0/0.
     return [
         np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0)
-        for cosine in METAL_COSINES
+        for cosine in _METAL_COSINES
     ]
 
 
 FLAT = ("rectangle", "disk")
-PARALLEL = 1e-6  # sine of the largest angle between the normals of parallel planes
-IN_FRONT_M = 1e-9
+_PARALLEL = 1e-6  # sine of the largest angle between the normals of parallel planes
+_IN_FRONT_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -580,7 +580,7 @@ class Body:
             )
             if np.all(across > edge_m) or np.all(across < -edge_m):
                 return False
-        return bool(np.any(z > IN_FRONT_M))
+        return bool(np.any(z > _IN_FRONT_M))
 
 
 def matrix_of(node: Node, name: str = "to_world") -> Array:
@@ -697,16 +697,16 @@ def face_one_way(bodies: list[Body]) -> bool:
         return False
     first = normals[0]
     return all(
-        float(first @ normal) > 0 and float(np.linalg.norm(np.cross(first, normal))) < PARALLEL
+        float(first @ normal) > 0 and float(np.linalg.norm(np.cross(first, normal))) < _PARALLEL
         for normal in normals
     )
 
 
-PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
+_PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
 # Maps that are neither light nor reflectance may have any values and channels.
 MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
-NUMBERS_OF_TEXTURES = ("value", "values", "color0", "color1")
-MAP_NAMES = (
+_NUMBERS_OF_TEXTURES = ("value", "values", "color0", "color1")
+_MAP_NAMES = (
     "alpha",
     "alpha_u",
     "alpha_v",
@@ -784,7 +784,7 @@ def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
     if index is not None:
         texture = state.nodes[index]
         parts = [
-            _numbers_of(state, texture, part) for part in NUMBERS_OF_TEXTURES if part in texture
+            _numbers_of(state, texture, part) for part in _NUMBERS_OF_TEXTURES if part in texture
         ]
         return [number for part in parts for number in part]
     match node.kind_of(name):
@@ -807,7 +807,7 @@ def _takes_map(node: Node, name: str) -> bool:
     """Return whether a property of a node takes any numbers, such as normals and roughness, not
     light or reflectance.
     """
-    return node.plugin in MAPS or name in MAP_NAMES
+    return node.plugin in MAPS or name in _MAP_NAMES
 
 
 @lru_cache(maxsize=1)
@@ -846,7 +846,7 @@ def check_textures(state: Tree) -> None:
                     what, "a picture without raw = true", "numbers as they are in the file", RAW
                 )
             if (
-                node.plugin in METALS
+                node.plugin in _METALS
                 and name in ("eta", "k")
                 and (texture.plugin == "srgb" or (is_bitmap and not is_raw))
             ):
@@ -875,11 +875,11 @@ BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {
     "repeat": "wrap",
     "mirror": "symmetric",
 }
-KNOWN_OF_BITMAPS = {"filename", "raw", "wrap_mode", "filter_type", "to_uv"}
+_KNOWN_OF_BITMAPS = {"filename", "raw", "wrap_mode", "filter_type", "to_uv"}
 
 
 @dataclass(frozen=True)
-class EmittedPicture:
+class _EmittedPicture:
     """The picture of an emitter.
 
     texels : (rows, columns), as in the file
@@ -898,7 +898,7 @@ class EmittedPicture:
     nearest: bool = False
 
 
-def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
+def emitted_picture(state: Tree, emitter: Node) -> _EmittedPicture | None:
     """Return an emitter's neutral EXR, or one texel of value 1 if it has no picture.
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.
@@ -907,11 +907,11 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
     texture = children(emitter, state).get(name)
     while texture is not None and not is_neutral(state.nodes[texture]):
         nested = list(children(state.nodes[texture], state).values())
-        if not nested and state.nodes[texture].plugin not in PLAIN_SPECTRA:
+        if not nested and state.nodes[texture].plugin not in _PLAIN_SPECTRA:
             return None
         texture = nested[0] if nested else None
     if texture is None:
-        return EmittedPicture(np.ones((1, 1)))
+        return _EmittedPicture(np.ones((1, 1)))
     node = state.nodes[texture]
     to_uv = matrix_of(node, "to_uv")
     if "filename" not in node:
@@ -924,10 +924,10 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
         return None
     nearest = node.get("filter_type", "bilinear") == "nearest"
     beyond = (
-        BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= KNOWN_OF_BITMAPS else None
+        BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= _KNOWN_OF_BITMAPS else None
     )
     source = digest_of(path)
     texels = _texels_of(path, source).astype(float)
-    return EmittedPicture(
+    return _EmittedPicture(
         texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest
     )

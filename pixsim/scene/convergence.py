@@ -39,7 +39,7 @@ RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR, PAIRS_A_LEVEL = 2, 2
-FIRST_LEVEL = (
+_FIRST_LEVEL = (
     -1
 )  # with a time limit: a picture of a quarter of the samples comes sooner, and more are added to it
 # times the samples of the first pair: what a render is expected to take before its noise is known
@@ -48,7 +48,7 @@ GRACE, GRACE_S = (
     0.5,
     1.5,
 )  # of a time limit and beyond it, for the first pair, without which there is no picture
-EndedBy = Literal["target", "samples", "max_seconds", "runs"]
+_EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class RenderNoise:
     relative: float
     target: float
     runs: int
-    ended_by: EndedBy
+    ended_by: _EndedBy
     delta_e: float | None = None
     tolerance_delta_e: float | None = None
 
@@ -147,14 +147,14 @@ def render_until(
         )  # per film cell
 
     halves: list[list[Array]] = [[], []]
-    runs, level, at_level = 0, 0 if max_seconds is None else FIRST_LEVEL, 0
+    runs, level, at_level = 0, 0 if max_seconds is None else _FIRST_LEVEL, 0
     weight, samples = 0.0, 0  # samples per film cell of each half, and of both
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
     needed = (
         max_samples if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
     )
     note, progress = "", progress and _never_back(progress)
-    ended: EndedBy | None = None
+    ended: _EndedBy | None = None
     while ended is None:
         pair = _pair(job, runs, level, weight, needed, progress, note)
         try:
@@ -215,7 +215,7 @@ def render_until(
     return job.image(halves[0], samples, render_noise=rounded), noise
 
 
-def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> EndedBy | None:
+def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:
     """Return why a render ends after a pair; None if it goes on."""
     if noise.excess <= 1:
         return "target"
@@ -311,7 +311,7 @@ def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
     return means
 
 
-def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> Note:
+def _limit_note(ended: _EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> Note:
     """Return a note on why a render ended before its target, and how much noise it has.
 
     Without the seconds that have passed: the text belongs to the result, which a cached render
@@ -334,7 +334,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
         *told_apart(noise.fraction, noise.target)
     )
     factor = (
-        f"; about {samples_factor(noise.fraction, noise.target):.15g} times as many samples"
+        f"; about {_samples_factor(noise.fraction, noise.target):.15g} times as many samples"
         " reach it"
     )
     return Note(
@@ -343,7 +343,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     )
 
 
-def samples_factor(noise: float, target: float) -> float:
+def _samples_factor(noise: float, target: float) -> float:
     """Return how many times as many samples bring a render noise to its target: its variance falls
     with their number.
     """

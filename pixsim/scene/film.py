@@ -18,7 +18,7 @@ from pixsim.viewer.display_options import Display
 
 GREEN_NM = 550.0
 SAMPLES_PER_DETAIL = 2
-DETAIL_PER_DOT = 2  # aliasing of finer detail than half a dot averages out over the dots
+_DETAIL_PER_DOT = 2  # aliasing of finer detail than half a dot averages out over the dots
 MAX_ACROSS = 4096
 MAX_BYTES = 2 << 30
 # Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the
@@ -29,10 +29,10 @@ BYTES_PER_CELL, BYTES_PER_VALUE = (
     24,
 )  # float64 light, its transforms and integrals; each pulse in two halves and the result
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
-STRIP_BYTES = 1 << 29  # of a render
+_STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
 FILM_ROUNDING = 1e-6  # of a cell: the ratio of the die's sides is rounded
-WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
+_WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
 
 
 def dots_across(camera: Camera, display: Display, pitch_um: float) -> float:
@@ -59,7 +59,7 @@ def details_across(
         "half periods of the lens's cut-off": 2
         * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
         * camera.die_mm,
-        "half dots of the display": DETAIL_PER_DOT * dots,
+        "half dots of the display": _DETAIL_PER_DOT * dots,
     }
     name = min(finer, key=lambda name: finer[name])
     details, name = (finer[name], name) if finer[name] > dots else (dots, "dots of the display")
@@ -84,7 +84,7 @@ def film_memory_bytes(cells: float, planes: int) -> float:
     arrays = 8 * cells * planes, 8 * cells * planes, 4 * cells * planes, 4 * cells * planes
     return (
         PROGRAM_BYTES
-        + STRIP_BYTES
+        + _STRIP_BYTES
         + 16 * cells
         + sum(size for size in arrays if size <= MOST_BYTES)
     )
@@ -110,8 +110,8 @@ def fitting_width(height_over_width: float, width: float, most: int) -> int:
     """
     if height_over_width == 1:
         return min(math.ceil(width / BLOCK) * BLOCK, most)
-    last = min(math.ceil(width * (1 + WIDENED)), most)
-    first = min(math.ceil(width), math.ceil(last / (1 + WIDENED)))
+    last = min(math.ceil(width * (1 + _WIDENED)), most)
+    first = min(math.ceil(width), math.ceil(last / (1 + _WIDENED)))
 
     def beyond(across: int) -> float:
         height = across * height_over_width

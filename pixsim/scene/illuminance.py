@@ -14,11 +14,11 @@ from pixsim.base.errors import invalid
 from pixsim.light.quantities import ILLUMINANCE
 from pixsim.scene.contents import Lamp
 
-ALLOWED_LUX = (
+_ALLOWED_LUX = (
     1e-9,
     1e9,
 )  # starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light
-BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
+_BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
 
 
 def strength(
@@ -38,8 +38,8 @@ def strength(
     """
     before, after = luminances(as_written), luminances(now)
     got = f"'{lux:g}' beside {', '.join(parameters)}" if parameters else f"'{lux:g}'"
-    if not ALLOWED_LUX[0] <= lux <= ALLOWED_LUX[1]:
-        raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{ALLOWED_LUX[0]:g} to {ALLOWED_LUX[1]:g} lx")
+    if not _ALLOWED_LUX[0] <= lux <= _ALLOWED_LUX[1]:
+        raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{_ALLOWED_LUX[0]:g} to {_ALLOWED_LUX[1]:g} lx")
     is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
     if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
         raise invalid(
@@ -53,7 +53,7 @@ def strength(
     same = before.keys() == after.keys() and all(
         after[index] == 0 for index in before if before[index] == 0
     )
-    if not same or max(ratios) - min(ratios) > BALANCE * max(ratios):
+    if not same or max(ratios) - min(ratios) > _BALANCE * max(ratios):
         allowed = (
             "the balance of the lamps in the scene's file, at whose place alone the illuminance is"
             " known"

@@ -45,10 +45,10 @@ from pixsim.scene.tree import Node, Tree, nodes_of
 from pixsim.sensor.outside import CENTRES_NM, SHOWN_SHARE, inside, span_of
 from pixsim.sensor.pixel import PixelPhysics
 
-ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
-LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
-SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
-SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
+_ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
+_LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
+_SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
+_SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
 MAX_NAMED = 4  # surfaces, in a message
 
 
@@ -131,7 +131,10 @@ class Inspection:
                 f"outside {VISIBLE.words} these are what Mitsuba makes of them:"
                 f" {_named(self.surfaces.ending)}"
             )
-        words += [*warnings_of_skies(self.state, self.scene.choice.reading), *light_that_ends(self)]
+        words += [
+            *warnings_of_skies(self.state, self.scene.choice.reading),
+            *_light_that_ends(self),
+        ]
         return [Note("scene", words=text) for text in words]
 
 
@@ -172,7 +175,7 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
     )
 
 
-def light_that_ends(inspection: Inspection) -> list[str]:
+def _light_that_ends(inspection: Inspection) -> list[str]:
     """Return what to say of lamps whose data end where a sensor sees light, with the share of its
     electrons that may lack.
     """
@@ -197,10 +200,10 @@ def light_that_ends(inspection: Inspection) -> list[str]:
     warnings = []
     for lamp in inspection.lamp_spectra:
         nodes, values = lamp.nodes_nm, lamp.values
-        if nodes[-1] - nodes[0] < LINE_NM:
+        if nodes[-1] - nodes[0] < _LINE_NM:
             continue
 
-        lit = ENDS_LIT * values.max()
+        lit = _ENDS_LIT * values.max()
         held = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
         for word, end_nm, value, beyond in (
             ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
@@ -228,13 +231,13 @@ def light_that_ends(inspection: Inspection) -> list[str]:
 
     if any(node.plugin == "sunsky" for node in pictures):
         # Air lets little of the sun through below 320 nm.
-        part = share(planck(CENTRES_NM, SUN_K), SKY_NM[1] < CENTRES_NM)
+        part = share(planck(CENTRES_NM, _SUN_K), _SKY_NM[1] < CENTRES_NM)
         if part > SHOWN_SHARE:
             warnings.append(
-                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of"
-                f" sunlight (a black body of {SUN_K:g} K), {percent(part, 1)} of the electrons come"
+                f"a sunsky has data from {_SKY_NM[0]:g} to {_SKY_NM[1]:g} nm, and is 0 beyond: of"
+                f" sunlight (a black body of {_SUN_K:g} K), {percent(part, 1)} of the electrons come"
                 " from there; a filter keeps it out"
-                f" ({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
+                f" ({setting('pixel.infrared_cut_nm', _SKY_NM[1])})"
             )
     return list(dict.fromkeys(warnings))
 

@@ -26,14 +26,14 @@ from pixsim.scene.textures import inspect_radiance
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
 ALLOWED = "an 8- or 16-bit PNG, JPEG, TIFF, Radiance HDR or EXR picture, grey or RGB"
-LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
+_LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
 GREY = 0.18  # of white: the border, as a photographer's grey card
-MAX_TEXELS = 1 << 27  # with the border: 512 MiB
+_MAX_TEXELS = 1 << 27  # with the border: 512 MiB
 GREY_MODES, SIXTEEN_BIT_MODES = (
     ("1", "L", "P", "RGB", "CMYK", "YCbCr"),
     ("I;16", "I;16B", "I;16L", "I"),
 )
-ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
+_ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
 
 
 @dataclass(frozen=True)
@@ -134,11 +134,11 @@ def with_border(picture: NDArray[np.float32], aspect: float) -> tuple[NDArray[np
     """
     height, width = picture.shape
     rows, columns = max(height, round(width / aspect)), max(width, round(height * aspect))
-    if rows * columns > MAX_TEXELS:
+    if rows * columns > _MAX_TEXELS:
         raise invalid(
             "chart picture",
             f"{columns} × {rows} texels with its border",
-            f"up to {MAX_TEXELS}",
+            f"up to {_MAX_TEXELS}",
             "Scale it down.",
         )
     above, left = (rows - height) // 2, (columns - width) // 2
@@ -153,7 +153,7 @@ def _luminance(values: Array) -> Array:
     if values.ndim == 2:
         return values
     red, green, blue = (
-        weight * values[:, :, index].astype(float) for index, weight in enumerate(LUMINANCE_OF_RGB)
+        weight * values[:, :, index].astype(float) for index, weight in enumerate(_LUMINANCE_OF_RGB)
     )
     return red + green + blue
 
@@ -170,7 +170,7 @@ def _codes(path: Path) -> Array:
             Image.open(file) as image,
         ):
             mode = image.mode
-            if mode in ALPHA_MODES or "transparency" in image.info:
+            if mode in _ALPHA_MODES or "transparency" in image.info:
                 low = image.convert("RGBA").getchannel("A").getextrema()[0]
                 if not isinstance(low, int | float) or low < 255:
                     hint = "Flatten it onto a background."
@@ -179,7 +179,7 @@ def _codes(path: Path) -> Array:
                     )
             if mode in SIXTEEN_BIT_MODES:
                 return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
-            if mode not in (*GREY_MODES, *ALPHA_MODES):
+            if mode not in (*GREY_MODES, *_ALPHA_MODES):
                 raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
             if (
                 image.format == "PNG" and _png_depth(path) == 16

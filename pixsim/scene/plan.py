@@ -62,10 +62,10 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
 # (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
-LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
-COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
-MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
-MIN_RENDERS = 2  # whose difference shows their noise
+_LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
+_COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
+_MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
+_MIN_RENDERS = 2  # whose difference shows their noise
 RESPONSES = (
     "0.35um",
     "4t-bsi",
@@ -73,7 +73,7 @@ RESPONSES = (
 
 
 @dataclass(frozen=True)
-class FittedLamp:
+class _FittedLamp:
     """Lamps of one spectrum, and the pulses that measure their light at the lens."""
 
     lamp: Lamp
@@ -126,7 +126,7 @@ class LightPlan:
         emissive chart
     """
 
-    lamps: tuple[FittedLamp, ...]
+    lamps: tuple[_FittedLamp, ...]
     bands: Bands
     full_passes: int
     regular_tables: bool
@@ -281,7 +281,7 @@ class Plan:
             return math.inf
         fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
         fewest = self.samples.spp if self.samples.given_spp else fewest
-        return self.most_samples / (fewest * self.light.passes * MIN_RENDERS)
+        return self.most_samples / (fewest * self.light.passes * _MIN_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -577,22 +577,22 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
 
     responses = [response(channel) for physics in derived for channel in physics.channels]
     if not any(physics.layout for physics in derived):
-        return [*map(Witness, responses), Witness(photopic_efficiency, LUMINANCE_SLACK)]
+        return [*map(Witness, responses), Witness(photopic_efficiency, _LUMINANCE_SLACK)]
 
     # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and
     # lines.
     channels = [
-        Witness(channel, slack=COLOUR_SLACK, least=MIN_SHARE_OF_WHITE) for channel in responses
+        Witness(channel, slack=_COLOUR_SLACK, least=_MIN_SHARE_OF_WHITE) for channel in responses
     ]
     return [
         *channels,
-        *(Witness(observer(number), least=MIN_SHARE_OF_WHITE) for number in range(3)),
+        *(Witness(observer(number), least=_MIN_SHARE_OF_WHITE) for number in range(3)),
     ]
 
 
 def _lights(
     inspection: Inspection, bounces: int, tolerance_e: float, full: bool
-) -> tuple[list[FittedLamp], Bands, int, list[Decision]]:
+) -> tuple[list[_FittedLamp], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band,
     and the reasons.
     """
@@ -626,7 +626,7 @@ def _lights(
                     tolerance_e * SPECTRUM_SHARE,
                     stiffness,
                 )
-        lights.append(FittedLamp(lamp, fitted or every_band))
+        lights.append(_FittedLamp(lamp, fitted or every_band))
 
     widths = bands.width_nm
     reason = (
@@ -650,7 +650,7 @@ def _lights(
     return lights, bands, full_passes, [placing, rank]
 
 
-def _rank_reason(lights: Sequence[FittedLamp], surfaces: Surfaces, full: bool) -> str:
+def _rank_reason(lights: Sequence[_FittedLamp], surfaces: Surfaces, full: bool) -> str:
     """Return why so many pulses are rendered."""
     pulses = " and ".join(str(len(light.fit.pulses)) for light in lights)
     reason = f"pulses of {len(lights)} lamp spectra: {pulses}"
@@ -724,7 +724,7 @@ def make_plan(
     plan = replace(
         plan, film=replace(plan.film, resolution=resolution), decisions=(*others, saturation)
     )
-    stack = decide_stack(physics, camera, plan.spare_e, full)
+    stack = _decide_stack(physics, camera, plan.spare_e, full)
     return replace(plan, decisions=(*others, stack, saturation))
 
 
@@ -802,7 +802,7 @@ def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
     )
 
 
-def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bool) -> Decision:
+def _decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bool) -> Decision:
     """Describe what the pixel's stack collects on axis and in the corner of the die, from green
     light.
 

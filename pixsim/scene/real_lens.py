@@ -21,10 +21,10 @@ from pixsim.sensor.pixel import PixelPhysics
 SEEN_NM = np.arange(
     400.0, 701.0, 10.0
 )  # light for which tiles are chosen: even in energy, as the sensor sees it
-THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
-DEFOCUS = "defocus of the lens"  # subject of a decision
+_THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
+_DEFOCUS = "defocus of the lens"  # subject of a decision
 # of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
-BLUR_TOLERANCES = 10.0
+_BLUR_TOLERANCES = 10.0
 
 
 def decide_real_lens(
@@ -58,10 +58,10 @@ def decide_real_lens(
     )
     if not full:
         error = thin_lens_error(camera, pitch_um, SEEN_NM, weight, aperture_um)
-        if error <= tolerance_e * THIN_LENS_SHARE:
+        if error <= tolerance_e * _THIN_LENS_SHARE:
             reason = f"{name}: a thin lens gives the same electrons"
             return None, [Decision("real lens", False, reason, "distortion and tiles", error)]
-    target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
+    target = _BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(
         camera,
         (height, width),
@@ -94,7 +94,7 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float
     notes = []
     if dark := dark_share(camera):
         notes.append(Note("image_circle", share=percent(dark, 1), lens=camera.lens.file))
-    tolerance = BLUR_TOLERANCES * tolerance_e  # of the contrast
+    tolerance = _BLUR_TOLERANCES * tolerance_e  # of the contrast
     if tiling is not None and tiling.error > tolerance:
         reason = "the film is too coarse for it, and it is left out. Take a finer film"
         if tiling.psf_um:
@@ -118,7 +118,11 @@ def out_of_focus() -> tuple[Decision, Note]:
     """Return the decision on what is out of focus behind a real lens, and the note on it."""
     blur = "the disc of a thin lens and then the blur that the real lens has in focus"
     decision = Decision(
-        DEFOCUS, False, f"what is out of focus gets {blur}", "a trace for each depth", bounded=False
+        _DEFOCUS,
+        False,
+        f"what is out of focus gets {blur}",
+        "a trace for each depth",
+        bounded=False,
     )
     return decision, Note(
         "lens_blur", words=f"what is out of focus gets {blur}; its error is not known"

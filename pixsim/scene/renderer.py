@@ -97,7 +97,7 @@ Pictures = list[NDArray[np.float32]]
 KIND = "render"
 
 
-def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
+def _hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
     """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and
     display act by the plan.
     """
@@ -184,36 +184,36 @@ class CachedRenders:
 
 Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
-SAMPLES_PER_KERNEL = 1 << 25
+_SAMPLES_PER_KERNEL = 1 << 25
 SAMPLES_TOGETHER = (
     1 << 22
 )  # of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart
-CELLS_PER_KERNEL = (
+_CELLS_PER_KERNEL = (
     1 << 23
 )  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
-SCALAR_STRIPS = 16
-SAMPLES_PER_STRIP = (
+_SCALAR_STRIPS = 16
+_SAMPLES_PER_STRIP = (
     1 << 16
 )  # of scalar variants; with fewer, the start of a render takes longer than the samples
 # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
-SPP_PER_RENDER = 4096
-BLACK_HINT = (
+_SPP_PER_RENDER = 4096
+_BLACK_HINT = (
     "Check that shapes are in view and face the camera, and that lamps face them: area lights and"
     " most surfaces are one-sided; that the camera is in no shape; that no picture of a lamp is 0;"
     " and that hide_emitters is off."
 )
-DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
-PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
+_DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
+_PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by
 # the number of samples of a strip, modulo 2³². Consecutive runs take consecutive seeds.
-SEED_STRIDE = 2654435761
-LEVEL_STRIDE = 1000003
+_SEED_STRIDE = 2654435761
+_LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = (
     4  # keeps sample counts for which the result is the same bit for bit on any number of threads
 )
 
 
-class FilmRows(NamedTuple):
+class _FilmRows(NamedTuple):
     """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows,
     columns, pulses).
     """
@@ -230,7 +230,7 @@ class Work(NamedTuple):
 
     renders: int
     spp: int
-    parts: list[FilmRows]
+    parts: list[_FilmRows]
 
 
 def render(
@@ -359,9 +359,9 @@ class Renderer:
             is_packaged(text, [Path(file.path) for file in files]),
             ends_at_s,
         )
-        self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.cache = CachedRenders(_hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.sees_infinity = any(
-            node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter")
+            node.plugin in _PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter")
         )
 
     @cached_property
@@ -434,7 +434,7 @@ class Renderer:
             return []
         key = self.cache and f"{self.cache.job}-depths"
         content = cache.arrays(KIND, key) if key else None
-        depths_m = self.tracer.depths(DEPTH_PLACES) if content is None else content["depths_m"]
+        depths_m = self.tracer.depths(_DEPTH_PLACES) if content is None else content["depths_m"]
         if key and content is None:
             cache.store_arrays(KIND, key, {"depths_m": depths_m})
 
@@ -471,7 +471,7 @@ class Renderer:
             asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
         works = [self._work(scene, asked) for scene in range(len(self.plan.light.lamps))]
         count, number = sum(work.renders * len(work.parts) for work in works), 0
-        first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * count
+        first = self.seed * _SEED_STRIDE + level * _LEVEL_STRIDE + index * count
         pictures = []
         for light, work in zip(self.plan.light.lamps, works, strict=True):
             planes: NDArray[np.float32] = zeros((*self.field, len(light.fit.pulses)), np.float32)
@@ -495,16 +495,16 @@ class Renderer:
         asked : samples per film cell and pass; most samplers round the number up, to stratify them
         """
         light, sampler = self.plan.light.lamps[scene], self.plan.samples.sampler
-        renders = -(-asked // SPP_PER_RENDER)
+        renders = -(-asked // _SPP_PER_RENDER)
         spp = self.tracer.sample_count(sampler, -(-asked // renders))
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
         samples, samples_per_kernel = (
             (spp * len(light.fit.passes), SAMPLES_TOGETHER)
             if together
-            else (spp, SAMPLES_PER_KERNEL)
+            else (spp, _SAMPLES_PER_KERNEL)
         )
-        parts: list[FilmRows] = []
+        parts: list[_FilmRows] = []
         film_strips = [
             slice(*borders)
             for borders in pairwise(self._strip_borders(samples, samples_per_kernel))
@@ -515,14 +515,14 @@ class Renderer:
                 trace = partial(
                     self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp
                 )
-                parts.append(FilmRows(rows, pulses, trace))
+                parts.append(_FilmRows(rows, pulses, trace))
             return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
             for rows in film_strips:
                 crop = film(responses, self.field, rows.start, rows.stop)
                 parts.append(
-                    FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp))
+                    _FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp))
                 )
         return Work(renders, renders * spp, parts)
 
@@ -545,9 +545,9 @@ class Renderer:
         height, width = self.field
         samples = height * width * spp
         if self.job.variant.startswith("scalar"):
-            parts = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP))
+            parts = min(_SCALAR_STRIPS, -(-samples // _SAMPLES_PER_STRIP))
         else:
-            parts = max(-(-samples // samples_per_kernel), -(-height * width // CELLS_PER_KERNEL))
+            parts = max(-(-samples // samples_per_kernel), -(-height * width // _CELLS_PER_KERNEL))
         return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
@@ -562,7 +562,7 @@ class Renderer:
                 "rendered picture",
                 "a black picture",
                 "some light",
-                " ".join(dark_skies) or BLACK_HINT,
+                " ".join(dark_skies) or _BLACK_HINT,
             )
         header = (
             provenance(self.source, self.camera, self.plan, self.seed, spp)
@@ -615,7 +615,7 @@ class Renderer:
             return {}
         if plate is None:
             return {DIFFUSER: light.chart_white}
-        spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
+        spectrum = _plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
         per_nm = spectrum.cell_means(light.bands.edges_nm)
         return {
             DIFFUSER: {
@@ -734,7 +734,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     return header | plan.light.chart_white
 
 
-def plate_spectrum(
+def _plate_spectrum(
     plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None
 ) -> Spectrum:
     """Return the radiance of a white plate in a scene, W m⁻² sr⁻¹ nm⁻¹, constant within each band

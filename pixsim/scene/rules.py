@@ -43,12 +43,12 @@ if TYPE_CHECKING:
 # Sample counts, besides 1 and 2, for which pictures are the same bit for bit on any number of
 # threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
-ROUNDED_DOWN = 1.5  # to a sample count that is smaller by this factor at most
+_ROUNDED_DOWN = 1.5  # to a sample count that is smaller by this factor at most
 TRIED_SIDE = 512  # samples of a part of the film, where a chart that diffraction changes shows it
 BORDER = 64  # samples of a part that reflection at its sides may change
 RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
-SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
-DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
+_SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
+_DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Chart:
         return float(np.ptp(self.texels)) == 0.0
 
 
-def by_content(function: Callable[..., float]) -> Callable[..., float]:
+def _by_content(function: Callable[..., float]) -> Callable[..., float]:
     """Keep the results of a function of a chart and numbers in the cache, by the content of the
     chart.
     """
@@ -155,7 +155,7 @@ def by_content(function: Callable[..., float]) -> Callable[..., float]:
     return call
 
 
-@by_content
+@_by_content
 def finest_detail(chart: Chart) -> float:
     """Return `Chart.details`."""
     if chart.uniform:
@@ -163,7 +163,7 @@ def finest_detail(chart: Chart) -> float:
     details = []
     for axis, n in enumerate(chart.texels.shape):
         lines = np.moveaxis(chart.texels, axis, 1)
-        lines = lines[:: max(1, len(lines) // SPECTRUM_LINES)]
+        lines = lines[:: max(1, len(lines) // _SPECTRUM_LINES)]
         # Mirrored, so that the ends meet; the frequency of index k is k/2 periods per length.
         power = (np.abs(np.fft.rfft(np.concatenate([lines, lines[:, ::-1]], axis=1))) ** 2).sum(
             axis=0
@@ -191,7 +191,7 @@ def _cell_weights(
     from scipy.sparse import csr_array  # imported here, since it takes time
 
     covered = texels_per_sample * count
-    if covered <= n * (1 + ALIGNED):
+    if covered <= n * (1 + _ALIGNED):
         covered = min(covered, n)
     first, stop, _ = which.indices(count)
     edges = (
@@ -216,7 +216,7 @@ def _cell_weights(
     )
 
 
-@by_content
+@_by_content
 def diffraction_effect(
     chart: Chart, pitch_um: float, wavelength_nm: float, f_number: float, enough: float = math.inf
 ) -> float:
@@ -236,7 +236,7 @@ def diffraction_effect(
             slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape
         )
         return float(
-            (np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max()
+            (np.abs(blurred - picture) / np.maximum(picture, _DARKEST * picture.max()))[inner].max()
         )
 
     if (
@@ -270,17 +270,17 @@ BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance, for leaving out bl
 # A blur disc of diameter c moves 2c/(3π) of the light across an edge, which is at the centre of a
 # pixel on average.
 BLURRED_EDGE = 2 / (3 * math.pi)
-AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
-UNLIMITED = -1
+_AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
+_UNLIMITED = -1
 # On a film finer than the scene's: of a chart, stratified, with an eighth of the noise of one; of a
 # path, independent.
 FEWEST_OF_A_CHART, FEWEST_OF_A_PATH = 2, 4
 # samples; with 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
-MIN_OF_A_PATH = 16
+_MIN_OF_A_PATH = 16
 # of a chart's half width: where files round its size or the camera's angle, it still ends with the
 # film
 ENDS = 1e-4
-ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation and size
+_ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation and size
 # Emitters that look the same from every point of the lens, or cannot be seen.
 ALIKE = ("area", "constant", "point", "spot", "directional", "projector")
 BACKGROUNDS = frozenset(("constant", "envmap", "sunsky", "sky"))  # seen beyond all shapes
@@ -311,11 +311,11 @@ def decide_bounces(
     `path` does, in less time.
     """
     max_depth = next(
-        (int(node.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")),
-        UNLIMITED,
+        (int(node.get("max_depth", _UNLIMITED)) for _, node in nodes_of(state, "Integrator")),
+        _UNLIMITED,
     )
     allowed = "any number" if max_depth < 0 else f"{max(max_depth - 1, 0)}"
-    met = UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
+    met = _UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
     if full:
         return None, met, Decision("bounces", True, f"as set in the scene: {allowed}")
     paths = [node for _, node in nodes_of(state, "Integrator")]
@@ -451,7 +451,7 @@ def lone_chart(
     if (half := _facing_half(state, body)) is None:
         return None
     view = _view(camera, body, shape)
-    if not all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True)):
+    if not all(v <= h * (1 + _ALIGNED) for v, h in zip(view, half, strict=True)):
         return None
     picture = emitted_picture(state, emitters[0][1])
     if picture is None:
@@ -490,8 +490,8 @@ def _facing_half(state: Tree, body: Body) -> tuple[float, float] | None:
     half = float(np.ptp(body.corners[:, 1])) / 2, float(np.ptp(body.corners[:, 0])) / 2
     middle = body.corners.mean(axis=0)
     up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
-    upright = max(abs(up[0]), abs(across[1])) <= ALIGNED * min(half)
-    centred = max(abs(middle[0]), abs(middle[1])) <= ALIGNED * min(half)
+    upright = max(abs(up[0]), abs(across[1])) <= _ALIGNED * min(half)
+    centred = max(abs(middle[0]), abs(middle[1])) <= _ALIGNED * min(half)
     return half if upright and centred and abs(body.normal[2]) > 1 - 1e-9 else None
 
 
@@ -544,7 +544,7 @@ def decide_samples(
     elif chart is None:
         # Passes have different seeds, and the sum over bands averages their noise. More are added
         # where the noise asks for them.
-        fewest = MIN_OF_A_PATH if finer <= 1 else FEWEST_OF_A_PATH
+        fewest = _MIN_OF_A_PATH if finer <= 1 else FEWEST_OF_A_PATH
         wanted = max(most / passes, fewest) if finer <= 1 else fewest
         spp = (
             min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most)
@@ -553,7 +553,7 @@ def decide_samples(
         )
         reason = "the scene's edges and depth are unknown before rendering"
     elif finer > 1:
-        wanted = min(most / finer / ROUNDED_DOWN, most)
+        wanted = min(most / finer / _ROUNDED_DOWN, most)
         spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= wanted)
         reason = f"those of the scene are shared by the {finer:.3g} cells of this finer film"
     else:
@@ -561,7 +561,7 @@ def decide_samples(
         reason = "the chart is uniform" if chart.uniform else "as set in the scene"
 
     sampler = "multijitter"
-    if chart is None and not full and spp < MIN_OF_A_PATH and spp <= most:
+    if chart is None and not full and spp < _MIN_OF_A_PATH and spp <= most:
         sampler = "independent"
         reason += "; of so few, multijitter would be biased"
     saved = f"{spp} of {most} samples per pass" if spp < most else ""
@@ -583,7 +583,7 @@ def decide_diffraction(
     """Leave out diffraction if it changes no sample of a chart by more than its share, at the
     longest wavelength.
     """
-    disc_um = AIRY_DIAMETER * longest_nm / 1e3 * camera.effective_f_number
+    disc_um = _AIRY_DIAMETER * longest_nm / 1e3 * camera.effective_f_number
     reason = f"Airy disc up to {disc_um:.3g} µm"
     if chart is None or full:
         return Decision(

@@ -53,14 +53,17 @@ CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = (
     "beyond_tables",
 )
 # Parameters that only pixsim reads, of the packaged charts that have some.
-PARAMETERS_OF_CHARTS = {"csf.exr": (charts.MAX_LP_PER_MM,), TARGET_FILE: tuple(Target.model_fields)}
+_PARAMETERS_OF_CHARTS = {
+    "csf.exr": (charts.MAX_LP_PER_MM,),
+    TARGET_FILE: tuple(Target.model_fields),
+}
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
-ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
-ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
-LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
+_ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
+_ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
+_LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 # a <default> that only pixsim reads: the luminance that the display shows as white
 WHITE = "white_cd_per_m2"
-FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
+_FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
 @checked_methods
@@ -114,7 +117,7 @@ class Scene:
         """
         values = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         for name in chain.from_iterable(
-            PARAMETERS_OF_CHARTS.values()
+            _PARAMETERS_OF_CHARTS.values()
         ):  # of pixsim: `for_camera` makes the chart
             values.pop(name, None)
         if self.strength is not None:
@@ -147,7 +150,7 @@ class Scene:
         Raises PixsimError if the lens is invalid, and as `camera_with_lens` does.
         """
         options = options or CameraOptions()
-        fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
+        fixed = any(name not in self.names or name in self.parameters for name in _LENS_PARAMETERS)
         die_mm = options.die_mm if fixed and options.die_mm else Camera().die_mm
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
@@ -158,7 +161,7 @@ class Scene:
             if lens and lens.file and options.f_number is None
             else {}
         )
-        scene_camera = read_camera(
+        scene_camera = _read_camera(
             sensor, die_mm, width / max(height, 1), options.model_copy(update=usual)
         )
         if options.die_height_mm is None and height != width and height > 0:
@@ -185,7 +188,7 @@ class Scene:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""
         lens = dict(
             zip(
-                LENS_PARAMETERS,
+                _LENS_PARAMETERS,
                 (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m),
                 strict=True,
             )
@@ -202,7 +205,7 @@ class Scene:
             )
         named |= {
             name: repr(value)
-            for name, value in chart_parameters(film_camera).items()
+            for name, value in _chart_parameters(film_camera).items()
             if name in self.names
         }
         if self.own_chart:
@@ -220,7 +223,7 @@ class Scene:
             )
         if self.shows_target:
             named[CHART] = str(
-                self._target_file(camera, chart_parameters(film_camera), (height, width))
+                self._target_file(camera, _chart_parameters(film_camera), (height, width))
             )
         return self.text(**named)
 
@@ -241,7 +244,7 @@ class Scene:
             round(count * half_m[name] / fitting[name])
             for count, name in zip(film, half_m, strict=True)
         )
-        height, width = (min(max(count, 1), ALLOWED_RESOLUTION[1]) for count in counts)
+        height, width = (min(max(count, 1), _ALLOWED_RESOLUTION[1]) for count in counts)
         down_mm, across_mm = (2e3 * half_side_m for half_side_m in half_m.values())
         target, size_mm = self.target, self.target.size_in_scene_mm(camera)
         content = [
@@ -329,7 +332,7 @@ def _key_of_text(
     return repr((sorted(values.items()), strength, plate))
 
 
-def chart_parameters(camera: Camera) -> dict[str, float]:
+def _chart_parameters(camera: Camera) -> dict[str, float]:
     """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in
     the plane in focus.
     """
@@ -486,12 +489,12 @@ def load_scene(
 
     # What cannot be rendered
     sensor_of_scene = sensor_node(state, sensor)[1]
-    read_camera(
+    _read_camera(
         sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number)
     )  # others may be chosen
     film_size(state, sensor_of_scene)
     sample_count(state, sensor_of_scene)
-    check_supported(state)
+    _check_supported(state)
     check_textures(state)
 
     # Parameters that scale it
@@ -519,7 +522,7 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     }
     stated = text.names | text.defaults.keys()
     allowed = text.names | {name for name, others in needed.items() if others & stated}
-    allowed |= {ASSETS, *PARAMETERS_OF_CHARTS.get(packaged_chart, ())}
+    allowed |= {ASSETS, *_PARAMETERS_OF_CHARTS.get(packaged_chart, ())}
     wrong = next((name for name in names if name not in allowed), None)
     if wrong is not None:
         settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong)]
@@ -657,7 +660,7 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
 
 
 # Luminances in cd/m² and illuminances in lux: below a photon a year on a pixel, to a million suns.
-LIGHT_RANGE = (1e-12, 1e15)
+_LIGHT_RANGE = (1e-12, 1e15)
 
 
 def _positive(name: str, value: object) -> float:
@@ -665,13 +668,13 @@ def _positive(name: str, value: object) -> float:
         number = float(str(value))
     except ValueError:
         number = math.nan
-    low, high = LIGHT_RANGE if name in (LUMINANCE, ILLUMINANCE, WHITE) else (SMALLEST, LARGEST)
+    low, high = _LIGHT_RANGE if name in (LUMINANCE, ILLUMINANCE, WHITE) else (SMALLEST, LARGEST)
     if not low <= number <= high:
         raise invalid(name, brief(value), f"a positive number, {low:g} to {high:g}")
     return number
 
 
-def check_supported(state: Tree) -> None:
+def _check_supported(state: Tree) -> None:
     """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a
     cropped film.
     """
@@ -762,7 +765,7 @@ def film_size(state: Tree, sensor: Node) -> tuple[int, int]:
 
 def check_resolution(side: int) -> None:
     """Raise PixsimError for a film with a side of that many samples that cannot be rendered."""
-    low, high = ALLOWED_RESOLUTION
+    low, high = _ALLOWED_RESOLUTION
     if not low <= side <= high:
         raise invalid("resolution", side, f"{low} to {high}")
 
@@ -772,7 +775,7 @@ def sample_count(state: Tree, sensor: Node) -> int:
     of range.
     """
     count = _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
-    low, high = ALLOWED_SAMPLES
+    low, high = _ALLOWED_SAMPLES
     if not low <= count <= high:
         raise invalid("spp", count, f"{low} to {high}")
     return count
@@ -799,14 +802,14 @@ def _whole(node: Node | None, name: str, default: int) -> int:
     return value
 
 
-def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
+def _fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm
     equivalent).
     """
     axis = str(sensor.get("fov_axis", "x"))
     if "focal_length" in sensor:
         equivalent_mm = _positive("focal_length", str(sensor["focal_length"]).removesuffix("mm"))
-        half = math.hypot(*FILM_35_MM) / 2 / equivalent_mm
+        half = math.hypot(*_FILM_35_MM) / 2 / equivalent_mm
         axis = "diagonal"
     elif "fov" in sensor:
         fov_deg = _positive("fov", sensor["fov"])
@@ -822,7 +825,7 @@ def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     return math.degrees(2 * math.atan(half * factor))
 
 
-def read_camera(
+def _read_camera(
     sensor: Node, die_mm: float, aspect: float = 1.0, options: CameraOptions | None = None
 ) -> Camera:
     """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the
@@ -840,7 +843,7 @@ def read_camera(
         if options
         else {}
     )
-    geometry = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    geometry = values_of_lens_geometry(_fov_x_deg(sensor, aspect), aperture, focus, die_mm)
     rounded = {name: float(f"{geometry[name]:.6g}") for name in ("focal_length_mm", "f_number")}
     try:
         return Camera(**geometry | rounded | replaced)
@@ -861,7 +864,7 @@ def hash_of_tree(state: Tree) -> str:
                 (
                     Path(str(value)).name
                     if name == "filename" and os.path.isabs(str(value))
-                    else in_full(value)
+                    else _in_full(value)
                 ),
             )
             for name, value in plain(node, numbers_only=False)
@@ -870,6 +873,6 @@ def hash_of_tree(state: Tree) -> str:
     return content_hash([tree, [digest_of(path) for path in named_files(state)]])
 
 
-def in_full(value: object) -> str:
+def _in_full(value: object) -> str:
     """Return a property with all its digits."""
     return f"{value.wavelengths} {value.values}" if isinstance(value, SpectrumTable) else str(value)

@@ -23,8 +23,8 @@ from pixsim.optics.camera import Camera
 
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
 SIZES = ("size_mm", "size_mrad", "size_um")
-BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
-MIN_STEP = (
+_BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
+_MIN_STEP = (
     1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
 )
 
@@ -110,7 +110,7 @@ class Target(Record):
         if self.shape == "edge":
             ends = [(-np.inf, np.inf), (0.0, np.inf)]
         elif self.shape == "bar":
-            ends[0] = -half * BAR_LENGTH, half * BAR_LENGTH
+            ends[0] = -half * _BAR_LENGTH, half * _BAR_LENGTH
         if self.direction == "horizontal":
             ends.reverse()
         if self.shape != "edge" and any(
@@ -132,9 +132,12 @@ class Target(Record):
             cover = disc_cover(axes[0], axes[1], half)
         else:
             cover = np.outer(
-                *(share_between(edges, *between) for edges, between in zip(axes, ends, strict=True))
+                *(
+                    _share_between(edges, *between)
+                    for edges, between in zip(axes, ends, strict=True)
+                )
             )
-        if 0 < (step := abs(self.contrast) * float(cover.max())) < MIN_STEP:
+        if 0 < (step := abs(self.contrast) * float(cover.max())) < _MIN_STEP:
             got = (
                 f"{self.contrast:g}, which changes the light of no film cell by more than"
                 f" {step:.2g}"
@@ -146,13 +149,13 @@ class Target(Record):
             raise invalid(
                 "contrast",
                 got,
-                f"0, or a change of at least {MIN_STEP:g}, which float32 holds",
+                f"0, or a change of at least {_MIN_STEP:g}, which float32 holds",
                 hint,
             )
         return (1 + self.contrast * cover).astype(np.float32)
 
 
-def share_between(edges: Array, low: float, high: float) -> Array:
+def _share_between(edges: Array, low: float, high: float) -> Array:
     """Return the share of each interval (n,) between edges (n + 1,) that lies between `low` and
     `high`.
     """

@@ -16,11 +16,11 @@ from pixsim.base.files import MAX_PICTURE, check_compression, opened
 from pixsim.base.notes import Note, warn
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
-RADIANCE_START = b"#?"
-EXR_START = b"v/1\x01"
-FLOAT_STARTS = EXR_START, RADIANCE_START, b"PF", b"Pf"
-HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
-MAX_HEAD = 1 << 12
+_RADIANCE_START = b"#?"
+_EXR_START = b"v/1\x01"
+_FLOAT_STARTS = _EXR_START, _RADIANCE_START, b"PF", b"Pf"
+_HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
+_MAX_HEAD = 1 << 12
 METAL_BY_NAME = (
     'Name a metal, as <string name="material" value="Au"/>, or write its index as a <spectrum>: of'
     " an RGB colour Mitsuba would make a reflectance, which no index is (gold would reflect 30 to"
@@ -34,10 +34,10 @@ MAX_SHARE = 1.5
 def inspect_radiance(path: Path, what: str) -> None:
     """Raise PixsimError if a Radiance HDR declares no size, or more than its bytes can hold."""
     with opened(path, what, "a Radiance HDR") as file:
-        head = file.read(MAX_HEAD)
+        head = file.read(_MAX_HEAD)
         stored = file.seek(0, os.SEEK_END)
-    size = HDR_SIZE.search(head)
-    if not head.startswith(RADIANCE_START) or size is None:
+    size = _HDR_SIZE.search(head)
+    if not head.startswith(_RADIANCE_START) or size is None:
         raise invalid(f"{what} '{path}'", "no Radiance header with -Y and +X", "a Radiance HDR")
     height, width = int(size[1]), int(size[2])
     if not 1 <= width * height <= MAX_PICTURE:
@@ -50,7 +50,7 @@ def inspect_radiance(path: Path, what: str) -> None:
 def is_exr(path: str | Path) -> bool:
     """Return whether a picture is an OpenEXR by its content, as Mitsuba decides it."""
     with open(path, "rb") as file:
-        return file.read(len(EXR_START)) == EXR_START
+        return file.read(len(_EXR_START)) == _EXR_START
 
 
 def has_floats(path: str | Path) -> bool:
@@ -58,7 +58,7 @@ def has_floats(path: str | Path) -> bool:
     PFM.
     """
     with open(path, "rb") as file:
-        return file.read(len(EXR_START)).startswith(FLOAT_STARTS)
+        return file.read(len(_EXR_START)).startswith(_FLOAT_STARTS)
 
 
 def check_texels(path: Path, texels: NDArray[Any]) -> None:

@@ -30,9 +30,9 @@ REFERENCES = (
     "Object",
 )  # kinds of properties that are other nodes
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
-MAX_NESTED = 24  # references within references
-MIN_VOLUME = 1e-200  # of a transformed unit cube
-LIKELY_NM = (
+_MAX_NESTED = 24  # references within references
+_MIN_VOLUME = 1e-200  # of a transformed unit cube
+_LIKELY_NM = (
     150.0,
     3000.0,
 )  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
@@ -148,10 +148,10 @@ def nodes_of(state: Tree, kind: str) -> list[tuple[int, Node]]:
 
 def parse_tree(text: str, variant: str) -> Tree:
     """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as
-    `check_tree` does.
+    `_check_tree` does.
     """
     if len(text) > MAX_TEXT:
-        return check_tree(tree_of(parse(text, variant)))
+        return _check_tree(tree_of(parse(text, variant)))
     return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)
 
 
@@ -159,7 +159,7 @@ def _kept_tree(text: str, variant: str) -> Tree:
     """Return the tree of a text, which is kept in the cache."""
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, text])
     return cache.load_or_compute(
-        "trees", key, _from_json, lambda: check_tree(tree_of(parse(text, variant))), _to_json
+        "trees", key, _from_json, lambda: _check_tree(tree_of(parse(text, variant))), _to_json
     )
 
 
@@ -175,7 +175,7 @@ def tree_of(state: ParserState) -> Tree:
     return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
 
 
-def check_tree(tree: Tree) -> Tree:
+def _check_tree(tree: Tree) -> Tree:
     """Return a tree, checked for what Mitsuba would take as it is.
 
     Raises PixsimError for numbers that are NaN or above 1e30, for transforms that cannot be
@@ -197,7 +197,7 @@ def check_tree(tree: Tree) -> Tree:
             wrong = values[~(np.abs(values) <= LARGEST)]
             if wrong.size:
                 raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
-            if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < MIN_VOLUME:
+            if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < _MIN_VOLUME:
                 raise invalid(what, value, "an invertible transform")
             if kind == "Spectrum" and not value.uniform:
                 _check_unit(what, value.wavelengths)
@@ -213,8 +213,8 @@ def check_tree(tree: Tree) -> Tree:
         raise PixsimError(
             "scene: got circular references; allowed: references without a cycle."
         ) from None
-    if max(depth) > MAX_NESTED:
-        raise invalid("scene", f"references nested {max(depth)} deep", f"at most {MAX_NESTED}")
+    if max(depth) > _MAX_NESTED:
+        raise invalid("scene", f"references nested {max(depth)} deep", f"at most {_MAX_NESTED}")
     return tree
 
 
@@ -223,7 +223,7 @@ def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:
     unit.
     """
     low_nm, high_nm = wavelengths_nm[0], wavelengths_nm[-1]
-    if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, LIKELY_NM)):
+    if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, _LIKELY_NM)):
         got = f"wavelengths from {low_nm:g} to {high_nm:g} nm"
         raise invalid(what, got, f"nm, of which {LOW_NM:g} to {HIGH_NM:g} are computed", f"{hint}.")
 

@@ -23,7 +23,7 @@ from pixsim.scene.tree import Node, Tree, nodes_of
 # and half of what is seen of it.
 BEFORE, HALF_SIDE, HALF_VIEW = 2e-3, 1e-3, 5e-4
 STEPS = 1000  # along the axis, at which an object may begin
-SOLID = "sphere", "cube", "cylinder"
+_SOLID = "sphere", "cube", "cylinder"
 NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
 # of renders, each with four times the samples of the one before; of its radiance, where none
@@ -45,7 +45,7 @@ def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
     for _, node in nodes_of(state, "Shape"):
         if node.plugin in FLAT:
             nearest_m = min(nearest_m, _met_m(node, lens, axis))
-        elif node.plugin in SOLID:
+        elif node.plugin in _SOLID:
             within = _contains(node, lens + tried_m[:, None] * axis)
             nearest_m = (
                 nearest_m

@@ -24,37 +24,37 @@ from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.diffusion import absorption_per_um
 
 FOLDER = Path(str(resources.files("pixsim") / "data/camera_sensitivities"))
-ORIGIN = (
+_ORIGIN = (
     "relative responses to energy of whole cameras, from rawtoaces-data (Academy Software"
     " Foundation, Apache-2.0)"
 )
-OWN_SCALES = (  # in the notes of cameras whose channels were scaled one by one
+_OWN_SCALES = (  # in the notes of cameras whose channels were scaled one by one
     "ratio between channels lost"
 )
 
 
-TYPICAL_NM = np.arange(360.0, 1001.0, 5.0)
-OPEN = 2000.0  # nm, an edge beyond all light of the table
+_TYPICAL_NM = np.arange(360.0, 1001.0, 5.0)
+_OPEN = 2000.0  # nm, an edge beyond all light of the table
 # Channel -> the pass bands of its filter: (transmittance, rising edge, its width, falling edge, its
 # width), nm. Dyes open in the infrared.
-DYES: dict[str, tuple[tuple[float, ...], ...]] = {
-    "R": ((0.95, 585.0, 8.0, OPEN, 1.0),),
-    "G": ((0.88, 487.0, 10.0, 585.0, 11.0), (0.9, 810.0, 14.0, OPEN, 1.0)),
-    "B": ((0.75, 405.0, 14.0, 500.0, 11.0), (0.9, 825.0, 12.0, OPEN, 1.0)),
+_DYES: dict[str, tuple[tuple[float, ...], ...]] = {
+    "R": ((0.95, 585.0, 8.0, _OPEN, 1.0),),
+    "G": ((0.88, 487.0, 10.0, 585.0, 11.0), (0.9, 810.0, 14.0, _OPEN, 1.0)),
+    "B": ((0.75, 405.0, 14.0, 500.0, 11.0), (0.9, 825.0, 12.0, _OPEN, 1.0)),
 }
-BLACK_DYE: tuple[tuple[float, ...], ...] = ((0.9, 790.0, 12.0, OPEN, 1.0),)
-OF_TYPICAL = (
+_BLACK_DYE: tuple[tuple[float, ...], ...] = ((0.9, 790.0, 12.0, _OPEN, 1.0),)
+_OF_TYPICAL = (
     "no measurement, but a model of pixsim: dye filters with logistic edges times silicon"
     " (absorption of Green 2008). Estimated confidence: peaks ±15 nm, ratio of channels ±20 %,"
     " leaks ±0.05, infrared ±30 %; without an infrared filter"
 )
 
 
-SOURCES = {"measured": ORIGIN, "typical": OF_TYPICAL}  # of each kind of entry
+SOURCES = {"measured": _ORIGIN, "typical": _OF_TYPICAL}  # of each kind of entry
 
 
 @dataclass(frozen=True)
-class TypicalFilters:
+class _TypicalFilters:
     """A set of filters on silicon, without an infrared filter.
 
     depth_um : of silicon that collects
@@ -72,19 +72,19 @@ class TypicalFilters:
         """Relative responses to energy, (B, C), at most 1: λ times filter times exp(-α dead) (1 -
         exp(-α depth)).
         """
-        absorption = absorption_per_um(TYPICAL_NM)
+        absorption = absorption_per_um(_TYPICAL_NM)
         silicon = np.exp(-absorption * self.dead_um) * -np.expm1(-absorption * self.depth_um)
         filters = np.stack(
             [self.leak + (1 - self.leak) * _passed(bands) for bands in self.bands.values()], axis=1
         )
-        values = filters * (silicon * TYPICAL_NM)[:, None]
+        values = filters * (silicon * _TYPICAL_NM)[:, None]
         return np.asarray(values / values.max())
 
 
 def _passed(bands: Sequence[tuple[float, ...]]) -> Array:
     """Transmittance of pass bands, 0 to 1."""
     each = [
-        most * _edge(TYPICAL_NM, low, width) * _edge(-TYPICAL_NM, -high, other)
+        most * _edge(_TYPICAL_NM, low, width) * _edge(-_TYPICAL_NM, -high, other)
         for most, low, width, high, other in bands
     ]
     return np.asarray(np.sum(each, axis=0))
@@ -95,15 +95,15 @@ def _edge(x: Array, at: float, width: float) -> Array:
 
 
 TYPICAL = {
-    "Typical_RGB_BSI": TypicalFilters(
-        "RGB filters on a back-side illuminated CMOS sensor", DYES, 3.0, 0.02, 0.04
+    "Typical_RGB_BSI": _TypicalFilters(
+        "RGB filters on a back-side illuminated CMOS sensor", _DYES, 3.0, 0.02, 0.04
     ),
-    "Typical_RGB_FSI": TypicalFilters(
-        "RGB filters on a front-side illuminated CMOS sensor", DYES, 2.5, 0.12, 0.07
+    "Typical_RGB_FSI": _TypicalFilters(
+        "RGB filters on a front-side illuminated CMOS sensor", _DYES, 2.5, 0.12, 0.07
     ),
-    "Typical_RGB_NIR": TypicalFilters(
+    "Typical_RGB_NIR": _TypicalFilters(
         "RGB and near-infrared (N) filters on a deep back-side illuminated CMOS sensor",
-        DYES | {"N": BLACK_DYE},
+        _DYES | {"N": _BLACK_DYE},
         6.0,
         0.02,
         0.05,
@@ -132,7 +132,7 @@ class CameraEntry:
     @property
     def words(self) -> str:
         """The title, and whether the scale of the channels is lost."""
-        return f"{self.title}; {OWN_SCALES}" if OWN_SCALES in self.notes else self.title
+        return f"{self.title}; {_OWN_SCALES}" if _OWN_SCALES in self.notes else self.title
 
 
 @lru_cache
@@ -150,7 +150,7 @@ def cameras() -> tuple[CameraEntry, ...]:
     for name in (*camera_names(), *TYPICAL):
         nm, values = camera_sensitivities(name)
         if name in TYPICAL:
-            title, kind, notes = TYPICAL[name].title, "typical", OF_TYPICAL
+            title, kind, notes = TYPICAL[name].title, "typical", _OF_TYPICAL
         else:
             row = _index()[name]
             title, kind = f"{row['manufacturer']} {row['model']}", "measured"
@@ -199,7 +199,7 @@ def camera_sensitivities(name: str) -> tuple[Array, Array]:
     [0.69, 1.0, 0.83]
     """
     if name in TYPICAL:
-        return TYPICAL_NM.copy(), TYPICAL[name].responses()
+        return _TYPICAL_NM.copy(), TYPICAL[name].responses()
     table = np.loadtxt(_file(name), delimiter=",", skiprows=1)
     return table[:, 0], table[:, 1:]
 
@@ -211,7 +211,7 @@ def has_common_scale(name: str) -> bool:
     it, do not depend on the ratio of the channels; the noise before white balance does. Raises
     PixsimError for a name that `camera_names` has not.
     """
-    return name in TYPICAL or (_file(name).is_file() and OWN_SCALES not in _index()[name]["notes"])
+    return name in TYPICAL or (_file(name).is_file() and _OWN_SCALES not in _index()[name]["notes"])
 
 
 def _file(name: str) -> Path:

@@ -46,12 +46,12 @@ WAVELENGTHS, WAVELENGTHS_DIFFUSED = 4, 6
 # unshifted, they fall steeply.
 POINTS_SHIFTED, POINTS_UNSHIFTED = 4, 6
 # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
-POINTS_OF_TABLE = 10
+_POINTS_OF_TABLE = 10
 # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as
 # a large one
 NEGLIGIBLE = 1e-5
 FINE = 64  # steps across the field, between which shares are linear
-GIVEN_AT_NM = np.arange(
+_GIVEN_AT_NM = np.arange(
     400.0, 701.0, 50.0
 )  # where a quantum efficiency is checked against its own measurement
 
@@ -192,7 +192,7 @@ def scale_error(
     """
     if physics.stack is None or not allowed > 0:
         return None
-    seen_nm = tuple(sorted(_seen_nm(physics, GIVEN_AT_NM).tolist(), reverse=True))
+    seen_nm = tuple(sorted(_seen_nm(physics, _GIVEN_AT_NM).tolist(), reverse=True))
     error = 0.0
     # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks
     # need no more.
@@ -253,12 +253,12 @@ def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
     return collected_fraction(physics, light) * physics.pitch_um**2
 
 
-Measurement = tuple[
+_Measurement = tuple[
     Stack, float
 ]  # of a quantum efficiency: the stack of the whole pixel, and the f-number of the light
 
 
-def measurement(physics: PixelPhysics) -> Measurement | None:
+def measurement(physics: PixelPhysics) -> _Measurement | None:
     """Return how the quantum efficiency was measured on a whole pixel; None: on the photodiode."""
     stack, f_number = physics.efficiency_stack, physics.efficiency_f_number
     return None if stack is None or f_number is None else (stack, f_number)
@@ -272,14 +272,14 @@ def check_efficiency(physics: PixelPhysics) -> None:
     if measured is None:
         return
     stated, passed = (
-        physics.quantum_efficiency(GIVEN_AT_NM),
-        _measured_share(measured, physics.charge, GIVEN_AT_NM),
+        physics.quantum_efficiency(_GIVEN_AT_NM),
+        _measured_share(measured, physics.charge, _GIVEN_AT_NM),
     )
     if np.any(stated > passed):
         stack, f_number = measured
         at = int(np.argmax(stated - passed))
         got = (
-            f"{stated[at]:.3g} at {GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
+            f"{stated[at]:.3g} at {_GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
             " under its microlens"
         )
         expected = (
@@ -343,7 +343,7 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
 def _collection(
     stack: Stack,
     charge: Charge | None,
-    measured: Measurement | None,
+    measured: _Measurement | None,
     light: Illumination,
     half_um: tuple[float, float],
 ) -> Collection:
@@ -389,7 +389,7 @@ def _places(
     """
     symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
     points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
-    points = points if pupil.chief_ray_angle is None else POINTS_OF_TABLE
+    points = points if pupil.chief_ray_angle is None else _POINTS_OF_TABLE
     node = -np.cos(
         np.linspace(0.0, np.pi, 2 * points - 1)
     )  # Chebyshev's, of the extrema: a polynomial through them is stable
@@ -471,7 +471,7 @@ def _shares_at(
     return optical if spread is None else spread_shares(optical, spread)
 
 
-def _measured_share(measured: Measurement, charge: Charge | None, nm: Array) -> Array:
+def _measured_share(measured: _Measurement, charge: Charge | None, nm: Array) -> Array:
     """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its
     measurement, (K,).
 
@@ -482,7 +482,7 @@ def _measured_share(measured: Measurement, charge: Charge | None, nm: Array) -> 
 
 @lru_cache(maxsize=256)
 def _measured_share_at(
-    measured: Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]
+    measured: _Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]
 ) -> Array:
     lens, f_number = measured
     nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)

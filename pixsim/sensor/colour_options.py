@@ -57,13 +57,11 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "rccb": ("RC", "CB"),
     "stacked": ("RGB",),
 }
-LARGEST_CELL = 8  # rows and columns of a unit cell
+_LARGEST_CELL = 8  # rows and columns of a unit cell
 BIN = 2  # pixels along a side of those whose charge is summed
 
 
-ALLOWED_CELL = (
-    f"rows of equal length, up to {LARGEST_CELL} x {LARGEST_CELL} capital letters, as ['RG', 'GB']"
-)
+ALLOWED_CELL = f"rows of equal length, up to {_LARGEST_CELL} x {_LARGEST_CELL} capital letters, as ['RG', 'GB']"
 
 
 def is_cell(rows: Sequence[str]) -> bool:
@@ -71,8 +69,8 @@ def is_cell(rows: Sequence[str]) -> bool:
     lengths = {len(row) for row in rows}
     fits = (
         len(lengths) == 1
-        and 1 <= min(lengths) <= max(lengths) <= LARGEST_CELL
-        and len(rows) <= LARGEST_CELL
+        and 1 <= min(lengths) <= max(lengths) <= _LARGEST_CELL
+        and len(rows) <= _LARGEST_CELL
     )
     return fits and all("A" <= letter <= "Z" for row in rows for letter in row)
 

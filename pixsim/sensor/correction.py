@@ -24,11 +24,11 @@ from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 
-DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
+_DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
 # median absolute deviation of a normal distribution over its standard deviation
-MAD_OF_SIGMA = 0.6744897501960817
+_MAD_OF_SIGMA = 0.6744897501960817
 ROUNDING = 1e-9  # of a mean of numbers from 0 to 1
-LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
+_LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
 
 
 def correct(
@@ -94,7 +94,7 @@ def correct(
     )
     if dark is not None:
         picture -= dark
-        defects |= outliers(dark, rounding_e(readout, correction.dark_frames))
+        defects |= outliers(dark, _rounding_e(readout, correction.dark_frames))
     if correction.flat_frames:
         even: Array | float = 1.0 if collection is None else collection
         light: Array | float = even if balance is None else even * balance
@@ -110,9 +110,9 @@ def correct(
         response = flat / max(
             float(flat.mean() / np.mean(even)), np.finfo(float).tiny
         )  # 1 is the mean response on axis
-        unresponsive = response < LEAST_RESPONSE * even
+        unresponsive = response < _LEAST_RESPONSE * even
         picture /= np.where(unresponsive, even, response)
-        least_spread, channels = rounding_e(readout, correction.flat_frames), frame.layout
+        least_spread, channels = _rounding_e(readout, correction.flat_frames), frame.layout
         if channels is None:
             defects |= unresponsive | outliers(level, least_spread)
         else:
@@ -171,7 +171,7 @@ def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNeg
     return light_e
 
 
-def rounding_e(readout: Readout, frames: int) -> float:
+def _rounding_e(readout: Readout, frames: int) -> float:
     """Return the standard deviation, in electrons, that rounding alone leaves in a mean of
     frames.
     """
@@ -179,12 +179,12 @@ def rounding_e(readout: Readout, frames: int) -> float:
 
 
 def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
-    """Return which values differ from the median by more than `DEFECT_SIGMAS`, by their median
+    """Return which values differ from the median by more than `_DEFECT_SIGMAS`, by their median
     absolute deviation, in (...).
     """
     away = np.abs(values - np.median(values))
-    spread = max(float(np.median(away)) / MAD_OF_SIGMA, least_spread)
-    return np.asarray(away > DEFECT_SIGMAS * spread)
+    spread = max(float(np.median(away)) / _MAD_OF_SIGMA, least_spread)
+    return np.asarray(away > _DEFECT_SIGMAS * spread)
 
 
 def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:

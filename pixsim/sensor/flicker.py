@@ -15,7 +15,7 @@ from pixsim.base.arrays import Array
 from pixsim.sensor.exposure import Exposure
 
 
-def light_over_mean(
+def _light_over_mean(
     mid_s: Array, time_s: float, frequency_hz: float, depth: float, phase: float
 ) -> Array:
     """Return the light of exposures of one time over that of steady light, in the shape (...) of
@@ -85,5 +85,6 @@ def row_gains(
     ]
     depth = exposure.flicker_depth or 0.0
     return tuple(
-        light_over_mean(mid_s, exposure_s, exposure.flicker_hz, depth, phase) for mid_s in middles_s
+        _light_over_mean(mid_s, exposure_s, exposure.flicker_hz, depth, phase)
+        for mid_s in middles_s
     )

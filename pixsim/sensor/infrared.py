@@ -22,7 +22,7 @@ from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.unit_slips import unit_slips
 
-BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
+_BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
 
 
 def pixel_notes(
@@ -64,7 +64,7 @@ def pixel_notes(
 
 def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> list[Note]:
     """Return a note on a scene of which every visible point is a disc of more than
-    `BLURRED_PIXELS`; none on others.
+    `_BLURRED_PIXELS`; none on others.
     """
     depths = irradiance.header.get(DEPTHS)
     if (
@@ -77,7 +77,7 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
     if not sharpest_m > 0:
         return []
     disc_um = abs(signed_disc_um(camera, sharpest_m))
-    if disc_um <= BLURRED_PIXELS * pitch_um:
+    if disc_um <= _BLURRED_PIXELS * pitch_um:
         return []
 
     nearest, farthest = (

@@ -56,24 +56,24 @@ from pixsim.sensor.unit_slips import slip_hint
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
 # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its
 # dark side
-EDGE_CONTRAST = 100.0
+_EDGE_CONTRAST = 100.0
 # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
 RING, RING_DECAY = (0.1, 0.43)
-RING_SHOWN = (
+_RING_SHOWN = (
     1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
 )
-RING_CELLS = 64  # after which a ring is 1e-24 of its step
+_RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
-def map_columns(
+def _map_columns(
     picture: Array, axis: int, count: int, of_columns: Callable[[slice, Array], Array]
 ) -> Array:
     """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an
     axis, by strips for memory.
     """
     if axis == 1:
-        return map_columns(picture.T, 0, count, of_columns).T
+        return _map_columns(picture.T, 0, count, of_columns).T
     result = np.empty((count, picture.shape[1]))
 
     def compute(which: slice) -> None:
@@ -84,7 +84,7 @@ def map_columns(
 
 
 @dataclass(frozen=True)
-class Knots:
+class _Knots:
     """Spline through the borders 0 … n of n cells of width 1, with not-a-knot end conditions."""
 
     knots: Array
@@ -96,22 +96,22 @@ class Knots:
 
 
 @lru_cache(maxsize=16)
-def knots_of(n: int) -> Knots:
+def knots_of(n: int) -> _Knots:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
     borders, half = np.arange(n + 1.0), (degree + 1) // 2
     knots = np.concatenate(
         [np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))]
     )
-    values = design_matrix(borders, knots, degree).tocoo()
+    values = _design_matrix(borders, knots, degree).tocoo()
     reach = int(np.abs(values.col - values.row).max())
     band = np.zeros((3 * reach + 1, n + 1), order="F")
     band[2 * reach + values.row - values.col, values.col] = values.data
     factors, pivots, _ = scipy.linalg.lapack.dgbtrf(band, reach, reach)
-    return Knots(knots, degree, reach, factors, pivots)
+    return _Knots(knots, degree, reach, factors, pivots)
 
 
-def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
+def _design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
     """Return the values of all B-splines of a degree at positions between the outer knots,
     (positions, splines).
 
@@ -137,7 +137,7 @@ def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
     )
 
 
-def spline_coefficients(samples: Array) -> Array:
+def _spline_coefficients(samples: Array) -> Array:
     """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means
     (n, columns).
     """
@@ -151,7 +151,7 @@ def spline_coefficients(samples: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class RunningIntegral:
+class _RunningIntegral:
     """The splines through the running sums of a picture (H, W), which all pixel grids on it share.
 
     coefficients : (H + 1, W) of the splines of its columns. Of a picture without hard edges (H, W)
@@ -165,31 +165,31 @@ class RunningIntegral:
     both_ways: bool
 
 
-def running_integral(samples: Array) -> RunningIntegral:
+def running_integral(samples: Array) -> _RunningIntegral:
     """Return the running integral of a picture (H, W), strip by strip."""
     if any_hard_edge(samples) or any_hard_edge(samples.T):
-        down = map_columns(
-            samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip)
+        down = _map_columns(
+            samples, 0, len(samples) + 1, lambda _, strip: _spline_coefficients(strip)
         )
-        return RunningIntegral(down, False)
-    down = map_columns(
-        samples, 0, len(samples), lambda _, strip: np.diff(spline_coefficients(strip), axis=0)
+        return _RunningIntegral(down, False)
+    down = _map_columns(
+        samples, 0, len(samples), lambda _, strip: np.diff(_spline_coefficients(strip), axis=0)
     )
-    both = map_columns(
-        down, 1, samples.shape[1], lambda _, strip: np.diff(spline_coefficients(strip), axis=0)
+    both = _map_columns(
+        down, 1, samples.shape[1], lambda _, strip: np.diff(_spline_coefficients(strip), axis=0)
     )
-    return RunningIntegral(np.ascontiguousarray(both), True)
+    return _RunningIntegral(np.ascontiguousarray(both), True)
 
 
 def any_hard_edge(samples: Array) -> bool:
     """Return whether any column of a picture (n, columns) has a hard edge, strip by strip."""
     return any(
-        has_hard_edge(samples[:, part]) for part in strips(samples.shape[1], 1, STRIP_COLUMNS)
+        _has_hard_edge(samples[:, part]) for part in strips(samples.shape[1], 1, STRIP_COLUMNS)
     )
 
 
-def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
-    """Return the weights of a `RunningIntegral`'s differences along an axis in the integrals from
+def interval_weights(low: Array, high: Array, knots: _Knots) -> csr_array:
+    """Return the weights of a `_RunningIntegral`'s differences along an axis in the integrals from
     `low` to `high`, sparse (m, n).
 
     An integral is Σ c_i (B_i(high) - B_i(low)) of coefficients c and B-splines B. Since all
@@ -222,45 +222,45 @@ def interval_weights(low: Array, high: Array, knots: Knots) -> csr_array:
     )
 
 
-def _spline_sums(positions: Array, knots: Knots) -> tuple[NDArray[np.intp], Array]:
+def _spline_sums(positions: Array, knots: _Knots) -> tuple[NDArray[np.intp], Array]:
     """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the
     next ones, (m, degree + 1).
     """
-    values = design_matrix(positions, knots.knots, knots.degree)
+    values = _design_matrix(positions, knots.knots, knots.degree)
     each = values.data.reshape(-1, knots.degree + 1)
     sums = np.cumsum(each, axis=1)
     sums[:, -1] = 1.0  # exactly, so that weights far from an interval vanish
     return values.indices.reshape(each.shape)[:, 0].astype(np.intp), sums
 
 
-def has_hard_edge(samples: Array) -> bool:
+def _has_hard_edge(samples: Array) -> bool:
     """Return whether neighbouring samples of a column differ by more than a factor of
-    `EDGE_CONTRAST`, or one is below zero.
+    `_EDGE_CONTRAST`, or one is below zero.
 
-    All pictures pay for this; `hard_edges` says where.
+    All pictures pay for this; `_hard_edges` says where.
     """
     first, second = samples[:-1], samples[1:]
-    return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
+    return bool(np.any(np.maximum(first, second) > _EDGE_CONTRAST * np.minimum(first, second)))
 
 
-def hard_edges(samples: Array) -> NDArray[np.bool_]:
+def _hard_edges(samples: Array) -> NDArray[np.bool_]:
     """Return between which neighbours of a column the size differs by more than a factor of
-    `EDGE_CONTRAST`, (n - 1, columns).
+    `_EDGE_CONTRAST`, (n - 1, columns).
     """
     size = np.abs(samples)
     first, second = size[:-1], size[1:]
-    return np.asarray(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second))
+    return np.asarray(np.maximum(first, second) > _EDGE_CONTRAST * np.minimum(first, second))
 
 
 def ringing_cells(samples: Array) -> NDArray[np.bool_]:
-    """Return in which cells (n, columns) the spline of a column rings by more than `RING_SHOWN` of
+    """Return in which cells (n, columns) the spline of a column rings by more than `_RING_SHOWN` of
     the light there.
 
     The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
     what is far away, or in another column, has no part in it. Light that is further below zero than
     it would ring is light that is meant, as of a difference.
     """
-    hard = hard_edges(samples)
+    hard = _hard_edges(samples)
     if not hard.any():
         return np.zeros(samples.shape, bool)
     ring, height = (
@@ -270,15 +270,17 @@ def ringing_cells(samples: Array) -> NDArray[np.bool_]:
     ring[:-1] = height
     np.maximum(ring[1:], height, out=ring[1:])
     reach, decay = 1, RING_DECAY
-    while reach < min(len(samples), RING_CELLS):  # steps of 1, 2, 4, … together make every distance
+    while reach < min(
+        len(samples), _RING_CELLS
+    ):  # steps of 1, 2, 4, … together make every distance
         onwards = decay * ring[:-reach]
         np.maximum(ring[:-reach], decay * ring[reach:], out=ring[:-reach])
         np.maximum(ring[reach:], onwards, out=ring[reach:])
         reach, decay = 2 * reach, decay**2
-    return np.asarray((ring > RING_SHOWN * np.abs(samples)) & (lowest_beside(samples) >= -ring))
+    return np.asarray((ring > _RING_SHOWN * np.abs(samples)) & (_lowest_beside(samples) >= -ring))
 
 
-def lowest_beside(samples: Array) -> Array:
+def _lowest_beside(samples: Array) -> Array:
     """Return the lowest of each sample of a column and its neighbours, (n, columns)."""
     lowest = samples.copy("K")  # in the order of memory, which may be that of columns
     np.minimum(lowest[1:], samples[:-1], out=lowest[1:])
@@ -286,7 +288,7 @@ def lowest_beside(samples: Array) -> Array:
     return lowest
 
 
-def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
+def _without_ringing(running: Array, samples: Array, edges: Array) -> Array:
     """Return the running integrals (2 m, columns) at the first and then the last `edges` of m
     intervals, limited where they ring.
 
@@ -295,7 +297,7 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     limited, result = limit_overshoot(running, samples, edges), running
-    rings, positive = ringing_cells(samples), lowest_beside(samples) >= 0
+    rings, positive = ringing_cells(samples), _lowest_beside(samples) >= 0
     while True:
         low, high = np.split(result, 2)
         negative, column = np.nonzero(high < low)
@@ -304,10 +306,12 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
             rings[ends[negative], column] |= positive[ends[negative], column]
         if result is not running and np.array_equal(rings, before):
             return result
-        result = make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
+        result = _make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
 
 
-def make_monotonic(running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]) -> Array:
+def _make_monotonic(
+    running: Array, samples: Array, edges: Array, rings: NDArray[np.bool_]
+) -> Array:
     """Return a running integral that never falls within cells that ring, (n, columns), unless their
     light is negative.
 
@@ -334,7 +338,7 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = lowest_beside(samples), -lowest_beside(-samples)
+    lowest, highest = _lowest_beside(samples), -_lowest_beside(-samples)
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
     bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
@@ -376,7 +380,7 @@ def diffracted_rates(
 
     There is one convolution per spectrum of a factored image (exact, with the white-light OTF),
     else one per band, and none if the plan left diffraction out. Diffusion of charge between pixels
-    without microlenses is part of it. Negative values from ringing remain; `pixel_signal` clips
+    without microlenses is part of it. Negative values from ringing remain; `_pixel_signal` clips
     them after integration. The blur of a real lens varies over the field.
     """
     weights = [electrons_per_joule(physics, irradiance) for physics in channels]
@@ -395,7 +399,7 @@ def diffracted(
     kept, even = split_by_veil(irradiance, camera, weights)
     rates = _blurred(irradiance, camera, kept, blur)
     for rate, more in zip(rates, even, strict=True):
-        add_even(rate, more)
+        _add_even(rate, more)
     return rates
 
 
@@ -414,7 +418,7 @@ def split_by_veil(
     return [veil.kept * weight for weight in weights], even
 
 
-def add_even(rate: Array, even: float) -> None:
+def _add_even(rate: Array, even: float) -> None:
     """Add what is the same everywhere to a picture, in place."""
     if even:
         rate += even
@@ -481,17 +485,17 @@ def real_lens_rate(
     if not tiling.psf_um:  # the film is too coarse to show it
         return irradiance.weighted(electrons)
     nm, seen = irradiance.wavelength_nm, np.abs(electrons * irradiance.mean_spectrum())
-    warn_of_unknown_glasses(camera, nm, seen)
+    _warn_of_unknown_glasses(camera, nm, seen)
     total = np.zeros(irradiance.shape)
     count = len(irradiance.factors[0]) if irradiance.factors else GROUPS  # at most
     for number, (picture, weight, blurred_by) in enumerate(
         _blurred_lights(irradiance.whole, electrons, seen, tiling)
     ):
-        with watched_share(number / count, (number + BLUR_WORK) / count):
+        with watched_share(number / count, (number + _BLUR_WORK) / count):
             blur = blur_of(
                 camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer
             )
-        with watched_share((number + BLUR_WORK) / count, (number + 1) / count):
+        with watched_share((number + _BLUR_WORK) / count, (number + 1) / count):
             total += float(weight.sum()) * blur.blurred(picture, irradiance.margin)
     return total
 
@@ -593,19 +597,19 @@ class PartBehindLens:
         ]
         for of_channel, more in zip(rates, even, strict=True):
             for rate in of_channel:
-                add_even(rate, more)
+                _add_even(rate, more)
         return [
             tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)
         ]
 
 
-BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike
-UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
+_BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike
+_UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
 
 
-def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array) -> None:
+def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array) -> None:
     """Warn of light at wavelengths at which a real lens's glasses are not known, where it is more
-    than `UNKNOWN_SHARE`.
+    than `_UNKNOWN_SHARE`.
 
     weight : electrons of each band, (B,)
     """
@@ -613,7 +617,7 @@ def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array)
         return
     low, high = traced_lens(camera.lens, camera.object_distance_m).known_nm
     share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())
-    if share > UNKNOWN_SHARE:
+    if share > _UNKNOWN_SHARE:
         words = (
             f"{percent(share, 1)} of the electrons are of light outside {low:.4g} to {high:.4g} nm,"
             f" where the glasses of '{camera.lens.file}' are not known: it is blurred with the"
@@ -723,33 +727,33 @@ def integrate_axis(
     low_um: Array,
     high_um: Array,
     axis: int,
-    running: RunningIntegral | None = None,
+    running: _RunningIntegral | None = None,
 ) -> Array:
     """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the
     sum is conserved.
 
     At a high-contrast edge the spline would ring into the dark side and below zero; it is limited
-    there (`without_ringing`), and nowhere else. `running` is `running_integral` of the samples if
+    there (`_without_ringing`), and nowhere else. `running` is `running_integral` of the samples if
     available, for axis 0 only.
     """
     known = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
-    at_edges = design_matrix(
+    at_edges = _design_matrix(
         edges, spline.knots, spline.degree
     )  # times the coefficients: running integrals at the edges
 
     def integrals(which: slice, strip: Array) -> Array:
-        sums = at_edges @ (spline_coefficients(strip) if known is None else known[:, which])
+        sums = at_edges @ (_spline_coefficients(strip) if known is None else known[:, which])
         low, high = np.split(sums, 2)
         integral = high - low
-        if has_hard_edge(strip) or integral.min() < 0:
-            columns = np.flatnonzero(hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
-            low, high = np.split(without_ringing(sums[:, columns], strip[:, columns], edges), 2)
+        if _has_hard_edge(strip) or integral.min() < 0:
+            columns = np.flatnonzero(_hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
+            low, high = np.split(_without_ringing(sums[:, columns], strip[:, columns], edges), 2)
             integral[:, columns] = high - low
         return integral * sample_pitch_um
 
-    return map_columns(samples, axis, low_um.size, integrals)
+    return _map_columns(samples, axis, low_um.size, integrals)
 
 
 def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
@@ -769,7 +773,7 @@ def integrate_pixels(
     sample_pitch_um: float,
     pitch_um: float,
     photodiode_side_um: float,
-    running: RunningIntegral | None = None,
+    running: _RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
     only: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
     first_um: tuple[float, float] | None = None,
@@ -796,7 +800,7 @@ def integrate_pixels(
     check_pixel_count(counts, pitch_um)
     lengths = zip(picture_um, counts, first_um or (None, None), strict=True)
     y_um, x_um = (
-        photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths
+        _photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths
     )
     if only is not None:
         y_um, x_um = (
@@ -872,7 +876,7 @@ def _integrate_moving(
 
 
 def _integrate_both_ways(
-    running: RunningIntegral,
+    running: _RunningIntegral,
     sample_pitch_um: float,
     y_um: tuple[Array, Array],
     x_um: tuple[Array, Array],
@@ -895,7 +899,7 @@ def _known_weights(low: bytes, high: bytes, n: int) -> csr_array:
     return interval_weights(np.frombuffer(low), np.frombuffer(high), knots_of(n))
 
 
-def photodiode_edges_um(
+def _photodiode_edges_um(
     length_um: float, count: int, pitch_um: float, side_um: float, first_um: float | None = None
 ) -> tuple[Array, Array]:
     """Return the first and the last edge of each photodiode in a line of pixels, (count,) each.
@@ -964,12 +968,12 @@ def array_on(
     return (rows, columns), (rows * physics.pitch_um, columns * physics.pitch_um), first_um
 
 
-def pixel_signal(
+def _pixel_signal(
     rate: Array,
     sample_pitch_um: float,
     physics: PixelPhysics,
     light: Illumination,
-    running: RunningIntegral | None = None,
+    running: _RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
     moves: Moves | None = None,
 ) -> tuple[Array, Collection | None]:
@@ -1009,7 +1013,7 @@ class ChannelLight:
     illumination: Illumination
 
     @cached_property
-    def running_integral(self) -> RunningIntegral | None:
+    def running_integral(self) -> _RunningIntegral | None:
         """Running integral of the picture, which takes longer than all steps of a pitch; None if
         too large to store.
         """
@@ -1059,7 +1063,7 @@ def array_signal(
         light = lights[0]
         moves = light.moves(moving, physics)
         of_light = light.illumination, None if moves else light.running_integral
-        signal, collection = pixel_signal(
+        signal, collection = _pixel_signal(
             light.rate_e_per_s_um2, sample_pitch_um, physics, *of_light, size_um, moves
         )
         return signal, () if collection is None else (collection,)

@@ -17,8 +17,8 @@ from pixsim.base.bounds import NotNegative, Positive
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 E_PER_FC = 1e-15 / ELECTRON_C
-A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
-UM_PER_CM = 1e4
+_A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
+_UM_PER_CM = 1e4
 
 
 def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
@@ -70,9 +70,9 @@ def dark_current_of_geometry_e_per_s(
 
     Raises PixsimError if a density or the perimeter is negative, or the area is not positive.
     """
-    of_area = area_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2
+    of_area = area_na_per_cm2 * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * area_um2
     return (
-        of_area + perimeter_na_per_cm * UM_PER_CM * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
+        of_area + perimeter_na_per_cm * _UM_PER_CM * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
     )
 
 

@@ -27,9 +27,9 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import VELOCITIES, Motion
 
-MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
+_MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
 REACH = 3  # cells beyond an interval that its weights reach
-OF_SAMPLES = (
+_OF_SAMPLES = (
     66 / 120,
     52 / 120,
     2 / 120,
@@ -81,7 +81,7 @@ def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) 
 
 
 @dataclass(frozen=True)
-class SlantedSpectrum:
+class _SlantedSpectrum:
     """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for
     a path of length 1.
 
@@ -97,7 +97,7 @@ class SlantedSpectrum:
     near_spectrum: Array = field(repr=False)
 
     @classmethod
-    def of(cls, spectrum: Array, direction: tuple[float, float]) -> SlantedSpectrum:
+    def of(cls, spectrum: Array, direction: tuple[float, float]) -> _SlantedSpectrum:
         """Return that of a spectrum (H, W)."""
         down, across = _angles(spectrum.shape, direction)
         over, near = empty_planes(*spectrum.shape), []
@@ -181,7 +181,7 @@ class LightSpectrum:
     _back: dict[tuple[int, tuple[float, float]], tuple[Array, Array | None]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _slanted: list[SlantedSpectrum] = field(
+    _slanted: list[_SlantedSpectrum] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
@@ -201,7 +201,7 @@ class LightSpectrum:
         for count in self.samples.shape:
             angle = math.pi * np.arange(count) / count
             filters.append(
-                OF_SAMPLES[0] + OF_SAMPLES[1] * np.cos(angle) + OF_SAMPLES[2] * np.cos(2 * angle)
+                _OF_SAMPLES[0] + _OF_SAMPLES[1] * np.cos(angle) + _OF_SAMPLES[2] * np.cos(2 * angle)
             )
         return self.of_samples / filters[0][:, None] / filters[1]
 
@@ -226,16 +226,16 @@ class LightSpectrum:
             found = _cosines(even, axis), _sines(odd, axis)
         else:
             found = _cosines(_kept_along(self.of_spline, path_cells), axis), None
-        if self.samples.size <= MAX_KEPT_SAMPLES:
+        if self.samples.size <= _MAX_KEPT_SAMPLES:
             self._back[key] = found
         return found
 
-    def _of_direction(self, direction: tuple[float, float]) -> SlantedSpectrum:
+    def _of_direction(self, direction: tuple[float, float]) -> _SlantedSpectrum:
         """Return what slanted paths of a direction share; the last one is kept."""
         if self._slanted and self._slanted[0].direction == direction:
             return self._slanted[0]
-        found = SlantedSpectrum.of(self.of_spline, direction)
-        if self.samples.size <= MAX_KEPT_SAMPLES:
+        found = _SlantedSpectrum.of(self.of_spline, direction)
+        if self.samples.size <= _MAX_KEPT_SAMPLES:
             self._slanted[:] = [found]
         return found
 
@@ -248,7 +248,7 @@ class LightSpectrum:
             return self.samples
         if not all(path_cells):
             return _cosines(_cosines(_kept_along(self.of_samples, path_cells), 0), 1)
-        even, odd = SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(
+        even, odd = _SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(
             _length(path_cells)
         )
         return _cosines(_cosines(even, 0), 1) + _sines(_without_first(_sines(odd, 0)), 1)
@@ -267,8 +267,8 @@ class LightSpectrum:
         """
         down, across = path_cells = _rounded(path_cells)
         height, width = self.samples.shape
-        rows = cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
-        columns = cell_weights(*x_cells, width)
+        rows = _cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
+        columns = _cell_weights(*x_cells, width)
         if down and not across and not shift_cells[1].any():
             light = empty_planes(height, columns.shape[0])
             np.multiply(
@@ -311,7 +311,7 @@ def _angles(shape: tuple[int, ...], path_cells: tuple[float, float]) -> list[Arr
     return [math.pi * _cycles(count) * path for count, path in zip(shape, path_cells, strict=True)]
 
 
-DIRECTION_DIGITS = (
+_DIRECTION_DIGITS = (
     12  # of paths of one velocity and several times, whose directions differ by rounding
 )
 NEAR = 1e-6  # of a² + b², up to which a² - b² has lost too many digits: an error of 2e-10 elsewhere
@@ -325,7 +325,7 @@ def _length(path_cells: tuple[float, float]) -> float:
 def _direction(path_cells: tuple[float, float]) -> tuple[float, float]:
     """Return a path over its length, the same for all times."""
     length = _length(path_cells)
-    down, across = (round(each / length, DIRECTION_DIGITS) for each in path_cells)
+    down, across = (round(each / length, _DIRECTION_DIGITS) for each in path_cells)
     return down, across
 
 
@@ -404,7 +404,7 @@ def _without_first(spectrum: Array) -> Array:
     return later
 
 
-def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
+def _cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
     """Return the weights of spline coefficients in the integrals from `low_cells` to `high_cells`,
     sparse (m, count).
 
@@ -415,7 +415,7 @@ def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
     width = int((np.floor(high_cells).astype(np.intp) - first).max()) + REACH + 1
     cells = first[:, None] + np.arange(width)
     centre = cells + 0.5
-    weights = quartic_integral(high_cells[:, None] - centre) - quartic_integral(
+    weights = _quartic_integral(high_cells[:, None] - centre) - _quartic_integral(
         low_cells[:, None] - centre
     )
     folded = np.mod(cells, 2 * count)
@@ -425,7 +425,7 @@ def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
     return csr_array((weights[used], folded[used], rows), shape=(low_cells.size, count))
 
 
-def quartic_integral(x: Array) -> Array:
+def _quartic_integral(x: Array) -> Array:
     """Return the integral up to x (...) of the centred quartic B-spline of unit knots, whose whole
     integral is 1.
     """

@@ -21,7 +21,7 @@ from pixsim.sensor.pixel import PixelPhysics
 Along = Literal["pixel", "row", "column"]
 
 
-class NoisyReadout(Protocol):
+class _NoisyReadout(Protocol):
     """What the sources need of a `pixsim.sensor.reading.Readout`, whose noise floor is their
     sum.
     """
@@ -49,7 +49,7 @@ class NoisyReadout(Protocol):
     def with_silent(self, names: tuple[str, ...]) -> Self: ...
 
 
-AnyReadout = TypeVar("AnyReadout", bound=NoisyReadout)
+_AnyReadout = TypeVar("_AnyReadout", bound=_NoisyReadout)
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class NoiseSource:
     """
 
     name: str
-    deviation: Callable[[NoisyReadout], float]
+    deviation: Callable[[_NoisyReadout], float]
     is_temporal: bool = False
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
     undrawn: Callable[[Any], Any] | None = field(default=None, compare=False)
 
-    def of_frame(self, readout: NoisyReadout) -> float:
+    def of_frame(self, readout: _NoisyReadout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
         What is another value in each adds up by squares, what is the same in each by itself; what
@@ -113,7 +113,7 @@ SOURCES = (
 
 
 def chosen(
-    readout: NoisyReadout, is_temporal: bool | None, along: Along | None
+    readout: _NoisyReadout, is_temporal: bool | None, along: Along | None
 ) -> list[NoiseSource]:
     """Return the sources of a readout that are temporal or fixed, and shared in that way; None for
     both, and for any way.
@@ -124,7 +124,7 @@ def chosen(
 
 
 def constant_e(
-    readout: NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None
+    readout: _NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None
 ) -> float:
     """Return the standard deviation of all sources together that grow neither with light nor with
     dark charge, in electrons.
@@ -148,7 +148,7 @@ def constant_e(
 
 
 def variance_e2(
-    readout: NoisyReadout,
+    readout: _NoisyReadout,
     start: Array | float = 0.0,
     *,
     light_e: Array | float = 0.0,
@@ -170,7 +170,7 @@ def variance_e2(
 
 
 def variances_e2(
-    readout: NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0
+    readout: _NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0
 ) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
     others = {
@@ -181,13 +181,13 @@ def variances_e2(
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
-def without_source(readout: AnyReadout, name: str) -> AnyReadout:
+def without_source(readout: _AnyReadout, name: str) -> _AnyReadout:
     """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before,
     but for their random numbers.
     """
     (source,) = (each for each in SOURCES if each.name == name)
     silent = readout.with_silent((*readout.silent, name))
-    undrawn: AnyReadout = silent if source.undrawn is None else source.undrawn(silent)
+    undrawn: _AnyReadout = silent if source.undrawn is None else source.undrawn(silent)
     return undrawn
 
 

@@ -32,8 +32,8 @@ OUTSIDE = "lamps_300_to_1110_nm_in_10"
 EDGES_NM = np.arange(300.0, 1111.0, 10.0)
 CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
 # entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
-COMPUTED = "computed_nm"
-SEEN_BEYOND = (
+_COMPUTED = "computed_nm"
+_SEEN_BEYOND = (
     1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
 )
 SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
@@ -56,7 +56,7 @@ def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
             continue
         for channel in (channel for physics in pixels for channel in physics.channels):
             electrons = cells * _response(channel)
-            least = SEEN_BEYOND * float(electrons.sum())
+            least = _SEEN_BEYOND * float(electrons.sum())
             low = WIDEST.low_nm if electrons[CENTRES_NM < LOW_NM].sum() > least else low
             high = WIDEST.high_nm if electrons[CENTRES_NM > HIGH_NM].sum() > least else high
     return Span(low, high)
@@ -66,7 +66,7 @@ def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str,
     """Return entries of an irradiance's header on lamps with light outside the range that is
     computed; none if there are none.
     """
-    computed = {} if span == VISIBLE else {COMPUTED: [span.low_nm, span.high_nm]}
+    computed = {} if span == VISIBLE else {_COMPUTED: [span.low_nm, span.high_nm]}
     cells = [lamp.cell_means(EDGES_NM) for lamp in lamps]
     beyond = [
         [float(f"{value:.{DIGITS}g}") for value in each]
@@ -76,11 +76,11 @@ def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str,
     return computed | ({OUTSIDE: beyond} if beyond else {})
 
 
-def computed_span(header: Mapping[str, Any]) -> Span:
+def _computed_span(header: Mapping[str, Any]) -> Span:
     """Return the range that an irradiance's header states as computed; that of a file of another
     program may hold anything.
     """
-    ends = header.get(COMPUTED)
+    ends = header.get(_COMPUTED)
     if isinstance(ends, list) and len(ends) == 2 and all(isinstance(end, float) for end in ends):
         return Span(*ends)
     return VISIBLE
@@ -101,7 +101,7 @@ def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
     whole = electrons.sum(axis=1)
     return float(
         (
-            electrons[:, ~inside(computed_span(header))].sum(axis=1)
+            electrons[:, ~inside(_computed_span(header))].sum(axis=1)
             / np.where(whole > 0, whole, 1.0)
         ).max(initial=0.0)
     )

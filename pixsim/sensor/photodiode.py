@@ -47,8 +47,8 @@ from pixsim.sensor.technology import load_technology
 # The public names; everything else is internal.
 __all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]
 
-BUMP = 32.5  # half-width in p; outside it the integral is below 1e-12 of the charge C V_T
-PANEL = 5.0  # width in p; the poles of 1/(1 + e^-p) are π away, so 16 nodes give an error of 1e-14
+_BUMP = 32.5  # half-width in p; outside it the integral is below 1e-12 of the charge C V_T
+_PANEL = 5.0  # width in p; the poles of 1/(1 + e^-p) are π away, so 16 nodes give an error of 1e-14
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 NEWTON_STEPS = 30  # at most; 3 to 5 are needed, since the slope is a capacitance
 BLOCK = 2048  # photocurrents at a time: 20 MB
@@ -140,10 +140,10 @@ def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
 
 
 def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
-    """Return the charge down to p = -`BUMP`, where the diode loss is only e^-`BUMP` C V_T; 0 if the
+    """Return the charge down to p = -`_BUMP`, where the diode loss is only e^-`_BUMP` C V_T; 0 if the
     reset is beyond.
     """
-    drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
+    drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - _BUMP, 0.0)
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
 
 
@@ -154,15 +154,18 @@ def _other_side(x: Array) -> Array:
 
 def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
     """Return increasing p at the borders of panels with a smooth integrand, from the reset or
-    -`BUMP` on; (n, panels + 1).
+    -`_BUMP` on; (n, panels + 1).
     """
-    regular = np.linspace(-BUMP, BUMP, round(2 * BUMP / PANEL) + 1)
+    regular = np.linspace(-_BUMP, _BUMP, round(2 * _BUMP / _PANEL) + 1)
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
-    knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), BUMP)
+    knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), _BUMP)
     borders = np.sort(
         np.hstack(
-            [np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -BUMP, BUMP)]
+            [
+                np.broadcast_to(regular, (log_ratio.size, regular.size)),
+                np.clip(knees, -_BUMP, _BUMP),
+            ]
         ),
         axis=1,
     )
@@ -242,17 +245,17 @@ def _solve_panel(
 
 
 LINEAR_WITHIN = 1e-6  # of the well: largest error of the linear law below `linear_limit_e`
-LINEAR_SHARE = (
+_LINEAR_SHARE = (
     0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
 )
-TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
-FIRST_ENTRIES = 129  # on each side of the knee, before refinement
-SOFT_FULL = 0.99  # of the full well: a soft saturation counts as full from here
-MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
-MAX_GENERATED = (
+_TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
+_FIRST_ENTRIES = 129  # on each side of the knee, before refinement
+_SOFT_FULL = 0.99  # of the full well: a soft saturation counts as full from here
+_MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
+_MAX_GENERATED = (
     1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
 )
-SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
+_SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
 
 
 def stored_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
@@ -277,7 +280,7 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
     """
     if not diode.saturation_current_e_per_s:
         return float("inf")
-    low, high = (limit * full_well_e for limit in SEARCHED)
+    low, high = (limit * full_well_e for limit in _SEARCHED)
     for _ in range(4):  # each pass narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
         lost = grid - stored_charge_e(grid, integration_s, diode)
@@ -291,7 +294,7 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
 
 
 @dataclass(frozen=True)
-class LevelTable:
+class _LevelTable:
     """Signal level (e-) against generated charge (e-): linear in its logarithm, proportional below
     the first entry.
     """
@@ -333,7 +336,7 @@ def refined(
 @lru_cache(maxsize=64)
 def level_table(
     diode: Diode, full_well_e: float, integration_s: float | None, bent: bool
-) -> LevelTable:
+) -> _LevelTable:
     """Tabulate a well limit (a time of None: the hard clip of `swing`) and a conversion (`bent`:
     V(Q)), to 1e-6 of the well.
     """
@@ -345,27 +348,27 @@ def level_table(
             if integration_s is None
             else stored_charge_e(generated_e, integration_s, diode)
         )
-        stored = np.minimum(stored, MAX_STORED * full_well_e)
+        stored = np.minimum(stored, _MAX_STORED * full_well_e)
         return converted_e(stored, full_well_e, diode) if bent else stored
 
     first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
     if integration_s is not None:
-        last_e = MAX_GENERATED * full_well_e
+        last_e = _MAX_GENERATED * full_well_e
         first_e = (
             first_e
             if bent
-            else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
+            else _LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
         )
     knee = np.linspace(
-        np.log(first_e), np.log(min(MAX_STORED * full_well_e, last_e)), FIRST_ENTRIES
+        np.log(first_e), np.log(min(_MAX_STORED * full_well_e, last_e)), _FIRST_ENTRIES
     )
     beyond = (
-        np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:]
+        np.linspace(knee[-1], np.log(last_e), _FIRST_ENTRIES)[1:]
         if last_e > full_well_e
         else knee[:0]
     )
-    return LevelTable(
-        *refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e
+    return _LevelTable(
+        *refined(level, np.concatenate([knee, beyond]), _TABLE_WITHIN * full_well_e), first_e
     )
 
 
@@ -388,14 +391,14 @@ def saturation_level_e(integration_s: float, readout: Readout) -> float:
 
 def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArray[np.bool_]:
     """Return which pixels are full in one exposure, (...): those at the full well, or at
-    `SOFT_FULL` of a soft one.
+    `_SOFT_FULL` of a soft one.
 
     generated_e : charge, of light and dark
     stored_e : its signal level, of `stored_signal_e`
     """
     if readout.physics.diode is None or readout.physics.pixel.well_limit == "swing":
         return np.asarray(generated_e >= readout.full_well_e)
-    return np.asarray(stored_e >= SOFT_FULL * readout.full_well_e)
+    return np.asarray(stored_e >= _SOFT_FULL * readout.full_well_e)
 
 
 def responds_linearly(physics: PixelPhysics) -> bool:

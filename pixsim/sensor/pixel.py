@@ -70,24 +70,24 @@ __all__ = [
 ]  # fmt: skip
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
-C_PER_FF_V = 1e-15
+_C_PER_FF_V = 1e-15
 USUAL_F_NUMBER = 8.0  # of the light that measures a quantum efficiency, as in EMVA 1288
-FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
-INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is nearly linear
+_FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
+_INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is nearly linear
 
 
 def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
     """Return C0 (1 + V/PB)^-M at a reverse bias, or its tangent below V = -FC·PB."""
-    bias, knee_v = np.asarray(bias_v, float), -FORWARD_COEFFICIENT * built_in_v
+    bias, knee_v = np.asarray(bias_v, float), -_FORWARD_COEFFICIENT * built_in_v
     upper = zero_bias_ff * (1 + np.maximum(bias, knee_v) / built_in_v) ** -grading
-    return upper + tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(
+    return upper + _tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(
         knee_v - bias, 0.0
     )
 
 
-def tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
+def _tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
     """Return -dC/dV at V = -FC·PB."""
-    return zero_bias_ff * grading / built_in_v * (1 - FORWARD_COEFFICIENT) ** (-1 - grading)
+    return zero_bias_ff * grading / built_in_v * (1 - _FORWARD_COEFFICIENT) ** (-1 - grading)
 
 
 def junction_charge_fc(
@@ -99,7 +99,7 @@ def junction_charge_fc(
     high, drop, knee_v = (
         np.asarray(high_v, float),
         np.asarray(drop_v, float),
-        -FORWARD_COEFFICIENT * built_in_v,
+        -_FORWARD_COEFFICIENT * built_in_v,
     )
     upper = np.minimum(drop, np.maximum(high - knee_v, 0.0))
     from_v = built_in_v + np.maximum(high, knee_v)
@@ -111,8 +111,8 @@ def junction_charge_fc(
         * np.expm1(one_less * np.log1p(-upper / from_v))
     )
     beyond, lower = np.maximum(knee_v - high, 0.0), drop - upper
-    knee_ff = zero_bias_ff * (1 - FORWARD_COEFFICIENT) ** -grading
-    tangent = tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
+    knee_ff = zero_bias_ff * (1 - _FORWARD_COEFFICIENT) ** -grading
+    tangent = _tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
     return zero_bias_ff * power + lower * (knee_ff + tangent * (beyond + lower / 2))
 
 
@@ -149,7 +149,7 @@ class Diode:
     @property
     def knees_v(self) -> tuple[float, ...]:
         """Bias at which the tangent of each junction begins."""
-        return tuple(-FORWARD_COEFFICIENT * built_in_v for _, built_in_v, _ in self.junctions)
+        return tuple(-_FORWARD_COEFFICIENT * built_in_v for _, built_in_v, _ in self.junctions)
 
     def capacitance_ff(self, bias_v: ArrayLike) -> Array:
         """Return C(V)."""
@@ -175,7 +175,7 @@ class Diode:
         """
         charge = np.asarray(charge_e, float)
         drop = charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))
-        for _ in range(INVERSION_STEPS):
+        for _ in range(_INVERSION_STEPS):
             excess_e = self.charge_e(self.reset_voltage_v, drop) - charge
             if np.all(np.abs(excess_e) <= 1e-15 * charge):
                 break
@@ -246,7 +246,7 @@ def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[flo
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
     """Return the standard deviation √(n kTC)/q of the reset noise."""
     return (
-        math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V)
+        math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * _C_PER_FF_V)
         / ELECTRON_C
     )
 
@@ -316,16 +316,16 @@ def well(
     }
     diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **diode_values)
     if pixel.well_limit == "swing":
-        return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
+        return Well(mean_ff * _C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
     drop_v = junction.reset_voltage_v - diode_full_v(diode)
     full_well_e = float(diode.charge_e(junction.reset_voltage_v, drop_v))
-    return Well(full_well_e, full_well_e * ELECTRON_C / C_PER_FF_V / drop_v, reset_ff, diode)
+    return Well(full_well_e, full_well_e * ELECTRON_C / _C_PER_FF_V / drop_v, reset_ff, diode)
 
 
-REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents
-NA_PER_PA = 1e-3
+_REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents
+_NA_PER_PA = 1e-3
 # Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
-RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
+_RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 def fill_factor_law(pitch_um: Positives, technology: Technology) -> Array:
@@ -352,7 +352,7 @@ def smallest_pitch_um(technology: Technology) -> float:
     return technology.fill_factor_zero_pitch_features * technology.feature_size_um
 
 
-def fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name: str) -> float:
+def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name: str) -> float:
     """Return the fill factor of a pixel at a pitch: the stated one, or that of `fill_factor_law`.
 
     name : of the setting that states the pitch, for messages
@@ -436,7 +436,7 @@ def response_curve(
     """
     table_nm, raw = _response_table("hp_mosis").T
     if reading == "literal":
-        scale = peak_quantum_efficiency / RESPONSE_PEAK_QUANTUM_EFFICIENCY
+        scale = peak_quantum_efficiency / _RESPONSE_PEAK_QUANTUM_EFFICIENCY
     else:
         raw = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELECTRON_C / (table_nm * 1e-9) * raw
         scale = peak_quantum_efficiency / raw.max()
@@ -522,7 +522,7 @@ def absorbed_efficiency(
 
 Registration = tuple[float | None, float | None]
 CENTRED: Registration = (None, None)
-SOBOL_BITS = 32
+_SOBOL_BITS = 32
 
 
 def spread_registration(repeat: int) -> tuple[float, float]:
@@ -537,12 +537,12 @@ def spread_registration(repeat: int) -> tuple[float, float]:
     [(0.0, 0.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.25)]
     """
     x = y = 0
-    across = down = 1 << (SOBOL_BITS - 1)
+    across = down = 1 << (_SOBOL_BITS - 1)
     while repeat:
         if repeat & 1:
             x, y = x ^ across, y ^ down
         repeat, across, down = repeat >> 1, across >> 1, down ^ (down >> 1)
-    return x / (1 << SOBOL_BITS), y / (1 << SOBOL_BITS)
+    return x / (1 << _SOBOL_BITS), y / (1 << _SOBOL_BITS)
 
 
 @dataclass(frozen=True)
@@ -554,7 +554,7 @@ class Charge:
     """
 
     stack: StackOptions
-    temperature_k: float = REFERENCE_TEMPERATURE_K
+    temperature_k: float = _REFERENCE_TEMPERATURE_K
 
     @property
     def crosstalk(self) -> float | None:
@@ -574,13 +574,13 @@ class Charge:
         """Temperature for the table of absorption, whose 300 K stand for 27 °C, the temperature of
         a pixel that states none.
         """
-        return SILICON_K * (self.temperature_k / REFERENCE_TEMPERATURE_K)
+        return SILICON_K * (self.temperature_k / _REFERENCE_TEMPERATURE_K)
 
     @property
     def content_hash(self) -> str:
         """Hash of what acts; the temperature does so on what diffuses."""
         own = self.stack.content_hash
-        warm = self.diffusion_um is not None and self.temperature_k != REFERENCE_TEMPERATURE_K
+        warm = self.diffusion_um is not None and self.temperature_k != _REFERENCE_TEMPERATURE_K
         return content_hash([own, self.temperature_k]) if warm else own
 
 
@@ -753,7 +753,7 @@ class PixelPhysics:
         pitch_um = own.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
-            fill_factor = fill_factor_at(
+            fill_factor = _fill_factor_at(
                 pitch_um, own, self.technology, "quantum_efficiency_pitch_um"
             )
             side_um = math.sqrt(fill_factor) * pitch_um
@@ -868,7 +868,7 @@ def growth_from_data_sheet(
     measured_um = pixel.data_sheet_pitch_um
     if measured_um is None:
         return 1.0
-    fill_factor = fill_factor_at(measured_um, pixel, technology, "pixel.data_sheet_pitch_um")
+    fill_factor = _fill_factor_at(measured_um, pixel, technology, "pixel.data_sheet_pitch_um")
     growth = area_um2 / (fill_factor * measured_um**2)
     low_e, high_e = WELL_RANGE_E
     measured_e = pixel.full_well_e if full_well_e is None else full_well_e
@@ -886,11 +886,11 @@ def growth_from_data_sheet(
     return growth
 
 
-MAX_CURRENT_E_PER_S = 1e18  # as the record allows
-WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
+_MAX_CURRENT_E_PER_S = 1e18  # as the record allows
+_WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
 
 
-def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
+def _dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
     """Return the given dark current of the measured pixel at the pixel's temperature; None if none
     is given.
 
@@ -903,7 +903,7 @@ def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
         return pixel.dark_current_e_per_s
     above_k = pixel.temperature_k + ABSOLUTE_ZERO_C - given.at_c
     current = given.e_per_s * 2 ** (above_k / (given.doubling_k or doubling_k))
-    if current > MAX_CURRENT_E_PER_S:
+    if current > _MAX_CURRENT_E_PER_S:
         got = (
             f"{given.e_per_s:g} e-/s at {given.at_c:g} °C, which is {current:.2g} at"
             f" {pixel.temperature_k:g} K"
@@ -911,16 +911,16 @@ def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
         raise invalid(
             "pixel.dark_current",
             got,
-            f"at most {MAX_CURRENT_E_PER_S:g} e-/s",
+            f"at most {_MAX_CURRENT_E_PER_S:g} e-/s",
             "Check at_c, doubling_k and temperature_k.",
         )
     return current
 
 
-MAX_PRNU = 0.3  # as `GainSpread` of the records
+_MAX_PRNU = 0.3  # as `GainSpread` of the records
 
 
-def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+def _prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
     """Return the PRNU of a photodiode of an area: as stated, or `prnu_um` over its side.
 
     Raises PixsimError if the photodiode is too small for it.
@@ -933,19 +933,19 @@ def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
         return prnu
     assert prnu_um is not None  # the record's validator
     prnu = prnu_of_area(prnu_um, area_um2)
-    if prnu > MAX_PRNU:
+    if prnu > _MAX_PRNU:
         got = (
             f"{prnu_um:g}, which is a PRNU of {prnu:.3g} at {pixel.pitch_um:g} µm (a photodiode of"
             f" {area_um2:.3g} µm²)"
         )
         hint = (
-            f"Give at most {prnu_um * MAX_PRNU / prnu:.3g}, or a photodiode of at least"
-            f" {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
+            f"Give at most {prnu_um * _MAX_PRNU / prnu:.3g}, or a photodiode of at least"
+            f" {(prnu_um / _MAX_PRNU) ** 2:.3g} µm²."
         )
         raise invalid(
             "pixel.prnu_um" if own else f"prnu_um of {technology.name}",
             got,
-            f"a PRNU of at most {MAX_PRNU:g}",
+            f"a PRNU of at most {_MAX_PRNU:g}",
             hint,
         )
     return prnu
@@ -965,7 +965,7 @@ def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
     return before_e, number_of(pixel, technology, "read_noise_after_gain_e")
 
 
-def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
+def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
     """Return the spread of the pixel offsets over the full well: as stated, or that of the source
     followers (`follower_offset_e`).
 
@@ -1010,7 +1010,7 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
     return share
 
 
-def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
+def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
     """Return fraction, relative median and logarithmic spread of the hot pixels.
 
     Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
@@ -1088,7 +1088,7 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
     h √π.
 
     Infinity without a microlens, and with a technology's height, which wide lenses exceed
-    (`stack_of`).
+    (`_stack_of`).
 
     Raises PixsimError as `stack_options` does.
     """
@@ -1097,7 +1097,7 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
     return pixel.stack.height_um / LOWEST_LENS
 
 
-def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
+def _stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
     """Return the stack of a pixel from the `stack_options` of it.
 
     The height of a technology is that of its small pixels. A microlens on a wider one than h √π
@@ -1128,7 +1128,7 @@ def stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> 
         raise PixsimError(f"pixel.stack.{error}") from None
 
 
-def check_colour(pixel: Pixel, technology: Technology) -> None:
+def _check_colour(pixel: Pixel, technology: Technology) -> None:
     """Raise PixsimError if a pixel's colour filters have no known response, or its charge cannot be
     summed.
     """
@@ -1172,7 +1172,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value
 
-    fill_factor = fill_factor_at(pixel.pitch_um, pixel, technology, "pixel.pitch_um")
+    fill_factor = _fill_factor_at(pixel.pitch_um, pixel, technology, "pixel.pitch_um")
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = number_of(pixel, technology, "reset_noise_factor")
     named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
@@ -1181,14 +1181,14 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         for name in STANDS_FOR["temporal_dark_noise_e"]
         if name not in named
     ]
-    measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
+    measured_dark_e_per_s = _dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
 
     def process_dark_e_per_s(area_um2: float) -> float:
         """Dark current of a square photodiode: that of its area, and that of its perimeter."""
         temperature_factor = 2 ** (
-            (pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k
+            (pixel.temperature_k - _REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k
         )
-        perimeter_na_per_cm = NA_PER_PA * technology.dark_current_perimeter_pa_per_cm
+        perimeter_na_per_cm = _NA_PER_PA * technology.dark_current_perimeter_pa_per_cm
         densities = technology.dark_current_na_per_cm2, perimeter_na_per_cm
         return (
             dark_current_of_geometry_e_per_s(*densities, area_um2, 4 * math.sqrt(area_um2))
@@ -1200,7 +1200,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         if pixel.dsnu_e is not None:
             return pixel.dsnu_e, 0.0
         shares = (
-            offset_share(pixel, technology, process_well),
+            _offset_share(pixel, technology, process_well),
             given(pixel.column_fpn, technology.column_fpn),
         )
         return shares[0] * full_well_e, shares[1] * full_well_e
@@ -1217,9 +1217,9 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         process_well = well(
             pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2))
         )
-        prnu = prnu_of(pixel, technology, own_um2)
+        prnu = _prnu_of(pixel, technology, own_um2)
         full_well_e = pixel.saturation_capacity_e
-        for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
+        for _ in range(_WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
             reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
             reset_e = reset_noise_e(reset_ff, pixel.temperature_k, factor)
             noise_e = math.hypot(reset_e, math.hypot(*read_noises_e(pixel, technology)), *others_e)
@@ -1242,8 +1242,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         full_well_e / process_well.full_well_e
     )  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
-    hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
-    check_colour(pixel, technology)
+    hot_fraction, hot_median, hot_spread = _hot_pixels(pixel, technology)
+    _check_colour(pixel, technology)
     charge = stack_options(pixel, technology)
     physics = PixelPhysics(
         pixel=pixel,
@@ -1255,7 +1255,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         reset_noise_e=reset_noise_e(
             (process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor
         ),
-        prnu=prnu_of(pixel, technology, area_um2),
+        prnu=_prnu_of(pixel, technology, area_um2),
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=offset_e,
         column_fpn_e=column_e,
@@ -1264,7 +1264,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hot_pixel_fraction=hot_fraction,
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
-        stack=None if charge is None else stack_of(charge, pixel, math.sqrt(area_um2)),
+        stack=None if charge is None else _stack_of(charge, pixel, math.sqrt(area_um2)),
         charge=None if charge is None else Charge(charge, pixel.temperature_k),
     )
     if pixel.quantum_efficiency_nm is not None:

@@ -507,7 +507,7 @@ STANDS_FOR = {
 STANDS_FOR = {word: fields for word, fields in STANDS_FOR.items() if fields}
 
 
-PartOfPixel = Annotated[float, Field(ge=0, lt=1)]
+_PartOfPixel = Annotated[float, Field(ge=0, lt=1)]
 # Width in pixels, on each side of the die, that is not scored on a display of fixed size: up to one
 # pixel is uncovered at a registration, and half of the outermost pixel is interpolated as a
 # constant.
@@ -539,7 +539,7 @@ class Pixel(PixelOptions):
     pitch_um: Annotated[
         Pitch, Words(also=("pixel_size", "pixel_size_um", "pixel_pitch", "pixel_pitch_um", "pitch"))
     ] = Field(6.5, description="pixel pitch")
-    registration: Annotated[tuple[PartOfPixel, PartOfPixel], BeforeValidator(as_list)] | None = (
+    registration: Annotated[tuple[_PartOfPixel, _PartOfPixel], BeforeValidator(as_list)] | None = (
         Field(
             None,
             description=(

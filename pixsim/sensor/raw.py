@@ -50,13 +50,13 @@ if TYPE_CHECKING:
 UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
-MAX_BITS = 32
-BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {
+_MAX_BITS = 32
+_BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {
     ".exr": 24
 }  # which float32 holds exactly
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
-BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
-MAX_CELL = 16  # rows or columns of a cell of black levels
+_BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
+_MAX_CELL = 16  # rows or columns of a cell of black levels
 
 
 @dataclass(frozen=True, repr=False)
@@ -134,7 +134,7 @@ FACTS = (
 )
 
 
-def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
+def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """Return the metadata that a file stores with the digital numbers of a frame."""
     more: dict[str, Any] = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
     if frame.saturated is not None and (
@@ -157,7 +157,7 @@ def _cell_of(levels: Array) -> Array:
     """Return the smallest cell of black levels (rows, columns) that repeats itself. Raises
     PixsimError without one.
     """
-    sides = range(1, min(MAX_CELL, max(levels.shape)) + 1)
+    sides = range(1, min(_MAX_CELL, max(levels.shape)) + 1)
     for rows, columns in sorted(itertools.product(sides, repeat=2), key=math.prod):
         if np.array_equal(_tiled(levels[:rows, :columns], levels.shape), levels):
             return levels[:rows, :columns]
@@ -165,7 +165,7 @@ def _cell_of(levels: Array) -> Array:
     raise invalid(
         "black_level_dn",
         "another one for each pixel",
-        f"cells of up to {MAX_CELL} × {MAX_CELL} that repeat",
+        f"cells of up to {_MAX_CELL} × {_MAX_CELL} that repeat",
         hint,
     )
 
@@ -207,9 +207,9 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     }
     if path.suffix.lower() not in writers:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
-    name, dn, facts = f"raw frame for '{path}'", np.asarray(frame.dn), facts_of(frame)
+    name, dn, facts = f"raw frame for '{path}'", np.asarray(frame.dn), _facts_of(frame)
     _check_whole(name, dn)
-    bits = BITS_OF.get(path.suffix.lower(), MAX_BITS)
+    bits = _BITS_OF.get(path.suffix.lower(), _MAX_BITS)
     if dn.max() >= 2**bits:
         raise invalid(
             name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
@@ -233,10 +233,10 @@ def _check_whole(name: str, dn: NDArray[Any]) -> None:
     if not (
         np.isfinite(dn).all()
         and dn.min() >= 0
-        and dn.max() < 2**MAX_BITS
+        and dn.max() < 2**_MAX_BITS
         and (dn == np.floor(dn)).all()
     ):
-        at = first_where(~((dn >= 0) & (dn < 2**MAX_BITS) & (dn == np.floor(dn)))) or (0, 0)
+        at = first_where(~((dn >= 0) & (dn < 2**_MAX_BITS) & (dn == np.floor(dn)))) or (0, 0)
         raise invalid(
             name, f"{dn[at]} at row {at[0]}, column {at[1]}", "whole numbers from 0 to 2³² - 1"
         )
@@ -279,8 +279,8 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
     if isinstance(facts.get(BLACK_LEVEL), list):
         levels = np.array(facts[BLACK_LEVEL])
-        tags.tagtype |= {BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
-        tags[BLACK_DIM_TAG], tags[BLACK_LEVEL_TAG] = levels.shape, tuple(levels.ravel().tolist())
+        tags.tagtype |= {_BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
+        tags[_BLACK_DIM_TAG], tags[BLACK_LEVEL_TAG] = levels.shape, tuple(levels.ravel().tolist())
         facts = {name: value for name, value in facts.items() if name != BLACK_LEVEL}
     for tag, name, kind in (
         (BLACK_LEVEL_TAG, "black_level_dn", DOUBLE),
@@ -544,7 +544,7 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
                 f"3 × {image.width} × {image.height} samples",
                 f"up to {MAX_PICTURE} in all",
             )
-        if ignored := [tag_name for tag, tag_name in NOT_APPLIED.items() if tag in tags]:
+        if ignored := [tag_name for tag, tag_name in _NOT_APPLIED.items() if tag in tags]:
             hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
             raise invalid(
                 f"{name} '{path}'",
@@ -571,7 +571,7 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         ):  # of a line, steps differ by rounding
             metadata[ENCODING] = "TransferFunction"
         samples = np.asarray(image)
-        several = has_pages(image)
+        several = _has_pages(image)
     if is_deep_colour:
         with (
             warnings.catch_warnings(action="ignore"),
@@ -583,7 +583,7 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
             image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
     if several:
-        warn(Note("file_as_read", words=pages_text(path)))
+        warn(Note("file_as_read", words=_pages_text(path)))
     return samples, metadata | _metadata_of_tags(path, tags)
 
 
@@ -594,7 +594,7 @@ WHITE_IS_ZERO, BLACK_IS_ZERO, MOSAIC, LINEAR_RAW = (
     32803,
     34892,
 )  # photometric interpretations, of TIFF/EP and DNG too
-NOT_APPLIED = {
+_NOT_APPLIED = {
     50712: "LinearizationTable",
     50715: "BlackLevelDeltaH",
     50716: "BlackLevelDeltaV",
@@ -613,7 +613,7 @@ def _let_pillow_open_mosaics() -> None:
                 OPEN_INFO[order, mosaic, sample_format, fill_order, bits, extra] = modes
 
 
-def pages_text(path: Path) -> str:
+def _pages_text(path: Path) -> str:
     """Return what is said of a file of several pictures."""
     return (
         f"'{path}' has several pages: the first is read. Save the others as files of their own to"
@@ -621,7 +621,7 @@ def pages_text(path: Path) -> str:
     )
 
 
-def has_pages(image: Image) -> bool:
+def _has_pages(image: Image) -> bool:
     """Return whether a TIFF or PNG that Pillow opened has several pictures; a JPEG with a preview
     has not.
     """
@@ -639,17 +639,17 @@ def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
         if (values == values[0]).all():
             values = values[:1]
         sides = (
-            [int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
+            [int(side) for side in tags.get(_BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
         )
         levels = values.reshape(sides)
         return levels if np.isfinite(levels).all() else None
     return None
 
 
-Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
+_Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
 
 
-def _other_order(arguments: Decoding) -> Decoding:
+def _other_order(arguments: _Decoding) -> _Decoding:
     """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16
     bits.
     """

@@ -60,7 +60,7 @@ from pixsim.sensor.technology import load_technology
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
 # lacks only the skewness 1/√mean, 3e-5 and less.
-POISSON_LIMIT_E = 1e9
+_POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = (
     6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
 )
@@ -165,7 +165,7 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
             for part in _rows_of(offset_e[block]):
                 _draw_gaussian(of_pixels_e, part, rng)
 
-    by_block(draw, shape, rng)
+    _by_block(draw, shape, rng)
     column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
     if column_offset_e is not None:
         _draw_gaussian(of_columns_e, column_offset_e, rng)
@@ -321,11 +321,11 @@ def shot_noise(mean_e: NotNegativeArray, rng: np.random.Generator) -> Array:
 
 def _shot_noise(mean_e: Array, rng: np.random.Generator) -> NDArray[Any]:
     """Return `shot_noise` as whole numbers or float64."""
-    if mean_e.max(initial=0.0) < POISSON_LIMIT_E:
+    if mean_e.max(initial=0.0) < _POISSON_LIMIT_E:
         return rng.poisson(mean_e)
-    counts = np.asarray(rng.poisson(np.minimum(mean_e, POISSON_LIMIT_E)), float)
+    counts = np.asarray(rng.poisson(np.minimum(mean_e, _POISSON_LIMIT_E)), float)
     normal = np.rint(mean_e + np.sqrt(mean_e) * rng.standard_normal(mean_e.shape))
-    return np.where(mean_e < POISSON_LIMIT_E, counts, normal)
+    return np.where(mean_e < _POISSON_LIMIT_E, counts, normal)
 
 
 def quantise(level_dn: NumberArray, bits: FrameBits) -> NDArray[np.int32]:
@@ -447,7 +447,7 @@ def _expose(
             np.logical_or(full, at_top, out=saturated[rows])
             counts.append(int(np.count_nonzero(saturating | at_top)))
 
-    by_block(expose, mean_e.shape, rng)
+    _by_block(expose, mean_e.shape, rng)
     return dn, saturated, sum(counts) / max(dn.size, 1)
 
 
@@ -567,11 +567,11 @@ def _expose_burst(
             np.copyto(dn[rows], level, casting="unsafe")  # whole numbers
             counts.append(count_full)
 
-    by_block(expose, mean_e.shape, rng)
+    _by_block(expose, mean_e.shape, rng)
     return dn, saturated, sum(counts) / max(dn.size, 1)
 
 
-def by_block(
+def _by_block(
     draw: Callable[[slice, np.random.Generator], None],
     shape: tuple[int, int],
     rng: np.random.Generator,

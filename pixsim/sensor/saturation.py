@@ -17,13 +17,13 @@ from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
 
-SHOT_NODES = 65
+_SHOT_NODES = 65
 GAIN_NODES, OFFSET_NODES = (
     37,
     19,
 )  # at least; more if they would be wider apart than the temporal noise
-MAX_NODES = 1000  # of gain times offset
-MAX_NODE = 5.0  # σ
+_MAX_NODES = 1000  # of gain times offset
+_MAX_NODE = 5.0  # σ
 CLIP_REACH = (
     8.0  # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution
 )
@@ -31,39 +31,39 @@ PEAK_RANGE, PEAK_POINTS = (
     (0.3, 1.0),
     15,
 )  # of the brightest light, and light levels that bracket the peak
-PEAK_WITHIN = 1e-5  # of the brightest light
-BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
-MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
-WELL_WITHIN = 1e-5  # of the saturation capacity
-RISE_OVER = 1e-4  # of the saturation capacity, either side
-CAPACITY_WITHIN = (
+_PEAK_WITHIN = 1e-5  # of the brightest light
+_BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
+_MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
+_WELL_WITHIN = 1e-5  # of the saturation capacity
+_RISE_OVER = 1e-4  # of the saturation capacity, either side
+_CAPACITY_WITHIN = (
     1e-4  # of the saturation capacity: accepted for a full well at which the variance is level
 )
 
 
-def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
+def _normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
     """Equally spaced quadrature nodes of a normal distribution and their weights; a single node if
     sigma is 0.
     """
     if sigma == 0:
         return np.zeros(1), np.ones(1)
-    nodes = np.linspace(-MAX_NODE, MAX_NODE, count)
+    nodes = np.linspace(-_MAX_NODE, _MAX_NODE, count)
     weights = np.exp(-(nodes**2) / 2)
     return sigma * nodes, weights / weights.sum()
 
 
-def node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
-    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `MAX_NODES` in
+def _node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
+    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `_MAX_NODES` in
     all.
 
     Nodes wider apart than the temporal noise would be seen one by one at the clip.
     """
-    needed = [min(2 * MAX_NODE * sigmas, MAX_NODES) for sigmas in (gain_sigmas, offset_sigmas)]
+    needed = [min(2 * _MAX_NODE * sigmas, _MAX_NODES) for sigmas in (gain_sigmas, offset_sigmas)]
     gains, offsets = (
         max(needed[0], GAIN_NODES),
         max(needed[1], OFFSET_NODES) if offset_sigmas else 1,
     )
-    share = min(1.0, math.sqrt(MAX_NODES / (gains * offsets)))
+    share = min(1.0, math.sqrt(_MAX_NODES / (gains * offsets)))
     return max(round(share * gains), GAIN_NODES), max(
         round(share * offsets), OFFSET_NODES
     ) if offset_sigmas else 1
@@ -103,13 +103,13 @@ def level_moments(
     """
     temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
     gains, offsets = (
-        node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e)
+        _node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e)
         if temporal_e
         else (1, 1)
     )
-    gain, gain_weight = normal_nodes(gains, gain_spread)
-    offset, offset_weight = normal_nodes(offsets, offset_spread_e)
-    shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
+    gain, gain_weight = _normal_nodes(gains, gain_spread)
+    offset, offset_weight = _normal_nodes(offsets, offset_spread_e)
+    shot, shot_weight = _normal_nodes(_SHOT_NODES, 1.0)
     charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + dark_e
     generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
     level = stored(generated)[:, None, :] + offset[:, None] - top_e
@@ -126,7 +126,7 @@ def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     coarse = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
     best = int(np.argmax([variance(electrons) for electrons in coarse.tolist()]))
     bounds = float(coarse[max(best - 1, 0)]), float(coarse[min(best + 1, coarse.size - 1)])
-    options = {"xatol": PEAK_WITHIN * brightest_e}
+    options = {"xatol": _PEAK_WITHIN * brightest_e}
     from scipy.optimize import minimize_scalar  # imported where it is needed: it takes 0.1 s
 
     return float(
@@ -136,7 +136,7 @@ def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     )
 
 
-def clipping_variance_e2(
+def _clipping_variance_e2(
     mean_e: float,
     full_well_e: float,
     adc_range_e: float | None,
@@ -168,8 +168,8 @@ def saturation_capacity_e(
     noise_e, gain_spread, offset_spread_e : as in `level_moments`
     """
     clip = full_well_e, adc_range_e, noise_e, gain_spread, offset_spread_e
-    brightest_e = BRIGHTEST * min(full_well_e, math.inf if adc_range_e is None else adc_range_e)
-    return peak_e(lambda mean_e: clipping_variance_e2(mean_e, *clip), brightest_e)
+    brightest_e = _BRIGHTEST * min(full_well_e, math.inf if adc_range_e is None else adc_range_e)
+    return peak_e(lambda mean_e: _clipping_variance_e2(mean_e, *clip), brightest_e)
 
 
 @lru_cache(maxsize=4096)
@@ -196,24 +196,24 @@ def full_well_for_e(
     def rise_e2(full_well_e: float, range_e: float | None) -> float:
         """Rise of the variance at the capacity, 0 at the peak."""
         below, above = (
-            clipping_variance_e2(
+            _clipping_variance_e2(
                 capacity_e * (1 + side), full_well_e, range_e, noise_e, gain_spread, offset_spread_e
             )
-            for side in (-RISE_OVER, RISE_OVER)
+            for side in (-_RISE_OVER, _RISE_OVER)
         )
         return above - below
 
     from scipy.optimize import brentq  # imported where it is needed: it takes 0.1 s
 
-    low_e, high_e = capacity_e, MAX_WELL * capacity_e
+    low_e, high_e = capacity_e, _MAX_WELL * capacity_e
     for range_e in (adc_range_e, None):
-        if range_e is not None and BRIGHTEST * range_e <= capacity_e:
+        if range_e is not None and _BRIGHTEST * range_e <= capacity_e:
             continue
         if rise_e2(low_e, range_e) < 0 < rise_e2(high_e, range_e):
             full_well_e = float(
-                brentq(rise_e2, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e)
+                brentq(rise_e2, low_e, high_e, args=(range_e,), xtol=_WELL_WITHIN * capacity_e)
             )
-            if abs(excess_e(full_well_e, range_e)) < CAPACITY_WITHIN * capacity_e:
+            if abs(excess_e(full_well_e, range_e)) < _CAPACITY_WITHIN * capacity_e:
                 return full_well_e
         # The variance has several peaks, as with a spread of gains far above the temporal noise, or
         # none: search for the highest.
@@ -221,6 +221,6 @@ def full_well_for_e(
             return low_e
         if excess_e(high_e, range_e) > 0:
             return float(
-                brentq(excess_e, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e)
+                brentq(excess_e, low_e, high_e, args=(range_e,), xtol=_WELL_WITHIN * capacity_e)
             )
     return capacity_e

@@ -18,7 +18,7 @@ from pixsim.sensor.quantities import (
 
 MICROLENSES = Literal["none", "square"]
 SHIFTS = Literal["none", "optimal"]
-StackShift = Annotated[tuple[HalfPitch, HalfPitch], BeforeValidator(as_list)]
+_StackShift = Annotated[tuple[HalfPitch, HalfPitch], BeforeValidator(as_list)]
 
 
 class StackOptions(Record):
@@ -61,7 +61,7 @@ class StackOptions(Record):
             " land on the centres of photodiodes (absent: none)"
         ),
     )
-    shift_um: StackShift | None = Field(
+    shift_um: _StackShift | None = Field(
         None, description="in place of shift: the same x and y for all pixels"
     )
     refraction: Literal["exact", "paraxial"] | None = Field(

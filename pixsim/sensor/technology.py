@@ -44,27 +44,27 @@ from pixsim.sensor.quantities import (
 from pixsim.sensor.spread import Distribution
 from pixsim.sensor.stack_options import MICROLENSES, SHIFTS, StackOptions
 
-Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
-Grading = Annotated[float, Field(ge=0, le=0.99)]
+_Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
+_Grading = Annotated[float, Field(ge=0, le=0.99)]
 Capacitance = Annotated[float, Field(ge=0, le=1e9)]
-MIN_FF = 1e-6  # one electron changes its voltage by 160 V
+_MIN_FF = 1e-6  # one electron changes its voltage by 160 V
 
 
 class Junction(Record):
     """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
-    reset_voltage_v: Volts = Field(description="reverse bias after reset, V")
-    voltage_swing_v: Volts = Field(
+    reset_voltage_v: _Volts = Field(description="reverse bias after reset, V")
+    voltage_swing_v: _Volts = Field(
         description="voltage swing of the photodiode, from reset to full, V"
     )
     cj_ff_per_um2: Capacitance = Field(description="junction capacitance of the area, fF/µm²")
-    pb_v: Volts = Field(description="built-in potential of the area's junction, V")
-    mj: Grading = Field(
+    pb_v: _Volts = Field(description="built-in potential of the area's junction, V")
+    mj: _Grading = Field(
         description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear"
     )
     cjsw_ff_per_um: Capacitance = Field(description="junction capacitance of the sidewall, fF/µm")
-    pbsw_v: Volts = Field(description="built-in potential of the sidewall's junction, V")
-    mjsw: Grading = Field(description="grading coefficient of the sidewall's junction")
+    pbsw_v: _Volts = Field(description="built-in potential of the sidewall's junction, V")
+    mjsw: _Grading = Field(description="grading coefficient of the sidewall's junction")
     node_capacitance_ff: Capacitance = Field(description="fixed capacitance of the sense node, fF")
 
     @model_validator(mode="after")
@@ -74,10 +74,10 @@ class Junction(Record):
                 f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v ="
                 f" {self.reset_voltage_v:g}"
             )
-        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < MIN_FF:
+        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < _MIN_FF:
             raise ValueError(
                 "one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff must be at least"
-                f" {MIN_FF:g}"
+                f" {_MIN_FF:g}"
             )
         return self
 
@@ -386,7 +386,7 @@ class Technology(NumbersOfPixels):
 # that the data sheet lacks are ideal: no non-uniformity, no offsets, no reset noise apart from the
 # read noise, and a fill factor of 1, since a data sheet's quantum efficiency is that of the whole
 # pixel with its microlens. The other numbers are placeholders.
-NO_PROCESS = Technology.model_validate(
+_NO_PROCESS = Technology.model_validate(
     dict.fromkeys(("dark_current_na_per_cm2", "reset_noise_factor", "read_noise_e"), 0.0)
     | dict.fromkeys(("prnu", "dsnu", "offset_fpn", "column_fpn"), 0.0)
     | dict.fromkeys(("full_well_e_per_um2", "peak_quantum_efficiency", "fill_factor_limit"), 1.0)
@@ -416,17 +416,17 @@ def number_of(pixel: PixelOptions, technology: Technology, name: str) -> float:
 
 # Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of
 # `fill_factor_law`.
-OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
+_OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
 
 
 def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet,
     which has none, as it is.
     """
-    if law not in OTHER_FILL_FACTOR_LAWS or technology.name == NO_TECHNOLOGY:
+    if law not in _OTHER_FILL_FACTOR_LAWS or technology.name == NO_TECHNOLOGY:
         return technology
     names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
-    return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))
+    return technology.model_copy(update=dict(zip(names, _OTHER_FILL_FACTOR_LAWS[law], strict=True)))
 
 
 def load_technology(name: str) -> Technology:
@@ -442,7 +442,7 @@ def load_technology(name: str) -> Technology:
     0.35
     """
     if name == NO_TECHNOLOGY:
-        return NO_PROCESS
+        return _NO_PROCESS
     known = packaged("data/technologies")
     if name in known:
         return _read(known[name], ())
@@ -458,8 +458,8 @@ def load_technology(name: str) -> Technology:
     return _read(path, (status.st_mtime_ns, status.st_size) if status else ())
 
 
-NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}
-OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
+_NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}
+_OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
 
 
 @lru_cache
@@ -468,13 +468,13 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     for key, entry in numbers.items():
-        if unknown := next((name for name in entry if name not in OF_ENTRY), None):
-            number = key if key in NUMBERS_OF_FILE else "a table"
+        if unknown := next((name for name in entry if name not in _OF_ENTRY), None):
+            number = key if key in _NUMBERS_OF_FILE else "a table"
             raise invalid(
                 f"{path}: {number}",
                 excerpt(unknown),
-                ", ".join(OF_ENTRY),
-                did_you_mean(unknown, OF_ENTRY),
+                ", ".join(_OF_ENTRY),
+                did_you_mean(unknown, _OF_ENTRY),
             )
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}

@@ -12,7 +12,7 @@ from pixsim.base.notes import Note
 __all__ = ["SLIPS", "slip_hint", "unit_slips"]
 
 
-class UnitSlip(NamedTuple):
+class _UnitSlip(NamedTuple):
     """A field of a data sheet, and the other unit in which its number is often given.
 
     usual : smallest and largest usual value, in the field's unit
@@ -34,21 +34,21 @@ class UnitSlip(NamedTuple):
 # PRNU at most, and ADCs that end at 30 % of the well (the high-gain channel of one with two) to 2.3
 # wells. Pitches below 0.3 µm are finer than a wavelength.
 PITCH_UM = (0.3, 300.0)
-WELL_E = (200.0, 1e7)
-ADC_RANGE_PER_WELL = (0.25, 4.0)
+_WELL_E = (200.0, 1e7)
+_ADC_RANGE_PER_WELL = (0.25, 4.0)
 SLIPS = {
-    "pitch_um": UnitSlip(PITCH_UM, "nm", 1e-3),
-    "data_sheet_pitch_um": UnitSlip(PITCH_UM, "nm", 1e-3),
-    "full_well_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
-    "saturation_capacity_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
-    "adc_full_scale_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
-    "prnu": UnitSlip((0.0, 0.05), "per cent", 0.01),
-    "fill_factor": UnitSlip((0.0, 1.0), "per cent", 0.01),
-    "gain_e_per_dn": UnitSlip(
-        ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"
+    "pitch_um": _UnitSlip(PITCH_UM, "nm", 1e-3),
+    "data_sheet_pitch_um": _UnitSlip(PITCH_UM, "nm", 1e-3),
+    "full_well_e": _UnitSlip(_WELL_E, "thousands of electrons", 1e3),
+    "saturation_capacity_e": _UnitSlip(_WELL_E, "thousands of electrons", 1e3),
+    "adc_full_scale_e": _UnitSlip(_WELL_E, "thousands of electrons", 1e3),
+    "prnu": _UnitSlip((0.0, 0.05), "per cent", 0.01),
+    "fill_factor": _UnitSlip((0.0, 1.0), "per cent", 0.01),
+    "gain_e_per_dn": _UnitSlip(
+        _ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"
     ),
-    "dn_per_e": UnitSlip(
-        ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", "adc_range_per_well"
+    "dn_per_e": _UnitSlip(
+        _ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", "adc_range_per_well"
     ),
 }
 
@@ -96,7 +96,7 @@ def unit_slips(pixel: BaseModel) -> list[Note]:
     return notes
 
 
-def _is_slip(slip: UnitSlip, value: float, converted: float) -> bool:
+def _is_slip(slip: _UnitSlip, value: float, converted: float) -> bool:
     """Return whether a value is unusual, and the converted one usual."""
     low, high = slip.usual
     return not low <= value <= high and low <= converted <= high

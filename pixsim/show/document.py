@@ -38,7 +38,7 @@ Text: TypeAlias = str | tuple[str | Strong | Link, ...]
 
 
 @dataclass(frozen=True)
-class DocumentRecord:
+class _DocumentRecord:
     """A record that keeps what it is given in lists and iterators as tuples, and a text alone as
     the only one.
     """
@@ -53,7 +53,7 @@ class DocumentRecord:
 
 
 @dataclass(frozen=True)
-class Answer(DocumentRecord):
+class Answer(_DocumentRecord):
     """A headline, and facts that belong to it, in smaller letters.
 
     named : whether the headline begins with a name of the user's, whose first letter a page leaves
@@ -75,14 +75,14 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Listed(DocumentRecord):
+class Listed(_DocumentRecord):
     """A list; in a terminal, lines that are set off."""
 
     items: Iterable[Text]
 
 
 @dataclass(frozen=True)
-class DocumentTable(DocumentRecord):
+class DocumentTable(_DocumentRecord):
     """Rows of text; the first column names them.
 
     A row of one cell is the heading of those below it. The last cell of another short row takes the
@@ -185,7 +185,7 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class Section(DocumentRecord):
+class Section(_DocumentRecord):
     """Blocks under a heading; without any, it is not shown.
 
     id : of its place in the page; may be empty below another section
@@ -220,7 +220,7 @@ Block: TypeAlias = (
 
 
 @dataclass(frozen=True)
-class Document(DocumentRecord):
+class Document(_DocumentRecord):
     """What a command answers.
 
     command : that gives such a document

@@ -65,7 +65,7 @@ LOOKS = (
 )
 COLOURS = tuple(look.colour for look in LOOKS)
 # Blur terms look the same in every figure, and differ from the first looks, which show pixel sizes.
-TERMS = {
+_TERMS = {
     "lens": ("lens (diffraction)", LOOKS[4]),
     "real lens": ("real lens, rms over the die", LOOKS[4]),
     "motion": ("motion in an exposure", LOOKS[2]),
@@ -77,7 +77,7 @@ TERMS = {
     "interpolation": ("{} interpolation on the display", LOOKS[6]),
     "dot": ("display dot", LOOKS[7]),
 }
-MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
+_MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
 ISO_SMOOTHING_DOTS = (
     8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
 )
@@ -92,7 +92,7 @@ def plain_powers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-OWN_SETTINGS = {
+_OWN_SETTINGS = {
     "svg.hashsalt": "pixsim",
     "svg.fonttype": "path",
     "pdf.fonttype": 42,  # TrueType: text can be searched, and publishers take it
@@ -108,7 +108,7 @@ def _style() -> AbstractContextManager[None]:
     defaults: dict[Any, Any] = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"
     }
-    return matplotlib.rc_context(defaults | OWN_SETTINGS)
+    return matplotlib.rc_context(defaults | _OWN_SETTINGS)
 
 
 _styled = SharedBlock(_style)
@@ -116,7 +116,7 @@ _styled = SharedBlock(_style)
 
 @contextmanager
 def own_style() -> Iterator[None]:
-    """Matplotlib's defaults and `OWN_SETTINGS` within a block or a function, and the user's
+    """Matplotlib's defaults and `_OWN_SETTINGS` within a block or a function, and the user's
     settings again after it.
 
     Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also those of threads.
@@ -299,11 +299,11 @@ def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str
     returned.
     """
     for term, mtf in terms.items():
-        name, look = TERMS[term]
+        name, look = _TERMS[term]
         axes.plot(
             x,
             mtf,
-            markevery=1 if x.size < MANY_POINTS else x.size // 5,
+            markevery=1 if x.size < _MANY_POINTS else x.size // 5,
             ms=4,
             label=name.format(interpolation),
             **look.line,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 # Characters that a data URI in double quotes cannot hold; the percent sign first.
-ENCODED = {character: f"%{ord(character):02X}" for character in '%\r\n\t"#&\\`'}
+_ENCODED = {character: f"%{ord(character):02X}" for character in '%\r\n\t"#&\\`'}
 
 
 P = ParamSpec("P")
@@ -129,12 +129,12 @@ class Drawn:
         has none.
         """
         text = re.sub(r"\s*\n\s*", " ", self.svg)
-        return text_uri("image/svg+xml", text if "'" in text else text.replace('"', "'"))
+        return _text_uri("image/svg+xml", text if "'" in text else text.replace('"', "'"))
 
     @property
     def data(self) -> str:
         """The data as a data URI."""
-        return text_uri("text/csv", self.csv, {"<": "%3C"})  # names of users' files are in it
+        return _text_uri("text/csv", self.csv, {"<": "%3C"})  # names of users' files are in it
 
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:
@@ -152,7 +152,7 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64," + base64.b64encode(content).decode()
 
 
-def text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str:
+def _text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str:
     """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than
     `data_uri` takes.
 
@@ -163,6 +163,6 @@ def text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str
     """
     from markupsafe import Markup
 
-    for character, code in (ENCODED | dict(more or {})).items():
+    for character, code in (_ENCODED | dict(more or {})).items():
         text = text.replace(character, code)
     return Markup(f"data:{kind};charset=utf-8,{text}")

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
 
-SCALE_ENDS = (1.0, 2.0, 5.0, 10.0)  # of the colour scale: few, so that most maps can be compared
-SCALE_STEPS = 5
-VIEWING_GAMMA = 2.2
-COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more bytes
+_SCALE_ENDS = (1.0, 2.0, 5.0, 10.0)  # of the colour scale: few, so that most maps can be compared
+_SCALE_STEPS = 5
+_VIEWING_GAMMA = 2.2
+_COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more bytes
 # Layout of a map with axes, in px.
 MAP, LEFT, TOP, BOTTOM, RIGHT = 560, 110, 70, 80, 160
 BAR, BAR_GAP, TICK, GAP = 30, 50, 7, 5
@@ -60,7 +60,7 @@ def display_codes(light: Array) -> NDArray[np.uint8]:
     """Return relative luminance (H, W), or light of red, green and blue (H, W, 3), 1 for white, for
     a display of gamma 2.2.
     """
-    return np.asarray(np.rint(255 * np.clip(light, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
+    return np.asarray(np.rint(255 * np.clip(light, 0, 1) ** (1 / _VIEWING_GAMMA)).astype(np.uint8))
 
 
 def light_png(light: Array) -> bytes:
@@ -73,9 +73,9 @@ def light_png(light: Array) -> bytes:
 
 def scale_end(p99_delta_e: float) -> float:
     """Return the end of the colour scale of maps with this 99th percentile, the largest of them:
-    the next of `SCALE_ENDS`.
+    the next of `_SCALE_ENDS`.
     """
-    return next((end for end in SCALE_ENDS if p99_delta_e <= end), SCALE_ENDS[-1])
+    return next((end for end in _SCALE_ENDS if p99_delta_e <= end), _SCALE_ENDS[-1])
 
 
 def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
@@ -117,7 +117,7 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
         y = TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height
         draw.line((LEFT - 1 - TICK, y, LEFT - 1, y), BLACK)
         draw.text((LEFT - TICK - GAP, y), text, BLACK, font(15), anchor="rm")
-    for delta_e_there in np.linspace(0, end, SCALE_STEPS + 1):
+    for delta_e_there in np.linspace(0, end, _SCALE_STEPS + 1):
         y = bottom - delta_e_there / end * height
         draw.line((bar + BAR, y, bar + BAR + TICK, y), BLACK)
         draw.text((bar + BAR + TICK + GAP, y), f"{delta_e_there:g}", BLACK, font(15), anchor="lm")
@@ -158,7 +158,7 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
     metadata.add_text("Software", "pixsim")
     # Noise does not repeat: run lengths alone take a sixth of the time and even fewer bytes.
     compression = (
-        {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
+        {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": _COLOUR_LEVEL}
     )
     Image.fromarray(np.ascontiguousarray(codes)).save(
         content, "png", pnginfo=metadata, **compression
@@ -261,8 +261,8 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
 DETAIL_DOTS = 112  # three of them fit side by side on a phone
 # per side of a whole picture in a page: larger pictures would make pages of tens of megabytes
 MAX_PICTURE_DOTS = 1024
-DETAIL_STEPS = 4  # positions tried per width of a detail
-SCALE_DOTS = 200, 12  # width and height of the colour scale
+_DETAIL_STEPS = 4  # positions tried per width of a detail
+_SCALE_DOTS = 200, 12  # width and height of the colour scale
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ def windows(shape: tuple[int, int]) -> list[Window]:
     edges.
     """
     side = min(DETAIL_DOTS, *shape)
-    down, across = (np.linspace(0, 1, DETAIL_STEPS * dots // side + 1).tolist() for dots in shape)
+    down, across = (np.linspace(0, 1, _DETAIL_STEPS * dots // side + 1).tolist() for dots in shape)
     return [window_at((x, y), shape) for y in down for x in across]
 
 
@@ -344,7 +344,7 @@ def reduced(luminance: Array) -> Array:
 
 def scale(end: float) -> Picture:
     """Return the colour scale of ΔE maps, 0 on the left and `end` on the right."""
-    width, height = SCALE_DOTS
+    width, height = _SCALE_DOTS
     ramp = delta_e_colours(np.linspace(0.0, end, width, endpoint=False)[None], end)
     return Picture(
         np.repeat(ramp, height, axis=0),

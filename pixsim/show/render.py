@@ -47,7 +47,7 @@ TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
 BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
-BETWEEN = "  "  # columns
+_BETWEEN = "  "  # columns
 NARROWEST = 12  # to which a column of words is wrapped
 WIDTH = 160  # columns of output that does not go to a terminal
 
@@ -99,7 +99,7 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
         max(map(len, column))
         for column in zip(*(row for row in rows if len(row) == count), strict=True)
     ]
-    room = width - len(before) - len(BETWEEN) * (count - 1)
+    room = width - len(before) - len(_BETWEEN) * (count - 1)
     while sum(widths) > room and (wide := [at for at in words if widths[at] > NARROWEST]):
         widths[max(wide, key=widths.__getitem__)] -= 1
 
@@ -119,7 +119,7 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
                 part.ljust(wide) if left else part.rjust(wide)
                 for part, wide, left in zip(parts, widths, is_text, strict=False)
             )
-            yield (before + BETWEEN.join(padded)).rstrip()
+            yield (before + _BETWEEN.join(padded)).rstrip()
 
 
 def _wrapped(cell: str, width: int) -> list[str]:
@@ -222,11 +222,11 @@ def write(
     did not write.
     """
     with output_folder(folder) as path, publishing(path, provenance) as unfinished:
-        write_files(document, unfinished, figures)
+        _write_files(document, unfinished, figures)
     return Path(folder) / PAGE
 
 
-def write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
+def _write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
     """Write all files of a document but their list to a new folder."""
     with ThreadPoolExecutor(2) as pool:
         written = [pool.submit(make, folder) for make in document.writers]
@@ -243,4 +243,4 @@ def write_files(document: Document, folder: Path, figures: Figures = "svg") -> N
         for writer in written:
             writer.result()
     for name, part in document.parts.items():
-        write_files(part, folder / name, figures)
+        _write_files(part, folder / name, figures)

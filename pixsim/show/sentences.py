@@ -9,7 +9,7 @@ from typing import Any
 from pixsim.base.digits import setting_text
 
 STOPS = (".", "?", "!", ":")  # ends of a sentence
-IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
+_IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
 
 
 def capital(words: str) -> str:
@@ -18,7 +18,7 @@ def capital(words: str) -> str:
     >>> capital("mean ΔE"), capital("my_sensor is better"), capital("pixel.prnu alone"), capital("f/4")
     ('Mean ΔE', 'my_sensor is better', 'pixel.prnu alone', 'f/4')
     """
-    return words if IDENTIFIER.match(words) else words[:1].upper() + words[1:]
+    return words if _IDENTIFIER.match(words) else words[:1].upper() + words[1:]
 
 
 def sentence(words: str) -> str:

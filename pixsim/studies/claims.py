@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
 FIGURE_2_INTEGRATION_S = 0.030
-FIGURE_2_WELL_FRACTION = 0.20
+_FIGURE_2_WELL_FRACTION = 0.20
 
 
 def dr_and_snr_db(
@@ -49,7 +49,7 @@ def dr_and_snr_db(
     readouts = [Readout.of(pixel) for pixel in pixels]
     dr = [readout.dynamic_range_db(FIGURE_2_INTEGRATION_S) for readout in readouts]
     snr = [
-        readout.snr_db(FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S)
+        readout.snr_db(_FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S)
         for readout in readouts
     ]
     return np.array(dr), np.array(snr)
@@ -66,15 +66,15 @@ def growth_exponent(pitch_um: Array, level_db: Array) -> float:
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
 REFERENCE_TECHNOLOGY = "0.35um"
-FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
-FIGURE_2_RANGE_DB = (35.0, 70.0)
+_FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
+_FIGURE_2_RANGE_DB = (35.0, 70.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
 OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
-TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
-FILL_FACTOR_TOLERANCE = 0.05
+_TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
+_FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
 FREQUENCY_BINS, CONTRAST_BINS = 6, 8
-CONTRAST_SMOOTHING_DOTS = 4.0
+_CONTRAST_SMOOTHING_DOTS = 4.0
 HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
 Interval = tuple[float | None, float | None]
 UNKNOWN: Interval = (None, None)
@@ -188,7 +188,7 @@ def by_frequency(delta_e: Array) -> Array:
     )
 
 
-def chart_places(parts: int, border: float) -> Array:
+def _chart_places(parts: int, border: float) -> Array:
     """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1,
     without `border` at each end.
     """
@@ -199,7 +199,7 @@ def frequency_places(border: float = 0.0) -> Array:
     """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the
     chart's width on each side.
     """
-    return chart_places(FREQUENCY_BINS, border)
+    return _chart_places(FREQUENCY_BINS, border)
 
 
 def frequency_contrast_table(
@@ -212,7 +212,7 @@ def frequency_contrast_table(
     table = np.stack(
         [part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)]
     )
-    return frequency_places(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
+    return frequency_places(border[1]), csf_contrast(_chart_places(CONTRAST_BINS, border[0])), table
 
 
 def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
@@ -222,9 +222,9 @@ def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Arr
     border : fraction of the chart's height that the map omits above and below
     """
     smooth = scipy.ndimage.gaussian_filter1d(
-        by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest"
+        by_frequency(delta_e), _CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest"
     )
-    contrast = csf_contrast(chart_places(len(smooth), border))
+    contrast = csf_contrast(_chart_places(len(smooth), border))
     above = smooth > level
     return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
 
@@ -332,7 +332,7 @@ def reference_process(study: Study) -> Technology:
 
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
-    for size_um, given in FILL_FACTORS.items():
+    for size_um, given in _FILL_FACTORS.items():
         result = float(fill_factor_law(size_um, process))
         yield Finding(
             f"Fill factor at {size_um:g} µm",
@@ -341,7 +341,7 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
             abs(result - given) < 0.015,
         )
     pitch_um = np.geomspace(5.3, 15.0, 25)
-    low, high = FIGURE_2_RANGE_DB
+    low, high = _FIGURE_2_RANGE_DB
     for name, db in zip(
         ("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True
     ):
@@ -361,10 +361,10 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
     size = f"{best.pitch_um:.2f} µm (95 %: {interval(best.interval_um)})"
-    agrees = best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM
+    agrees = best.inside and abs(best.pitch_um - OPTIMUM_UM) <= _TOLERANCE_UM
     yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", size, agrees)
     fill_factor = curve.optimum_fill_factor
-    agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
+    agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= _FILL_FACTOR_TOLERANCE
     yield Finding("Its fill factor", percent(OPTIMUM_FILL_FACTOR), percent(fill_factor), agrees)
 
 
@@ -420,7 +420,7 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
 
 
 # Statements of section 5 on all processes together.
-SCALING = (
+_SCALING = (
     "The optimum shrinks with technology",
     "… but slower than the technology",
     "The best mean ΔE gets worse as technology shrinks",
@@ -461,7 +461,7 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
         result = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
         return Finding(statement, given, result, agrees)
 
-    optimum, slower, worse = SCALING
+    optimum, slower, worse = _SCALING
     return [
         row(optimum, "yes", size_um, 2, rise(size_um[::-1], size_intervals[::-1])),
         row(slower, "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals)),

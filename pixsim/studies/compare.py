@@ -67,10 +67,10 @@ from pixsim.viewer.screen import warn_of_clipping, white_header
 # --- results that exist
 # -----------------------------------------------------------------------------------------------------------
 
-MAKE_AGAIN = "Make it again, with its settings.toml."
+_MAKE_AGAIN = "Make it again, with its settings.toml."
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
 # What a header of light says of the pixels, not of the light itself.
-OF_PIXELS = {"plan", "bound_e", "spare_e", "render_noise"}
+_OF_PIXELS = {"plan", "bound_e", "spare_e", "render_noise"}
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class ResultFolder:
         return list(next(iter(self.rows.values())))
 
 
-def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
+def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     """Return the result in a folder. Raises PixsimError for another folder, and for one of another
     version of pixsim.
     """
@@ -120,7 +120,7 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
             if version
             else f"'{folder}', of an unknown version of pixsim"
         )
-        raise invalid("results", got, f"results of pixsim {VERSION}", MAKE_AGAIN)
+        raise invalid("results", got, f"results of pixsim {VERSION}", _MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
         hint = (
             "A comparison and a study keep theirs in the folder of --out; a run has written one"
@@ -142,7 +142,7 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
             "results",
             f"'{data_file}', which is damaged",
             f"the file of a {kind} as pixsim wrote it",
-            MAKE_AGAIN,
+            _MAKE_AGAIN,
         ) from None
     rows = _rows_of(folder / ROWS_FILE, kind)
     if not rows:
@@ -191,7 +191,7 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
             "results",
             f"'{path}', with a row that changed after pixsim wrote it",
             "rows as pixsim wrote them",
-            MAKE_AGAIN,
+            _MAKE_AGAIN,
         )
 
     labels = names[names.index("repeat") + 1 : names.index(first_number)]
@@ -274,10 +274,10 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
     Raises PixsimError for folders of another kind or of another version of pixsim, and says what of
     light and streams differs.
     """
-    first, other = read_folder(a), read_folder(b)
+    first, other = _read_folder(a), _read_folder(b)
     if first.kind != other.kind:
         raise invalid("results", f"a {first.kind} and a {other.kind}", "two results of one kind")
-    if differing := list(what_differs(first, other)):
+    if differing := list(_what_differs(first, other)):
         hint = "Compare sensors in one light: pixsim compare A.toml B.toml."
         got = f"two results that differ in {'; '.join(differing)}"
         raise invalid("results", got, "results of the same light and streams", hint)
@@ -311,13 +311,13 @@ def metrics_of(a: ResultFolder, b: ResultFolder) -> list[Metric]:
     return [metric for metric in METRICS.values() if metric.columns[0] in both]
 
 
-def what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
+def _what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
     """Yield what of the light and the random streams of two results differs, in words."""
     if a.streams != b.streams:
         yield f"random streams ({_shown(a.streams)} and {_shown(b.streams)})"
     for name in a.lights.keys() & b.lights.keys():
         one, other = (
-            {key: value for key, value in each.lights[name].items() if key not in OF_PIXELS}
+            {key: value for key, value in each.lights[name].items() if key not in _OF_PIXELS}
             for each in (a, b)
         )
         for key in sorted(one.keys() | other.keys()):
@@ -465,7 +465,7 @@ def run_prepared(
         if jobs is not None or scheduler is not None:
             workers = stack.enter_context(workers_for(jobs, scheduler))
 
-        groups, lights = render_groups(job, stage)
+        groups, lights = _render_groups(job, stage)
         by_number = {group.first.group: group for group in groups}
         cases = [case for group in groups for case in group.cases]
         lit = lit_cases(cases, [light for light, _ in lights])
@@ -483,7 +483,7 @@ def run_prepared(
         for number, (sensor, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
             progress_of_sensor = share_of(measuring, number / len(lit), (number + 1) / len(lit))
             sensors.append(
-                compared_sensor(
+                _compared_sensor(
                     by_number[sensor.case.group], sensor, light, plan, progress_of_sensor
                 )
             )
@@ -494,7 +494,7 @@ def run_prepared(
             compared=tuple(sensors),
         )
         if job.types is not None:
-            drawn = differences_of_types(
+            drawn = _differences_of_types(
                 job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types")
             )
             result = replace(result, uncertainty=tuple(drawn))
@@ -518,7 +518,7 @@ def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
     warn_of_reviews((one.case.sensor, one.case, one.scenes.light) for one in lit)
 
 
-def render_groups(
+def _render_groups(
     job: ComparisonJob, stage: Stage
 ) -> tuple[list[SensorGroup], list[tuple[Light, Plan]]]:
     """Return the groups that differ, and the light of each of their sensors with the plan of its
@@ -552,14 +552,14 @@ def render_groups(
             stack.enter_context(
                 named(", ".join(filter(None, (f"{pair} alone" if pair else "", group.words))))
             )
-            of_group = lights_on_one_film(group, part)
+            of_group = _lights_on_one_film(group, part)
         on_film[len(groups)] = of_group[0][0].image.shape[1]
         groups.append(group)
         lights += of_group
     return groups, lights
 
 
-def lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Plan]]:
+def _lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Plan]]:
     """Return the light of every sensor on one film, fine enough for all, with the plan of that
     film.
     """
@@ -589,7 +589,7 @@ def lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Pl
             return lights
 
 
-def compared_sensor(
+def _compared_sensor(
     group: SensorGroup, lit: LitCase, light: Light, plan: Plan, progress: Progress | None = None
 ) -> ComparedSensor:
     """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and
@@ -624,7 +624,7 @@ def compared_sensor(
     )
 
 
-def differences_of_types(
+def _differences_of_types(
     types: Types,
     result: Comparison,
     lit: Sequence[LitCase],

@@ -30,7 +30,7 @@ from pixsim.viewer.setting import Run
 
 # Of the film's error on the stated display, grown with mean ΔE: on 46 of 48 other displays of six
 # comparisons it is within this.
-OTHER_DISPLAY_FACTOR = 2.0
+_OTHER_DISPLAY_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ class Comparison(Result):
                 else 1.0
             )
             half = stated.half_width * growth
-            film_here = None if film is None else film * OTHER_DISPLAY_FACTOR * growth
+            film_here = None if film is None else film * _OTHER_DISPLAY_FACTOR * growth
             found.append(
                 DisplayDifference(
                     display.dots, difference, (difference - half, difference + half), film_here

@@ -90,7 +90,7 @@ class CurveErrors:
     causes: tuple[Cause, ...] = ()
 
 
-class TooFewSizesError(PixsimError):
+class _TooFewSizesError(PixsimError):
     """Fewer pixel sizes of a case are possible than a curve needs."""
 
 
@@ -420,7 +420,9 @@ def curve_of(
             f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a"
             f" curve needs {FEWEST_SIZES}"
         )
-        raise TooFewSizesError(f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}")
+        raise _TooFewSizesError(
+            f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}"
+        )
 
     repeat = possible.columns["repeat"]
     statistics = {}
@@ -449,7 +451,7 @@ def curve_of(
         error = invalid(
             "metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint
         )
-        raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
+        raise _TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
     process = technology_of(study, technology)
     missing = [("", pitch_um, reason) for pitch_um, reason in left_out.items()]
     missing += [(name, pitch_um, reason) for (name, pitch_um), reason in undefined.items()]
@@ -500,11 +502,11 @@ MAX_OPEN = (
 )
 # A study without a target adds sizes near the best one, one at a time, until half the interval is
 # that short over the size
-NEAR_BEST = 0.01
+_NEAR_BEST = 0.01
 MAX_NEAR_BEST = 8  # of them
 # share of the interval's variance that is due to the curve between the sizes, from which sizes are
 # added
-MIN_BETWEEN = 0.5
+_MIN_BETWEEN = 0.5
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a new pitch, as of a study's first pitches
 
@@ -562,9 +564,9 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
     """
     best = fit.optimum
     low_um, high_um = fit.look_interval_um
-    if low_um is None or high_um is None or best.between_sizes_share < MIN_BETWEEN:
+    if low_um is None or high_um is None or best.between_sizes_share < _MIN_BETWEEN:
         return sensors
-    if high_um - low_um <= 2 * NEAR_BEST * best.pitch_um or len(sensors) >= sizes + MAX_NEAR_BEST:
+    if high_um - low_um <= 2 * _NEAR_BEST * best.pitch_um or len(sensors) >= sizes + MAX_NEAR_BEST:
         return sensors
 
     pitches_um = np.array(sorted(sensors))
@@ -716,7 +718,7 @@ class Rounds:
                     on_first_display(table),
                     label=self.cases[number].label,
                 )
-            except TooFewSizesError as error:
+            except _TooFewSizesError as error:
                 self._curves[key] = str(error)
         return self._curves[key]
 

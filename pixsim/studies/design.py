@@ -126,14 +126,14 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
     return np.asarray(np.sqrt(fill_factor) * pitch_um)
 
 
-CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
+_CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
 FRAME_S, PIXEL_S, DOT_S = (
     6e-4,
     2e-7,
     1.6e-7,
 )  # of a frame, its pixels and its dots, on one core of an ordinary machine
-DOT_BYTES = 150.0
+_DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
 
@@ -209,10 +209,10 @@ def largest_lens_um(study: Study, technology: str) -> float:
 
 
 def cutoff_pitch_um(camera: Camera) -> float:
-    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `CUTOFF_NM`, λ/(4 sin
+    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `_CUTOFF_NM`, λ/(4 sin
     α).
     """
-    return 1e3 / (2 * float(cutoff_cy_per_mm(CUTOFF_NM, camera.effective_f_number)))
+    return 1e3 / (2 * float(cutoff_cy_per_mm(_CUTOFF_NM, camera.effective_f_number)))
 
 
 def largest_pixel_um(study: Study, technology: str) -> float:
@@ -282,21 +282,21 @@ def frame_cost(camera: Camera, pitch_um: float, *displays: Display) -> FrameCost
     """Estimate one frame of a pitch and its ΔE on each display."""
     pixels = math.prod(pixels_on(camera.die_um, pitch_um))
     dots = [
-        pixels if display.raster == "one_to_one" else dots_on(camera, display)
+        pixels if display.raster == "one_to_one" else _dots_on(camera, display)
         for display in displays
     ]
     seconds = FRAME_S + pixels * PIXEL_S + sum(dots) * DOT_S
-    return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * DOT_BYTES)
+    return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * _DOT_BYTES)
 
 
-def dots_on(camera: Camera, display: Display) -> int:
+def _dots_on(camera: Camera, display: Display) -> int:
     """Return the number of dots that show a die, with the raster fixed_size."""
     height_um, width_um = camera.die_um
     return display.dots * max(1, round(display.dots * height_um / width_um))
 
 
-DOTS_FACTORS = (0.5, 2.0)
-DOTS_BOUNDS = (8, 4096)  # of `Display.dots`
+_DOTS_FACTORS = (0.5, 2.0)
+_DOTS_BOUNDS = (8, 4096)  # of `Display.dots`
 
 
 def further_displays(
@@ -320,9 +320,9 @@ def further_displays(
     """
     if display.raster != "fixed_size" or {"dots", "samples_per_deg"} <= stated.model_fields_set:
         return ()
-    low, high = DOTS_BOUNDS
+    low, high = _DOTS_BOUNDS
     displays: dict[int, Display] = {}
-    for factor in DOTS_FACTORS:
+    for factor in _DOTS_FACTORS:
         other = display.model_copy(
             update={"dots": min(max(round(factor * display.dots), low), high)}
         )
@@ -481,7 +481,7 @@ def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) 
     )
 
 
-def number_of_cases(study: Study) -> int:
+def _number_of_cases(study: Study) -> int:
     """Return how many cases the axes and conditions of a study make; 1 without any."""
     together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
     return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(
@@ -498,7 +498,7 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
     """
     if not study.has_cases:
         return (Case(study, group=0),)
-    if (number := number_of_cases(study)) > MAX_CASES:
+    if (number := _number_of_cases(study)) > MAX_CASES:
         raise invalid(
             "axis",
             f"{number} cases, all values of all axes",
@@ -645,12 +645,12 @@ def _study(table: dict[str, Any], where: list[str]) -> Study:
 
 
 MAX_CASES = 10_000
-MAX_UNASKED = 100_000  # evaluations of a study with axes
+_MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 
 def check_number(cases: int, evaluations: int, agreed: bool) -> None:
     """Raise PixsimError for very many evaluations in several cases, unless the user has agreed."""
-    if cases > 1 and evaluations > MAX_UNASKED and not agreed:
+    if cases > 1 and evaluations > _MAX_UNASKED and not agreed:
         hint = (
             "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats;"
             " --dry-run states the time."
@@ -658,7 +658,7 @@ def check_number(cases: int, evaluations: int, agreed: bool) -> None:
         raise invalid(
             "cases",
             f"{evaluations} evaluations in {cases} cases",
-            f"up to {MAX_UNASKED} without asking",
+            f"up to {_MAX_UNASKED} without asking",
             hint,
         )
 

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 START_S, KERNEL_S = 1.5, 2.0
 SAMPLE_S, CELL_S, LENS_CELL_S = 2e-7, 5e-7, 5e-6
 PAGE_S, CURVE_S = 3.0, 0.6
-MOST_CURVES = 64  # of which a page has figures of their own
-FILM_BYTES_PER_CELL = 120.0
+_MOST_CURVES = 64  # of which a page has figures of their own
+_FILM_BYTES_PER_CELL = 120.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
     if 8 * cells * plan.light.planes > MOST_BYTES:
         return BASE_BYTES + film_memory_bytes(cells, plan.light.planes) - PROGRAM_BYTES
     return BASE_BYTES + max(
-        cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES
+        cells * _FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES
     )
 
 
@@ -129,7 +129,7 @@ def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
     )
 
 
-def run_cost(
+def _run_cost(
     plan: Plan | None, shape: tuple[int, int], cores: int, evaluations: int, frame: FrameCost
 ) -> Cost:
     """Estimate a run.
@@ -176,7 +176,7 @@ def study_cost(
     evaluations, frames_s = evaluations + checked, frames_s * (1 + checked / evaluations)
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
-    seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, MOST_CURVES)
+    seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, _MOST_CURVES)
 
     cells = math.prod(shape)
     light = min(
@@ -185,7 +185,7 @@ def study_cost(
         * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size),
         MOST_BYTES,
     )
-    behind_lens = FILM_BYTES_PER_CELL * cells / 2
+    behind_lens = _FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
     memory_bytes = max(
         render_bytes(plan, shape), BASE_BYTES + light + held + jobs * (BASE_BYTES + largest)
@@ -209,11 +209,11 @@ def planned_run(prepared: Job[Run]) -> dict[str, Any]:
         planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
     else:
         plan, shape = prepared.request.plan, prepared.request.shape
-        planned = planned_light(prepared.request)
+        planned = _planned_light(prepared.request)
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
-    cost = run_cost(plan, shape, processors().usable, evaluations, frame)
-    sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
+    cost = _run_cost(plan, shape, processors().usable, evaluations, frame)
+    sensors = _planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
     return (
         planned
         | ({"frames": frames} if frames > 1 else {})
@@ -221,7 +221,7 @@ def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     )
 
 
-def planned_sensors(
+def _planned_sensors(
     technology: str, pitches_um: Sequence[float], sensors: int, camera: Camera
 ) -> dict[str, Any]:
     """Return the pixel sizes of a technology, with their rows and columns, and the sensors of each
@@ -252,10 +252,10 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     cost = study_cost(of_cases, lights, request.plan, request.shape, jobs, drawn, checked)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [
-        planned_sensors(name, pitches_um, study.repeats, job.camera)
+        _planned_sensors(name, pitches_um, study.repeats, job.camera)
         for name, pitches_um in sizes.items()
     ]
-    planned = planned_light(request) | {"sensors": sensors, "estimate": asdict(cost)}
+    planned = _planned_light(request) | {"sensors": sensors, "estimate": asdict(cost)}
     planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
@@ -267,7 +267,7 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 
 
-def planned_light(request: LightRequest) -> dict[str, Any]:
+def _planned_light(request: LightRequest) -> dict[str, Any]:
     """Return the film of a light, and what is known of its errors before there is light.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of

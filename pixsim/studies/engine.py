@@ -41,9 +41,9 @@ Result = TypeVar("Result")
 Function = Callable[[Task, Shared], Result]
 Call = tuple[Task, Callable[[], Shared]]  # a task, and the function that makes its shared data
 Calls = dict[int, Call[Task, Shared]]  # by number
-Reply = tuple[int, Result, list[Note]]  # a call's number, its result and its warnings
-NAMED_TASKS = 4  # named in an error message
-SUSPECTS = 2  # calls per job that are running or queued
+_Reply = tuple[int, Result, list[Note]]  # a call's number, its result and its warnings
+_NAMED_TASKS = 4  # named in an error message
+_SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 RECONNECT_SECONDS, LOOK_SECONDS = (
@@ -51,7 +51,7 @@ RECONNECT_SECONDS, LOOK_SECONDS = (
     0.1,
 )  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
 BATCH_SECONDS, MOST_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
-BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
+_BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 IDLE_SECONDS, WATCH_SECONDS = (
     300.0,
     5.0,
@@ -202,8 +202,8 @@ def results_of(
                 yield result
         except Exception as error:
             if workers.client:
-                check_scheduler(workers.client, address)
-            if not is_death(error):
+                _check_scheduler(workers.client, address)
+            if not _is_death(error):
                 raise
 
     while left:
@@ -221,15 +221,15 @@ def results_of(
             left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
             continue
         for index in indices[
-            : SUSPECTS * workers.jobs
+            : _SUSPECTS * workers.jobs
         ]:  # one of the calls started first is the cause: run each alone
             alone = {index: left.pop(index)}
             yield from attempt(alone)
             deadly |= alone
     if deadly:
         tasks = [str(task) for task, _ in deadly.values()]
-        named = ", ".join(tasks[:NAMED_TASKS]) + (
-            f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else ""
+        named = ", ".join(tasks[:_NAMED_TASKS]) + (
+            f" and {len(tasks) - _NAMED_TASKS} more" if len(tasks) > _NAMED_TASKS else ""
         )
         raise PixsimError(
             f"workers ({workers}): each of these tasks ended its process, even when run alone:"
@@ -260,7 +260,7 @@ def processes_work() -> bool:
     return True
 
 
-def check_scheduler(client: Client, address: str) -> None:
+def _check_scheduler(client: Client, address: str) -> None:
     """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it
     without workers.
     """
@@ -281,7 +281,7 @@ def check_scheduler(client: Client, address: str) -> None:
     _checked(client)
 
 
-def is_death(error: BaseException) -> bool:
+def _is_death(error: BaseException) -> bool:
     """Return whether an error means a lost worker or cluster; compared by name, since neither
     package need be installed.
     """
@@ -322,7 +322,7 @@ def _once(
 
 def _on_cluster(
     function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Client
-) -> Iterator[Reply[Result]]:
+) -> Iterator[_Reply[Result]]:
     makes = {id(make): make for _, make in calls.values()}
     # On all workers: what only a lost one had could not be made again. (Equal data, as None, would
     # be one object by its content.)
@@ -370,7 +370,7 @@ def _replies(
     calls: Calls[Task, Shared],
     remote: dict[int, Any],
     client: Client,
-) -> Iterator[Reply[Result]]:
+) -> Iterator[_Reply[Result]]:
     """Yield the replies of a cluster, whose tasks are batches of calls: Dask spends about 10 ms of
     processor time on each task.
 
@@ -389,8 +389,8 @@ def _replies(
         """Send batches until each thread of the cluster has some."""
         nonlocal unsent
         threads = max(1, sum(client.nthreads().values()))
-        while unsent and sent.count() < BATCHES_A_THREAD * threads:
-            most = -(-unsent // (BATCHES_A_THREAD * threads))
+        while unsent and sent.count() < _BATCHES_A_THREAD * threads:
+            most = -(-unsent // (_BATCHES_A_THREAD * threads))
             batch = [
                 (index, task, remote[id(make)])
                 for index, (task, make) in islice(left, max(1, min(size, most)))
@@ -412,7 +412,7 @@ def _replies(
 
 def _batch(
     function: Function[Task, Shared, Result], calls: list[tuple[int, Task, Shared]]
-) -> tuple[list[Reply[Result]], float]:
+) -> tuple[list[_Reply[Result]], float]:
     """Return the replies of some calls, and the seconds of a processor that they took: workers may
     share one.
     """
@@ -424,7 +424,7 @@ def _batch(
 
 def _numbered(
     function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared
-) -> Reply[Result]:
+) -> _Reply[Result]:
     """Return a call's number, its result and its warnings, which the parent process shows once."""
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always")
@@ -447,7 +447,7 @@ REPLACED = "A worker stopped while some jobs were given to the executor"
 
 def _on_processes(
     function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int
-) -> Iterator[Reply[Result]]:
+) -> Iterator[_Reply[Result]]:
     """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
 
     (joblib would do so by itself, but waits a second at the end for workers to release them.)
@@ -455,7 +455,7 @@ def _on_processes(
     from joblib import Parallel, delayed, parallel_config
 
     with (
-        safe_children(),
+        _safe_children(),
         temporary_folder() as folder,
         closing(SharedFiles(folder, [make for _, make in calls.values()])) as files,
     ):
@@ -469,12 +469,12 @@ def _on_processes(
                 yield delayed(_numbered_from)(function, index, task, path)
 
         @contextmanager
-        def begun() -> Iterator[Iterator[Reply[Result]]]:
+        def begun() -> Iterator[Iterator[_Reply[Result]]]:
             """The replies of running calls: entered and left as a whole, since joblib ends only
             workers that it has registered.
             """
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
-            with ctrl_c_blocked() as taken:
+            with _ctrl_c_blocked() as taken:
                 results = parallel(numbered(taken))
             try:
                 yield results
@@ -486,8 +486,8 @@ def _on_processes(
         # Workers of other arguments are not used again: those of another current folder would take
         # a relative path from there.
         watched: dict[str, Any] = {
-            "initializer": begin_worker,
-            "initargs": (os.getpid(), current_folder()),
+            "initializer": _begin_worker,
+            "initargs": (os.getpid(), _current_folder()),
         }
         with parallel_config("loky", inner_max_num_threads=1, **watched):
             warnings.filterwarnings("ignore", REPLACED, UserWarning)
@@ -557,10 +557,10 @@ class SharedFiles:
         self._thread.shutdown(cancel_futures=True)
 
 
-WATCH_S = 1.0  # between two looks at the parent
+_WATCH_S = 1.0  # between two looks at the parent
 
 
-def current_folder() -> str:
+def _current_folder() -> str:
     """Return the current folder, or nothing if it is gone."""
     try:
         return os.getcwd()
@@ -568,14 +568,14 @@ def current_folder() -> str:
         return ""
 
 
-def begin_worker(parent: int, _: str) -> None:
+def _begin_worker(parent: int, _: str) -> None:
     """Prepare this process, which the one of this number has started in a folder."""
     gc.disable()  # a sixth of the time of the imports; the first call enables it
     ignore_matplotlibrc()
-    watch_parent(parent)
+    _watch_parent(parent)
 
 
-def watch_parent(parent: int) -> None:
+def _watch_parent(parent: int) -> None:
     """End this worker when its parent has ended: loky's workers would wait 300 s for it, and keep
     its pipes open.
 
@@ -585,7 +585,7 @@ def watch_parent(parent: int) -> None:
 
     def run() -> None:
         while os.getppid() == parent:
-            time.sleep(WATCH_S)
+            time.sleep(_WATCH_S)
         os.kill(
             os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM)
         )  # on Windows, the latter ends a process at once
@@ -610,7 +610,7 @@ _safe = SharedBlock(_safe_environment)
 
 
 @contextmanager
-def safe_children() -> Iterator[None]:
+def _safe_children() -> Iterator[None]:
     """Give `safe_variables` to all processes that are started meanwhile, also by joblib's threads
     and its trackers.
 
@@ -622,7 +622,7 @@ def safe_children() -> Iterator[None]:
 
 
 @contextmanager
-def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
+def _ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
     """Block Ctrl-C in this thread, for the processes that it starts: they inherit this, and their
     parent ends them.
 
@@ -660,7 +660,7 @@ def _mapped(path: str) -> object:
 
 def _numbered_from(
     function: Function[Task, Any, Result], index: int, task: Task, path: str
-) -> Reply[Result]:
+) -> _Reply[Result]:
     if not gc.isenabled():
         gc.freeze()
         gc.enable()

@@ -58,9 +58,9 @@ from pixsim.viewer.scene_light import (
 from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ideal_light_of_dots
 
 FEW_CASES = 64  # among which the case of a row of a file is looked for
-FEW_SECONDS = 3.0  # of all frames: processes take a second to start
+_FEW_SECONDS = 3.0  # of all frames: processes take a second to start
 # lights in files, for each that is stored in memory: fewer batches draw the same sensors again
-FILES_OF_MEMORY = 2
+_FILES_OF_MEMORY = 2
 
 
 @dataclass(frozen=True)
@@ -362,7 +362,7 @@ def task_of(lit: LitCase, imaging: Imaging, block: int, keys: Mapping[int, str])
     )
 
 
-def tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iterator[Task]:
+def _tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iterator[Task]:
     """Yield the tasks that are missing of a case, small pixels first, since they take longest."""
     displays = len(lit.displays)
     for pitch_um, count in sizes.items():
@@ -378,10 +378,10 @@ def tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iter
 # A thread's last chain and last sensors: they are expensive, and the tasks of a pixel size follow
 # one another.
 _recent = threading.local()
-SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
+_SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
 
 
-def cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
+def _cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
     """Return the sensor of `ImagingChain.sensor`. Other cases may have the same ones, of which a
     thread keeps the last.
     """
@@ -400,9 +400,9 @@ def cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
             for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e)
             if pattern is not None
         )
-        if (len(sensors) + 1) * size > SENSORS_BYTES:
+        if (len(sensors) + 1) * size > _SENSORS_BYTES:
             sensors.clear()
-        if size > SENSORS_BYTES:
+        if size > _SENSORS_BYTES:
             return sensor
         sensors[place] = sensor
     return sensors[place]
@@ -466,9 +466,9 @@ def evaluate_task(
     return evaluated
 
 
-def cached_frames(frames_key: str) -> cache.Arrays:
+def _cached_frames(frames_key: str) -> cache.Arrays:
     """Return the frames that the cache has under a key, which may be empty, by the names of
-    `name_of`.
+    `_name_of`.
     """
     return (cache.arrays("frames", frames_key) if frames_key else None) or {}
 
@@ -480,10 +480,10 @@ DN, SATURATED, MEAN, TIME, CORRECTED = (
     "integration_s",
     "corrected_e",
 )
-SATURATED_PIXELS = "saturated"
+_SATURATED_PIXELS = "saturated"
 
 
-def name_of(repeat: int, what: str) -> str:
+def _name_of(repeat: int, what: str) -> str:
     """Return the name of an array of a frame in the cache.
 
     Beside digital numbers and corrected electrons, it is what does not follow from them: the
@@ -492,7 +492,7 @@ def name_of(repeat: int, what: str) -> str:
     return f"{repeat}_{what}"
 
 
-def cached_frame(
+def _cached_frame(
     frames: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging
 ) -> cache.Arrays | None:
     """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is
@@ -502,9 +502,9 @@ def cached_frame(
     if imaging.correction.is_on:
         pictures.append(CORRECTED)
     if imaging.exposure.frames > 1:
-        pictures.append(SATURATED_PIXELS)
+        pictures.append(_SATURATED_PIXELS)
     parts = (*pictures, SATURATED, MEAN, TIME)
-    arrays = {part: frames.get(name_of(repeat, part)) for part in parts}
+    arrays = {part: frames.get(_name_of(repeat, part)) for part in parts}
     whole = {part: array for part, array in arrays.items() if array is not None}
     is_whole = all(
         array.shape == (shape if part in pictures else ()) for part, array in whole.items()
@@ -512,7 +512,7 @@ def cached_frame(
     return whole if len(whole) == len(parts) and is_whole else None
 
 
-def shown_chain(
+def _shown_chain(
     task: Task, light: SharedLight, repeat: int, frames: cache.Arrays
 ) -> ImagingChain | None:
     """Return the imaging chain of a repeat that shows its frame of the cache again; None if it is
@@ -520,7 +520,7 @@ def shown_chain(
 
     It lacks the light behind the frame, so that its `Frame.mean_e` is 0.
 
-    frames : of `cached_frames`
+    frames : of `_cached_frames`
     """
     if (
         not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound"
@@ -530,7 +530,7 @@ def shown_chain(
     physics = imaging.physics
     rows, columns = pixels_on(light.array_um, physics.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
-    cached = cached_frame(frames, repeat, whole, imaging)
+    cached = _cached_frame(frames, repeat, whole, imaging)
     if cached is None:
         return None
     exposed = lasting(imaging.exposure, float(cached[TIME]))
@@ -545,23 +545,23 @@ def frames_of(
 
     New frames are stored there, after the last one.
 
-    shown : whether frames of the cache may lack the light behind them (`shown_chain`)
+    shown : whether frames of the cache may lack the light behind them (`_shown_chain`)
     """
-    before = cached_frames(task.frames_key)
+    before = _cached_frames(task.frames_key)
     frames = dict(before)
     for repeat in repeats:
         chain = (
-            shown_chain(task, light, repeat, before) if shown and before else None
+            _shown_chain(task, light, repeat, before) if shown and before else None
         ) or chain_of(task, light, repeat)
         if chain.rendition is not None:
             chain.development.matrix  # noqa: B018 – raises an error before a frame is made
         shape = chain.signal_e_per_s.shape
-        cached = cached_frame(before, repeat, (shape[0], shape[1]), task.imaging)
+        cached = _cached_frame(before, repeat, (shape[0], shape[1]), task.imaging)
         if cached is not None:
             dn, fraction, saturated = (
                 cached[DN].astype(np.int32),
                 float(cached[SATURATED]),
-                cached.get(SATURATED_PIXELS),
+                cached.get(_SATURATED_PIXELS),
             )
             frame = make_frame(
                 dn, fraction, chain.signal_e_per_s, chain.readout, chain.exposure, saturated
@@ -573,7 +573,7 @@ def frames_of(
                 float(cached[MEAN]),
             )
             continue
-        sensor_of = partial(cached_sensor, chain) if task.shares_sensors else None
+        sensor_of = partial(_cached_sensor, chain) if task.shares_sensors else None
         frame = chain.capture(*task.imaging.stream_of(task.stream, repeat), sensor_of=sensor_of)
         if task.frames_key:
             made = {
@@ -583,8 +583,8 @@ def frames_of(
             made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
             made |= {} if frame.corrected_e is None else {CORRECTED: frame.corrected_e}
             if frame.exposures > 1 and frame.saturated is not None:
-                made[SATURATED_PIXELS] = frame.saturated
-            frames |= {name_of(repeat, part): array for part, array in made.items()}
+                made[_SATURATED_PIXELS] = frame.saturated
+            frames |= {_name_of(repeat, part): array for part, array in made.items()}
         yield repeat, chain, frame, None
     if len(frames) > len(before):
         cache.store_arrays("frames", task.frames_key, frames)
@@ -690,12 +690,12 @@ def evaluate_points(
     A point that is impossible is a row with its reason. Raises PixsimError if the file cannot be
     written; finished rows stay in it.
     """
-    workers = Workers() if first is not None else workers or suitable_workers(cases)
+    workers = Workers() if first is not None else workers or _suitable_workers(cases)
     evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first)
     return evaluation.run(progress, more, known, in_parts)
 
 
-def suitable_workers(cases: Sequence[LitCase]) -> Workers:
+def _suitable_workers(cases: Sequence[LitCase]) -> Workers:
     """Return as many processes of this machine as are worth it, and fit into memory."""
     costs = [
         (count, frame_cost(lit.imaging.camera, pitch_um, *lit.displays))
@@ -704,7 +704,7 @@ def suitable_workers(cases: Sequence[LitCase]) -> Workers:
     ]
     seconds = sum(count * cost.seconds for count, cost in costs)
     return workers_here(
-        1 if seconds < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs))
+        1 if seconds < _FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs))
     )
 
 
@@ -1032,12 +1032,12 @@ class _Evaluation:
             lit = self.cases[number]
             lights.setdefault(lit.light_id, lit)
             is_done = partial(self._is_done, asked)
-            for task in tasks_of(lit, self.sizes[number], is_done):
+            for task in _tasks_of(lit, self.sizes[number], is_done):
                 asked |= set(task.keys.values())
                 tasks.setdefault(lit.light_id, []).append(task)
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         # Processes of this machine have lights in files, and share them.
-        size = self.capacity * (FILES_OF_MEMORY if self.workers.jobs > 1 else 1)
+        size = self.capacity * (_FILES_OF_MEMORY if self.workers.jobs > 1 else 1)
         for first in range(0, len(tasks), size):
             together = list(tasks)[first : first + size]
             makers: dict[object, Callable[[], SharedLight]] = {

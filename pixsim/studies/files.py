@@ -35,7 +35,7 @@ from pixsim.viewer.score import Score
 from pixsim.viewer.settings_file import resolve_files, settings_layer, settings_path
 
 # Settings that name files: those whose values can stand in their place, and others.
-FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
+_FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("pixel", "quantum_efficiency"): as_quantum_efficiency,
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
     ("develop", "tone_curve"): as_tone_curve,
@@ -43,16 +43,16 @@ FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("lens", "relative_illumination"): as_relative_illumination,
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
-WITHOUT_TARGET = ("metric", "detectability", "without")
+_WITHOUT_TARGET = ("metric", "detectability", "without")
 FILES = (
     *(
         ("scene", "file"),
         ("lens", "file"),
         ("scene", "parameters", "chart"),
         ("pixel", "technology"),
-        WITHOUT_TARGET,
+        _WITHOUT_TARGET,
     ),
-    *FILES_OF_VALUES,
+    *_FILES_OF_VALUES,
 )
 
 
@@ -80,7 +80,7 @@ def settings_text(
         if isinstance(pixel, dict) and kept:
             pixel["uncertainty"] = kept
     if "axis" in table:
-        table["axis"] = [without_files_of_axis(axis) for axis in table["axis"]]
+        table["axis"] = [_without_files_of_axis(axis) for axis in table["axis"]]
     for condition in table.get("condition", ()):
         condition["set"] = _without_files(condition["set"])
     if isinstance(without := table.get("metric", {}).get("detectability", {}).get("without"), str):
@@ -111,12 +111,12 @@ def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
             node = node.get(key) if isinstance(node, dict) else None
         if isinstance(node, dict) and isinstance(node.get(name), str):
             settings = merge(
-                settings, nested(path, FILES_OF_VALUES.get(path, whole_path)(node[name]))
+                settings, nested(path, _FILES_OF_VALUES.get(path, whole_path)(node[name]))
             )
     return settings
 
 
-def without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
+def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
     """An axis without files as `_without_files` has it; files that are its plain values remain its
     labels.
 
@@ -176,15 +176,15 @@ def read_study(name: str | os.PathLike[str], quick: bool = False) -> list[Layer]
     lie next to the study's file.
 
     quick : add a layer of overrides: the file NAME.quick.toml next to the study's, or else
-        `quick_table`
+        `_quick_table`
     """
     layers = [Layer(_study_table(path), str(path)) for path in study_files(name, quick)]
     if quick and len(layers) == 1:
-        layers.append(Layer(quick_table(layers[0].table)))
+        layers.append(Layer(_quick_table(layers[0].table)))
     return layers
 
 
-def quick_table(table: Mapping[str, Any]) -> dict[str, Any]:
+def _quick_table(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return overrides of a study's table: at most 4 sensors of each of at most 8 pixel sizes."""
     overrides: dict[str, Any] = {"repeats": _at_most(table.get("repeats"), QUICK_REPEATS)}
     pitch = table.get("pitch", {})

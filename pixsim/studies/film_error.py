@@ -61,10 +61,12 @@ MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = (
     8,
 )  # across a part; the cells are those of the coarsest film
 FINER = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
-MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
-MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that the parts are, too
-SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
-STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
+_MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
+_MOST_FINER = (
+    4 * _MEASURED_FINER
+)  # cells, where pixels or dots are so large that the parts are, too
+_SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
+_STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
 MIN_ORDER, MAX_ORDER = (
     1.0,
     2.0,
@@ -75,8 +77,8 @@ NEAR, FAR, ROUGH = (
     2.5,
 )  # of the changes on the coarser films, at least, and of the larger change on the finer films
 # of the nearer change, over the square of the samples across a dot: where these are less than 2.7
-ALIASED = 1.5
-UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
+_ALIASED = 1.5
+_UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
 
@@ -107,7 +109,7 @@ def film_error(
     It is the largest of the change on the finer films with a factor, and of parts of the changes on
     the coarser ones, as each may be small by chance. With less than about two samples for each dot
     the film may alias, so that its finer films show too little: the nearer change then counts
-    `ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
+    `_ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
     size, such as a zone plate, the changes grow like that from film to film. With less than one
     sample for each dot detail may be gone altogether, so a part of mean ΔE is added. The numbers
     are fitted to pictures with edges and textures, and others judge them
@@ -119,18 +121,18 @@ def film_error(
     finer : the largest change with more samples across, of the films `FINER`
     is_chart : whether these show what the film's samples hide, as of a chart that is known
     """
-    of_near = NEAR if is_chart else max(NEAR, ALIASED / per_dot**2)
-    unseen_delta_e = UNSEEN * max(1 / per_dot - 1, 0.0) * mean_delta_e
+    of_near = NEAR if is_chart else max(NEAR, _ALIASED / per_dot**2)
+    unseen_delta_e = _UNSEEN * max(1 / per_dot - 1, 0.0) * mean_delta_e
     return max(of_near * near, FAR * far, ROUGH * finer) + unseen_delta_e
 
 
-def step_size(fine: Array, coarse: Array) -> float:
+def _step_size(fine: Array, coarse: Array) -> float:
     """Return the change of a mean from one film to another with its statistical error, from its
     values in parts of a picture.
     """
     change = coarse - fine
     spread = float(change.std(ddof=1)) / math.sqrt(change.size) if change.size > 1 else 0.0
-    return abs(float(change.mean())) + STANDARD_ERRORS * spread
+    return abs(float(change.mean())) + _STANDARD_ERRORS * spread
 
 
 def merges(shape: tuple[int, int], factor: int) -> bool:
@@ -204,7 +206,7 @@ def parts_of(
     """
     width = image.shape[1]
     if not (places := measured_places(image, pitch_um, display, most)):
-        yield whole_blocks(image), display
+        yield _whole_blocks(image), display
         return
     for rows, columns in places:
         yield image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width)
@@ -214,7 +216,7 @@ Place = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
-class PicturePart:
+class _PicturePart:
     """Some rows and columns of a picture, without light from beyond them, and a display that shows
     them at the picture's scale.
 
@@ -229,13 +231,13 @@ class PicturePart:
 
     def finer(self, repeated: int, averaged: int = 1) -> SpectralImage:
         """Return the part on repeated/averaged times as many samples across: of a chart its means,
-        else `with_edges`.
+        else `_with_edges`.
         """
         if repeated == 1:
             return self.image
         planes = self.image.planes
         if self.chart is None:
-            planes = with_edges(with_edges(planes, repeated, axis=1), repeated, axis=2)
+            planes = _with_edges(_with_edges(planes, repeated, axis=1), repeated, axis=2)
         else:
             planes = planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
             (height, width), (down, across), (rows, columns) = (
@@ -255,7 +257,7 @@ class PicturePart:
         return image if averaged == 1 else coarser(image, averaged)
 
 
-def with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
+def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
     """Return planes on `factor` times as many samples along an axis, with an edge within each old
     sample and its mean.
 
@@ -281,7 +283,7 @@ def _times(side: slice, factor: int) -> slice:
     return slice(side.start * factor, side.stop * factor)
 
 
-def shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
+def _shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
     """Return a chart if its means over finer samples of a film are known; else None."""
     return (
         chart
@@ -292,7 +294,7 @@ def shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
 
 def finer_parts(
     image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None
-) -> list[PicturePart]:
+) -> list[_PicturePart]:
     """Return the parts of a picture that are measured on the films `FINER`.
 
     There are fewer where pixels or dots are large, and none where they have tens of samples across,
@@ -300,11 +302,14 @@ def finer_parts(
 
     chart : that the picture shows, if nothing else
     """
-    shown = shown_chart(image, chart)
-    (height, width), places = image.shape, measured_places(image, pitch_um, display, MEASURED_FINER)
+    shown = _shown_chart(image, chart)
+    (height, width), places = (
+        image.shape,
+        measured_places(image, pitch_um, display, _MEASURED_FINER),
+    )
     whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
     parts = [
-        PicturePart(
+        _PicturePart(
             image.with_planes(image.planes[:, rows, columns]),
             display_of(display, columns, width),
             (rows, columns),
@@ -312,8 +317,8 @@ def finer_parts(
         )
         for rows, columns in places or whole
     ]
-    for step in SPREAD_STEPS:
-        if sum(math.prod(part.image.shape) for part in parts[::step]) <= MOST_FINER:
+    for step in _SPREAD_STEPS:
+        if sum(math.prod(part.image.shape) for part in parts[::step]) <= _MOST_FINER:
             return parts[::step]
     return []
 
@@ -327,7 +332,7 @@ def reflected(side: slice, halo: int, first: int, last: int) -> NDArray[np.intp]
     return np.asarray(first + np.where(place < count, place, 2 * count - 1 - place))
 
 
-def surrounded(image: SpectralImage, place: Place, halo: int) -> SpectralImage:
+def _surrounded(image: SpectralImage, place: Place, halo: int) -> SpectralImage:
     """Return the rows and columns of a place with `halo` more cells at each side: the margin's, and
     a mirror's beyond it.
     """
@@ -364,7 +369,7 @@ def display_of(display: Display, columns: slice, width: int) -> Display:
     )
 
 
-def whole_blocks(image: SpectralImage) -> SpectralImage:
+def _whole_blocks(image: SpectralImage) -> SpectralImage:
     """Return a picture without the last rows and columns that make no whole block."""
     rows, columns = (count // BLOCK * BLOCK for count in image.shape)
     if (rows, columns) == image.shape:
@@ -538,7 +543,7 @@ def measure_film(
 # A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one
 # of ΔE. Whole films of 1024 and of 2048 samples behind the packaged triplet differ by up to .4 % of
 # their mean ΔE, which is also the bound of its blur's error.
-BLUR_ERROR = 1.5
+_BLUR_ERROR = 1.5
 
 
 @dataclass(frozen=True)
@@ -553,7 +558,7 @@ class FilmSteps:
     per_dot : samples across a dot, of `samples_per_dot`
     blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur
         than the picture; or 0
-    is_chart : whether the finer films are those of a chart (`shown_chart`)
+    is_chart : whether the finer films are those of a chart (`_shown_chart`)
     """
 
     delta_e: Array
@@ -587,7 +592,7 @@ class FilmSteps:
         mean = float(self.delta_e[0].mean())
         return mean, self._error_of(
             self.delta_e, self.finer_delta_e, mean, self.per_dot
-        ) + BLUR_ERROR * self.blur_error * mean
+        ) + _BLUR_ERROR * self.blur_error * mean
 
     def error_of_difference(self, other: FilmSteps) -> float:
         """Return the error of the difference to another sensor's mean ΔE, with the same parts of
@@ -603,7 +608,7 @@ class FilmSteps:
             return 0.0
         (mean, _), (other_mean, _) = self.error(), other.error()
         steps, finer_steps = (others - own for own, others in pairs)
-        blur_delta_e = BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
+        blur_delta_e = _BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
         return (
             self._error_of(
                 steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)
@@ -616,7 +621,9 @@ class FilmSteps:
     ) -> float:
         """Return `film_error` of the changes from film to film, (films, parts)."""
         near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
-        finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
+        finest = max(
+            (_step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0
+        )
         return film_error(near, far, mean_delta_e, per_dot, finest, is_chart=self.is_chart)
 
 
@@ -634,7 +641,7 @@ def kept_steps(
     """
     imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.read_pitch_um
     places = [
-        measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)
+        measured_places(image, size_um, imaging.display, most) for most in (None, _MEASURED_FINER)
     ]
     of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
     records = (
@@ -688,7 +695,7 @@ def film_steps(
     image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
     per_dot = samples_per_dot(image.shape[1], imaging, chart)
-    is_chart = shown_chart(image, chart) is not None
+    is_chart = _shown_chart(image, chart) is not None
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
         return FilmSteps(np.empty(0), np.empty(0), per_dot, is_chart=is_chart)
     lens = BehindLens.of(image, imaging)
@@ -765,14 +772,14 @@ class BehindLens:
         patches = places or patches_of(self.image)
 
         def on_films(number: int) -> list[tuple[ChannelLight, ...]]:
-            around = [(surrounded(self.image, patches[number], self.halo), self.halo)]
+            around = [(_surrounded(self.image, patches[number], self.halo), self.halo)]
             for _ in range(1, films):
                 around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
             return self._lights(around, patches[number])
 
         found = list(
             zip(
-                *each_of(on_films, len(patches), films * cells_at_once(self.image), progress),
+                *_each_of(on_films, len(patches), films * _cells_at_once(self.image), progress),
                 strict=True,
             )
         )
@@ -782,7 +789,7 @@ class BehindLens:
         return [[_joined(of_film, across)] for of_film in found]
 
     def of_part(
-        self, part: PicturePart, fine: Sequence[SpectralImage]
+        self, part: _PicturePart, fine: Sequence[SpectralImage]
     ) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on finer films, beyond which its light goes on as in a
         mirror.
@@ -793,11 +800,11 @@ class BehindLens:
                 round(self.halo * self.image.pitch_um / image.pitch_um),
                 image.shape,
             )
-            films.append((surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
+            films.append((_surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
         return self._lights(films, part.place, MOST_SAMPLES)
 
 
-def each_of(
+def _each_of(
     function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None
 ) -> list[Item]:
     """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the
@@ -825,7 +832,7 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
 
 
 def _finer_delta_e(
-    parts: Sequence[PicturePart],
+    parts: Sequence[_PicturePart],
     lens: BehindLens | None,
     imaging: Imaging,
     progress: Progress | None = None,
@@ -841,7 +848,7 @@ def _finer_delta_e(
         return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
 
     cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
-    images, lights = zip(*each_of(on_films, len(parts), cells), strict=True)
+    images, lights = zip(*_each_of(on_films, len(parts), cells), strict=True)
     films = [
         [(image, part.display) for image, part in zip(film, parts, strict=True)]
         for film in zip(*images, strict=True)
@@ -849,7 +856,7 @@ def _finer_delta_e(
     return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress)
 
 
-def cells_at_once(image: SpectralImage) -> int:
+def _cells_at_once(image: SpectralImage) -> int:
     """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a
     larger one.
     """
@@ -883,7 +890,7 @@ def delta_e_on_films(
         chains = chains_of_film(films[step], lights[step], imaging) if step else first
         maps = [score_with(chain, noise[number]).delta_e for number, chain in enumerate(chains)]
         delta_e[step] = np.concatenate(
-            [means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
+            [_means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
         )
         step_done()
 
@@ -907,7 +914,7 @@ def chains_of_film(
         on_part = imaging.changed(display=display)
         return make_chain(on_part, prepare_scene(on_part, SceneLight(part), lights=lights[number]))
 
-    chains = each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
+    chains = _each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
     exposure = lasting(steady, integration_time_s(steady, imaging.readout, brightest_e_per_s))
     return [replace(chain, exposure=exposure) for chain in chains]
@@ -936,7 +943,7 @@ def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
     )
 
 
-def means_over_rectangles(picture: Array, divisions: int) -> Array:
+def _means_over_rectangles(picture: Array, divisions: int) -> Array:
     """Return the means over divisions × divisions rectangles of a picture (H, W), row by row."""
     rows = np.array_split(picture, divisions, axis=0)
     return np.array(

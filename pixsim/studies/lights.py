@@ -54,7 +54,7 @@ from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.screen import perceived_lab, white_header
 from pixsim.viewer.setting import Run, Setting
 
-WORTH_WIDENING = 1.2
+_WORTH_WIDENING = 1.2
 COARSER, LEAST_ACROSS = 4, 64  # of the first film where a tolerance of ΔE bounds its error
 RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
 
@@ -333,7 +333,7 @@ def render_on_film(
         left = film.left_on(most, before)
         if fixed:
             limit = fixed
-        elif wider < WORTH_WIDENING * width:
+        elif wider < _WORTH_WIDENING * width:
             limit = end
         elif all(  # comparisons with an unknown error are false
             now <= tolerated or last > tolerated
@@ -349,7 +349,7 @@ def render_on_film(
         return Light(image, camera, replace(film, limit=limit), noise), plan
 
 
-def finest_pixel(study: Study) -> PixelPhysics:
+def _finest_pixel(study: Study) -> PixelPhysics:
     """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack
     passes less light than it detects.
     """
@@ -375,30 +375,30 @@ def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False) -> 
     )
 
 
-def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
+def _study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
     """Return the plan of a study's render."""
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
     pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
-    aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
+    aperture_um = None if camera.lens is None else _finest_pixel(study).aperture_side_um
     return make_render_plan(
         scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True
     )
 
 
-def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
+def _first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
     """Return the scene on the film of its first render, which is fine enough for the study's
     smallest photodiode, and its plan.
     """
-    plan = study_plan(
+    plan = _study_plan(
         scene, rendered_camera(camera), study
     )  # the film does not depend on a real lens's blur
     resolution, _ = decide_oversampling(
-        scene, plan, camera, finest_pixel(study), study.display, full=False
+        scene, plan, camera, _finest_pixel(study), study.display, full=False
     )
     if resolution is None and camera.lens is None:
         return scene, plan
     scene = scene if resolution is None else scene.with_resolution(resolution)
-    return scene, study_plan(scene, camera, study)
+    return scene, _study_plan(scene, camera, study)
 
 
 def light_request(case: Case[Any]) -> LightRequest:
@@ -416,10 +416,10 @@ def light_request(case: Case[Any]) -> LightRequest:
             scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)]
         )
     first = study.technologies[0]
-    scene, plan = first_film(study, scene, camera)
+    scene, plan = _first_film(study, scene, camera)
     largest = physics_of(study, first, largest_pixel_um(study, first))
-    plan_of_film = partial(study_plan, camera=camera, study=study)
-    return LightRequest(scene, plan, plan_of_film, study, largest, measured_pixels(study, camera))
+    plan_of_film = partial(_study_plan, camera=camera, study=study)
+    return LightRequest(scene, plan, plan_of_film, study, largest, _measured_pixels(study, camera))
 
 
 def render_for(
@@ -440,18 +440,18 @@ def render_for(
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
-    light.image.header.update(white_header(seen_by_all(study, light.image, light.camera)))
+    light.image.header.update(white_header(_seen_by_all(study, light.image, light.camera)))
     return light
 
 
-def given_light(case: Case[Study], picture: SpectralImage) -> Light:
+def _given_light(case: Case[Study], picture: SpectralImage) -> Light:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study, image = case.settings, copy(picture)
-    image.header = image.header | white_header(seen_by_all(study, image, case.camera))
+    image.header = image.header | white_header(_seen_by_all(study, image, case.camera))
     return Light(image, case.camera, without=case.without)
 
 
-def seen_by_all(
+def _seen_by_all(
     study: Study, image: SpectralImage, camera: Camera
 ) -> list[tuple[Imaging, SpectralImage]]:
     """Return a picture beside the smallest pixels of each technology of a study, for the white that
@@ -463,7 +463,7 @@ def seen_by_all(
     ]
 
 
-def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
+def _measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
     """Return the pixels for which the error of the film is measured: the smallest, a middle and the
     largest of the study.
     """
@@ -492,7 +492,7 @@ def render_lights(
     combinations = {case.group: case for case in reversed(cases)}
     if cases[0].picture is not None:
         given = {
-            group: given_light(case, case.picture)
+            group: _given_light(case, case.picture)
             for group, case in combinations.items()
             if case.picture is not None
         }
@@ -548,7 +548,7 @@ def _computed_lights(
             if (
                 isinstance(light, Light)
                 and light.film
-                and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e)
+                and light.film.largest_delta_e <= _BY_FAR * min(light.film.tolerated_delta_e)
             ):
                 films.setdefault(_all_but_luminance(cases[key]), light.film)
             progress(len(lights) / len(cases))
@@ -556,7 +556,7 @@ def _computed_lights(
 
 
 LUMINANCE = "luminance_cd_per_m2"  # the parameter of a scene
-BY_FAR = 0.1  # of what is tolerated
+_BY_FAR = 0.1  # of what is tolerated
 
 
 def _luminance(study: Study) -> float:
@@ -587,12 +587,12 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-LightTask = tuple[
+_LightTask = tuple[
     str, Case[Study], FilmError | None
 ]  # its key, and the film of a brighter light, if that is measured
 
 
-def _render_task(task: LightTask, _: None) -> tuple[str, Light | str]:
+def _render_task(task: _LightTask, _: None) -> tuple[str, Light | str]:
     """Return the key of a task, and its light or the reason why there is none."""
     key, case, film = task
     return key, _light_or_reason(case, film=film)

@@ -120,7 +120,7 @@ def columns_on(camera: Camera, pitch_um: float) -> int:
     return pixels_along(camera.die_um[1], pitch_um)
 
 
-MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
+_MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
 
 def longest_path_um(result: StudyResult, curve: Curve, pitch_um: float) -> float:
@@ -212,7 +212,7 @@ def detail_terms(
 
 
 def mpe30_lx_s(
-    result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S
+    result: StudyResult, physics: PixelPhysics, integration_s: float = _MPE30_INTEGRATION_S
 ) -> float:
     """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it
     exceeds saturation.

@@ -4,7 +4,7 @@ The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (
 smooth curve, a residual that the sensors of a pitch share, and the noise of each sensor (its
 registration with dots and detail, fixed pattern, temporal noise); z and e are standard normal. The
 noise follows from the scatter of the sensors. All pitches have the same registrations, and one
-relative noise, but for those whose scatter is significantly larger (`loud_pitches`). f is a quintic
+relative noise, but for those whose scatter is significantly larger (`_loud_pitches`). f is a quintic
 smoothing spline in the logarithm u of the photodiode's width: as a Gaussian process, a quadratic of
 unknown coefficients plus a twice integrated Wiener process of stiffness k (G. Wahba, J. R. Stat.
 Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine
@@ -17,7 +17,7 @@ one stiffness k fits the logarithm, but not the curve, whose fit would swing bel
 
 A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that
 where the curve rises by more than a factor `FLANK` to a size next to the best one, where the fit
-dips by more than `DIP` below it, or where the fit is least where no convex curve through the sizes
+dips by more than `_DIP` below it, or where the fit is least where no convex curve through the sizes
 is. The interval then contains all places where such a curve, of ΔE against u, could be least
 (`convex_range`).
 
@@ -71,23 +71,23 @@ RESIDUALS = (0.0, 0.1, 0.25, 0.5)
 # Ripples r in units of the mean ΔE, and their correlation length in the logarithm of the width. By
 # maximum likelihood, dense sweeps of metrics without noise have 3e-4 (f/2.8) and 1e-3 to 3e-3
 # (f/8), and lengths of 0.03 to 0.04.
-RIPPLES = (0.0, 5e-4, 1.5e-3, 3e-3)
+_RIPPLES = (0.0, 5e-4, 1.5e-3, 3e-3)
 RIPPLE_LENGTH = 0.035
-NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each of the others
-# Half the shortest interval, in units of the best size: the sweeps behind `RIPPLES` have steps of 3
+_NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each of the others
+# Half the shortest interval, in units of the best size: the sweeps behind `_RIPPLES` have steps of 3
 # %, and show no shorter ripples.
-SHORTEST_HALF = 0.0075
-LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
-NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
-WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
+_SHORTEST_HALF = 0.0075
+_LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
+_NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
+_WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
 DRAWS = 2000
 PLACES = 61  # at which curves are drawn; their minima are interpolated between them
-FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
+_FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
 STEEP = 2.5  # largest mean ΔE over the least, above which the logarithm is fitted
 # Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of
 # smooth curves with few sizes.
 FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
-DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
+_DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
 # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be
 # factored
 ROUNDING = 1e-6
@@ -229,7 +229,7 @@ class Design:
 
     def covariance(self, stiffness: float, residual: float, ripple: float) -> Array:
         """Return the covariance of the pitches' mean ΔE without the quadratic, (P, P)."""
-        covariance = curve_covariance(self.u, self.u, stiffness, ripple)
+        covariance = _curve_covariance(self.u, self.u, stiffness, ripple)
         covariance.flat[:: self.u.size + 1] += (
             self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
         )
@@ -249,10 +249,10 @@ class Posterior:
             residual,
             ripple,
         )
-        self._whitener = inverse_factor(design.covariance(stiffness, residual, ripple))
+        self._whitener = _inverse_factor(design.covariance(stiffness, residual, ripple))
         both = self._whitener @ np.column_stack([y, quadratic(design.u)])
         self._y, self._basis = both[:, 0], both[:, 1:]
-        self._basis_whitener = inverse_factor(self._basis.T @ self._basis)
+        self._basis_whitener = _inverse_factor(self._basis.T @ self._basis)
         self._beta = self._basis_whitener @ (self._basis.T @ self._y)
         self._coefficients = self._basis_whitener.T @ self._beta
         self._weights = self._whitener.T @ (self._y - self._basis @ self._coefficients)
@@ -268,20 +268,20 @@ class Posterior:
 
     def mean(self, places: Array) -> Array:
         """Return the posterior mean at places, (n,)."""
-        process = curve_covariance(places, self.u, self.stiffness, self.ripple)
+        process = _curve_covariance(places, self.u, self.stiffness, self.ripple)
         return multiplied(process, self._weights) + multiplied(
             quadratic(places), self._coefficients
         )
 
     def covariance(self, places: Array) -> Array:
         """Return the posterior covariance between places, (n, n)."""
-        known = self._whitener @ curve_covariance(self.u, places, self.stiffness, self.ripple)
+        known = self._whitener @ _curve_covariance(self.u, places, self.stiffness, self.ripple)
         unknown = self._basis_whitener @ (quadratic(places).T - self._basis.T @ known)
-        prior = curve_covariance(places, places, self.stiffness, self.ripple)
+        prior = _curve_covariance(places, places, self.stiffness, self.ripple)
         return prior - known.T @ known + unknown.T @ unknown
 
 
-def curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) -> Array:
+def _curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) -> Array:
     """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a
     ripple.
     """
@@ -292,7 +292,7 @@ def curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) 
 Covariance = Callable[[Array, Array], Array]
 
 
-def cached_for_places(covariance: Covariance) -> Covariance:
+def _cached_for_places(covariance: Covariance) -> Covariance:
     """Return a covariance that is computed once for the same places: the posteriors of a fit, about
     a hundred, share them.
     """
@@ -312,7 +312,7 @@ def cached_for_places(covariance: Covariance) -> Covariance:
     return of_places
 
 
-@cached_for_places
+@_cached_for_places
 def ripple_covariance(a: Array, b: Array) -> Array:
     """Return the covariance of ripples of amplitude 1, (n, m), at places (n,) and (m,): exp(-(a -
     b)²/2ℓ²), ℓ = `RIPPLE_LENGTH`.
@@ -321,7 +321,7 @@ def ripple_covariance(a: Array, b: Array) -> Array:
     return np.asarray(np.exp(-(distance**2) / 2))
 
 
-@cached_for_places
+@_cached_for_places
 def wiener_covariance(a: Array, b: Array) -> Array:
     """Return the covariance of a Wiener process integrated twice from 0, (n, m), at places (n,) and
     (m,).
@@ -337,17 +337,17 @@ def quadratic(places: Array) -> Array:
     return np.stack([places * places, places, np.ones(places.shape)], axis=1)
 
 
-def inverse_factor(covariance: Array) -> Array:
+def _inverse_factor(covariance: Array) -> Array:
     """Return the inverse of the lower Cholesky factor, which whitens noise of that covariance.
 
     Not a triangular solve: LAPACK starts threads for one of any size, which takes far longer than
     these small matrices do.
     """
-    inverse, _ = dtrtri(lower_factor(covariance), lower=1)
+    inverse, _ = dtrtri(_lower_factor(covariance), lower=1)
     return np.asarray(inverse)
 
 
-def lower_factor(covariance: Array) -> Array:
+def _lower_factor(covariance: Array) -> Array:
     """Return the lower Cholesky factor.
 
     Of exact data, curves have a covariance of rounding errors, which may be indefinite: noise of
@@ -399,7 +399,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     u, mean, scale = data.design.u, data.mean, data.scale
     fits, weights = posteriors(data)
 
-    fine_um = np.geomspace(pitch_um[0], pitch_um[-1], FINE_PLACES)
+    fine_um = np.geomspace(pitch_um[0], pitch_um[-1], _FINE_PLACES)
     fine_um[[0, -1]] = pitch_um[[0, -1]]  # exact, without rounding errors
     fine = places_of(fine_um, first_um, width_um)
     centre = np.zeros(fine.size)
@@ -440,7 +440,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
     is_sharp = slopes and (
         has_flank
-        or curve[best] < (1 - DIP) * mean[tried]
+        or curve[best] < (1 - _DIP) * mean[tried]
         or not sharpest[0] <= fine_um[best] <= sharpest[1]
     )
     if is_sharp:
@@ -458,8 +458,8 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     def interval_of(level: float) -> tuple[float | None, float | None]:
         """Interval of the minimum's pitch at a confidence."""
         quantiles_um = np.quantile(minima_um, ((1 - level) / 2, (1 + level) / 2))
-        low_um = min(quantiles_um[0], best_um * (1 - SHORTEST_HALF))
-        high_um = max(quantiles_um[1], best_um * (1 + SHORTEST_HALF))
+        low_um = min(quantiles_um[0], best_um * (1 - _SHORTEST_HALF))
+        high_um = max(quantiles_um[1], best_um * (1 + _SHORTEST_HALF))
         if is_sharp:
             low_um, high_um = min(low_um, sharpest[0]), max(high_um, sharpest[1])
         low_um, high_um = np.clip(
@@ -579,7 +579,7 @@ def measured(u: Array, delta_e: Array) -> Measured:
     mean = np.nanmean(delta_e, axis=1)
     scale = float(mean.min()) or float(mean.max()) or 1.0
     squares = (np.where(valid, delta_e - mean[:, None], 0.0) ** 2).sum(axis=1)
-    loud = loud_pitches(squares, mean, sensors - 1)
+    loud = _loud_pitches(squares, mean, sensors - 1)
 
     def pooled(which: NDArray[np.bool_]) -> float:
         expected = float(((sensors - 1) * mean**2)[which].sum())
@@ -596,9 +596,9 @@ def measured(u: Array, delta_e: Array) -> Measured:
     return Measured(mean, scale, relative, degrees, loud, design, logarithmic)
 
 
-def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which pitches scatter significantly more than the others, (P,): those that fail an F
-    test at `LOUD`, the worst first.
+    test at `_LOUD`, the worst first.
 
     The level is shared by all pitches, so that one of a hundred studies of equal scatter has such a
     pitch. At most half of them are taken out.
@@ -619,7 +619,7 @@ def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDA
             ratio = scatter[left] / degrees[left] / (others / of_others)
         chance = fdtrc(degrees[left], of_others, ratio)
         worst = int(np.argmin(chance))
-        if chance[worst] >= LOUD / mean.size:
+        if chance[worst] >= _LOUD / mean.size:
             break
         loud[left[worst]] = True
     return loud
@@ -632,9 +632,9 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
     design, degrees = data.design, data.degrees.astype(float)
     noise = float(np.sqrt(np.median(design.noise)))
     has_noise = bool(design.noise.any())
-    ripples = [ripple for ripple in RIPPLES if ripple == 0 or ripple > noise]
+    ripples = [ripple for ripple in _RIPPLES if ripple == 0 or ripple > noise]
     fits = []
-    for quantile in NOISE_QUANTILES if has_noise else NOISE_QUANTILES[:1]:
+    for quantile in _NOISE_QUANTILES if has_noise else _NOISE_QUANTILES[:1]:
         variance = (
             degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))
             if has_noise
@@ -651,11 +651,11 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
         np.array([fit.log_likelihood for fit in fits])
         - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
     )
-    logs[[fit.ripple == 0 for fit in fits]] += np.log(NO_RIPPLE_WEIGHT)
+    logs[[fit.ripple == 0 for fit in fits]] += np.log(_NO_RIPPLE_WEIGHT)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
-    used = order[: int(np.searchsorted(np.cumsum(weights[order]), WEIGHT_USED)) + 1]
+    used = order[: int(np.searchsorted(np.cumsum(weights[order]), _WEIGHT_USED)) + 1]
     return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
 
 
@@ -706,7 +706,7 @@ def drawn_curves(
                 1.0, float(covariance.trace()) / places.size
             )
             curves[first:last] = fit.mean(places) + multiplied(
-                lower_factor(covariance), normal[first:last]
+                _lower_factor(covariance), normal[first:last]
             )
     return curves
 

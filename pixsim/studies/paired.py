@@ -20,7 +20,7 @@ CONFIDENCE = 0.95
 FEWEST_PAIRS = 2  # that have a scatter
 NORMAL_95 = 1.96
 NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
-NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
+_NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
 SENSOR, CONDITION = "technology", "condition"  # labels of a table
 
 
@@ -181,7 +181,7 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
     for digit in range(values.size.bit_length()):
         size = 1 << digit
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
-        error /= 2**NET_ORDER
+        error /= 2**_NET_ORDER
         if blocks.size >= FEWEST_PAIRS:
             error = max(error, NORMAL_95 * float(blocks.std(ddof=1)))
         if values.size & size:

@@ -124,7 +124,7 @@ def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
 
 
 @dataclass(frozen=True)
-class GivenSizes(GivenSettings):
+class _GivenSizes(GivenSettings):
     """Settings of one technology of a study, at one of its pixel sizes; what changes the list of
     sizes has an effect, too.
 
@@ -149,12 +149,12 @@ class GivenSizes(GivenSettings):
 
 # A study of a data sheet takes it from the sheet's pitch; the range and the display that follow
 # from it are stated in `complete`.
-OF_THE_SHEET = "pitch.own_um"
+_OF_THE_SHEET = "pitch.own_um"
 
 
 def settings_of_technology(
     given: Case[Study], complete: Case[Study], technology: str
-) -> list[GivenSizes]:
+) -> list[_GivenSizes]:
     """Return the settings of one technology in one case, at its largest and its smallest pixel
     size.
 
@@ -180,10 +180,10 @@ def settings_of_technology(
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
         at_size = GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
         names = tuple(
-            name for name in at_size.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET
+            name for name in at_size.names if technology != NO_TECHNOLOGY or name != _OF_THE_SHEET
         )
         settings.append(
-            GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology)
+            _GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology)
         )
     return settings
 
@@ -191,7 +191,7 @@ def settings_of_technology(
 # --- sensor types
 # -----------------------------------------------------------------------------------------------------------------
 
-MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
+_MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 
 
 @dataclass(frozen=True)
@@ -282,13 +282,13 @@ def check_axes(study: Study) -> None:
     if (
         any(axis.alone for axis in study.axis)
         or len(study.axis) > 1
-        or any(len(axis.points) > MOST_VALUES for axis in study.axis)
+        or any(len(axis.points) > _MOST_VALUES for axis in study.axis)
     ):
         got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
         raise invalid(
             setting("uncertainty"),
             f"a study with the axes {got}",
-            f"at most one axis of at most {MOST_VALUES} values",
+            f"at most one axis of at most {_MOST_VALUES} values",
         )
 
 
@@ -391,9 +391,9 @@ class Types:
 # --- the job
 # ----------------------------------------------------------------------------------------------------------------------
 
-ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
-MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
-Chosen = TypeVar("Chosen", bound=Setting)
+_ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
+_MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
+_Chosen = TypeVar("_Chosen", bound=Setting)
 
 
 def choose_view(
@@ -414,7 +414,7 @@ def choose_view(
     """
     fixed = display.raster == "fixed_size"
     columns = pixels_along(camera.die_um[1], pitch_um)
-    dots = min(max(columns, ALLOWED_DOTS[0]), ALLOWED_DOTS[1])
+    dots = min(max(columns, _ALLOWED_DOTS[0]), _ALLOWED_DOTS[1])
     free = fixed and "dots" not in display.model_fields_set
     chosen: dict[str, Any] = {"dots": dots} if free else {}
     if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
@@ -430,12 +430,12 @@ def choose_view(
     limited_by = min(limits, key=lambda name: limits[name])
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
     return chosen | {
-        MAX_LP_PER_MM: max(limits[limited_by], 2**MIN_OCTAVES * lowest),
+        MAX_LP_PER_MM: max(limits[limited_by], 2**_MIN_OCTAVES * lowest),
         "limited_by": limited_by,
     }
 
 
-def with_view(settings: Chosen, view: Mapping[str, Any]) -> Chosen:
+def with_view(settings: _Chosen, view: Mapping[str, Any]) -> _Chosen:
     """Return settings with the display and the chart of `choose_view`, except for what they state
     of them.
     """
@@ -460,7 +460,7 @@ def scene_with_view(scene: Scene, view: Mapping[str, Any]) -> Scene:
     )
 
 
-def source_with_view(
+def _source_with_view(
     source: Scene | SpectralImage, view: Mapping[str, Any]
 ) -> Scene | SpectralImage:
     """Return `scene_with_view` of a scene; light that is given as it is."""
@@ -472,17 +472,17 @@ def shows_csf(source: Scene | SpectralImage) -> bool:
     return not isinstance(source, SpectralImage) and source.shows_csf
 
 
-def without_chart(view: Mapping[str, Any]) -> dict[str, Any]:
+def _without_chart(view: Mapping[str, Any]) -> dict[str, Any]:
     """Return a view without its chart, for a scene that has another one."""
     return {name: value for name, value in view.items() if name == "dots"}
 
 
-MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
+_MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
 MAX_FRAME_BYTES = 1.0 * (1 << 30)
 PITCH_DIGITS = 4
 
 
-def most_pixels(camera: Camera, own_um: float | None) -> float:
+def _most_pixels(camera: Camera, own_um: float | None) -> float:
     """Return the number of pixels that a study chooses by itself at most.
 
     That of a data sheet takes 1 GiB while a frame is simulated, or as many pixels as its sensor
@@ -507,13 +507,13 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     pitch, own_um = study.pitch, study.own_um
     height_um, width_um = camera.die_um
     if pitch.values_um is not None:
-        check_smallest(min(pitch.values_um), camera, "pitch.values_um")
+        _check_smallest(min(pitch.values_um), camera, "pitch.values_um")
         return study
     low, high = study.open_range_um
     if own_um is not None and "max_um" not in pitch.model_fields_set:
-        wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
+        wished, high = high, min(high, max(min(height_um, width_um) / _MIN_ACROSS, own_um))
         if high < wished:
-            reason = f"a larger one leaves fewer than {MIN_ACROSS} on the die"
+            reason = f"a larger one leaves fewer than {_MIN_ACROSS} on the die"
             warn(_range_note("largest pixel size", high, wished, reason))
     for name in study.technologies:
         if (lens_um := largest_lens_um(study, name)) < high:
@@ -524,16 +524,16 @@ def fitted_range(study: Study, camera: Camera) -> Study:
             reason += "pixel.stack.microlens = 'none'"
             warn(_range_note(f"largest pixel size of {label_of(name)}", lens_um, high, reason))
     if pitch.min_um is not None:
-        check_smallest(pitch.min_um, camera, "pitch.min_um")
+        _check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
         lows = (
             [low]
             if low is not None
             else [float(study_pitches_um(study, name).min()) for name in study.technologies]
         )
-        low = low if low is None else up_to_pitch_digits(low)
-        most = most_pixels(camera, own_um)
-        least_um = up_to_pitch_digits(math.sqrt(height_um * width_um / most))
+        low = low if low is None else _up_to_pitch_digits(low)
+        most = _most_pixels(camera, own_um)
+        least_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / most))
         if min(lows) < least_um - 10**-PITCH_DIGITS:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
@@ -569,12 +569,12 @@ def _range_note(size: str, pitch_um: float, asked_um: float, reason: str) -> Not
     )
 
 
-def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
+def _check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     """Raise PixsimError if pixels of a size that was set are too many for the die."""
     height_um, width_um = camera.die_um
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
-        least = up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
+        least = _up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
         hint = "Or take a part of the die: --window."
         raise invalid(
             name,
@@ -584,7 +584,7 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
         )
 
 
-def up_to_pitch_digits(pitch_um: float) -> float:
+def _up_to_pitch_digits(pitch_um: float) -> float:
     """Return a pitch rounded up to the digits of a study's pitches."""
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
@@ -674,9 +674,9 @@ def loaded_scene(
     return scene.with_resolution(resolution) if resolution else scene
 
 
-GIVEN_LIGHT = "(given light)"  # in place of a scene's file
+_GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 # What light of a scene is rendered by, and given light is not.
-OF_SCENE = (
+_OF_SCENE = (
     "scene",
     "camera",
     "lens",
@@ -714,7 +714,7 @@ def of_given_light(study: Study, variant: str | None) -> Study:
     where = "a study whose light is given"
     varied = [path for axis in study.axis for path in axis.paths]
     varied += [path for condition in study.condition for path in paths_of(condition.set)]
-    if moved := [".".join(path) for path in varied if path[0] in OF_SCENE]:
+    if moved := [".".join(path) for path in varied if path[0] in _OF_SCENE]:
         raise invalid(
             "axis",
             f"{moved[0]} in {where}",
@@ -730,17 +730,17 @@ def of_given_light(study: Study, variant: str | None) -> Study:
         + ["paper"] * study.paper
     ):
         raise invalid(names[0], f"a value in {where}", "a study of a scene, or no value")
-    return study.model_copy(update={"scene": StudyScene(file=GIVEN_LIGHT), "resolution": None})
+    return study.model_copy(update={"scene": StudyScene(file=_GIVEN_LIGHT), "resolution": None})
 
 
-def scene_for(
+def _scene_for(
     study: Study, variant: str | None = None, known: dict[str, Scene] | None = None
 ) -> tuple[Scene, Camera]:
     """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
 
     known : scenes by their settings, to which this one is added
     """
-    if study.scene.file == GIVEN_LIGHT:
+    if study.scene.file == _GIVEN_LIGHT:
         raise invalid(
             "scene.file", "light that was given in Python", "a scene, or pixsim.study(…, light=…)"
         )
@@ -848,7 +848,7 @@ def prepare(
 
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return (
-            scene_for(study, variant, scenes)
+            _scene_for(study, variant, scenes)
             if light is None
             else (light, camera_of_light(light, study.camera, study.lens))
         )
@@ -863,7 +863,7 @@ def prepare(
     for case in cases:
         with named((case.words or BASE) if study.has_cases else ""):
             shown = _same_chart(case.settings, own) or shows_csf(source_for(case.settings)[0])
-            complete = with_view(case.settings, view if shown else without_chart(view))
+            complete = with_view(case.settings, view if shown else _without_chart(view))
             check_technologies(complete)
             scene_of_case, its_camera = source_for(complete)
             of_sizes = replace(case, settings=fitted_range(complete, its_camera))
@@ -872,7 +872,7 @@ def prepare(
     _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of
     # them.
-    kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
+    kept = view if all(_same_chart(each.settings, own) for each in found) else _without_chart(view)
     asked_displays = [case.settings.display for case in cases]
     sensors = tuple(
         replace(case, others=_further_displays(case, display))
@@ -885,7 +885,7 @@ def prepare(
         asked=asked,
         complete=with_view(study, kept) if study.has_cases else found[0].settings,
         file=study.scene.file,
-        source=source_with_view(scene, view),
+        source=_source_with_view(scene, view),
         view=view,
         variant=variant,
     )

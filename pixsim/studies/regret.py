@@ -92,7 +92,7 @@ def share_of_best(fit: FittedCurve) -> Array:
     return np.divide(best, loss, out=np.ones(loss.size), where=loss > best + ROUNDING * fit.scale)
 
 
-def criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criterion:
+def _criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criterion:
     """Return a curve's first metric as a criterion: no share is left at sizes where some sensors
     have nothing of it.
     """
@@ -110,12 +110,12 @@ def metric_regrets(curve: Curve) -> Regrets | None:
         return None
     by_metric = [curve.judged_by(name) for name in curve.optima]
     return Regrets(
-        curve.label, "metric", tuple(criterion_of(each, each.metric.words) for each in by_metric)
+        curve.label, "metric", tuple(_criterion_of(each, each.metric.words) for each in by_metric)
     )
 
 
 LEAST_PITCHES = 5  # that a curve is fitted to
-WEIGHTED = "weighted mean"
+_WEIGHTED = "weighted mean"
 
 
 def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
@@ -145,12 +145,16 @@ def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
 def _regrets(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -> Regrets:
     """Return the regrets of the conditions of some curves by their first metric."""
     first = curves[0]
-    criteria = [criterion_of(curve, curve.condition, weights[curve.condition]) for curve in curves]
+    criteria = [_criterion_of(curve, curve.condition, weights[curve.condition]) for curve in curves]
     weighted = weighted_fit(study, curves, weights)
     if weighted is not None:
         criteria.append(
             Criterion(
-                WEIGHTED, first.metric, weighted.optimum, weighted.pitch_um, share_of_best(weighted)
+                _WEIGHTED,
+                first.metric,
+                weighted.optimum,
+                weighted.pitch_um,
+                share_of_best(weighted),
             )
         )
     label = first.label.removesuffix(f", {first.condition}")

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-FEW_ROWS = 64  # that tell which part of the pixels is full
+_FEW_ROWS = 64  # that tell which part of the pixels is full
 
 
 @dataclass(frozen=True)
@@ -356,7 +356,7 @@ def causes_of_curve(
     table : of the curve
     """
     best_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
-    at_best = np.flatnonzero(table.columns["pitch_um"] == best_um)[:FEW_ROWS]
+    at_best = np.flatnonzero(table.columns["pitch_um"] == best_um)[:_FEW_ROWS]
     return causes_of_frames(
         lit.scenes.irradiance, lit.imaging.at(best_um), lightness, table.take(at_best)
     )

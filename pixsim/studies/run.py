@@ -77,18 +77,18 @@ from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without
 # --- where a target is just seen
 # --------------------------------------------------------------------------------------------------
 
-SOUGHT = "metric.detectability.solve_for"
+_SOUGHT = "metric.detectability.solve_for"
 WITHIN = 1e-3  # relative, of the value that is found
-WIDEST_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
+_WIDEST_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
 # of the logarithm of a value, that of d′ is half or more: it grows at least as the root of the
 # light
-SLOWEST = 2.2
+_SLOWEST = 2.2
 MAX_STEPS, MOST_RENDERS = (
     9,
     24,
 )  # on the way to a value on the other side of the threshold; of the whole search
 # from the last value that is seen, up to 512 times as much: beyond it a target may be too bright
-UPWARD_STEPS = 3
+_UPWARD_STEPS = 3
 LEAST = 1e-6  # in place of a d′ of 0
 
 
@@ -113,7 +113,7 @@ class Threshold:
     upper_value: float | None = None
 
 
-def start_of(settings: Run, source: Scene | object) -> float | None:
+def _start_of(settings: Run, source: Scene | object) -> float | None:
     """Return the value of the parameter that a run looks for, with which it starts; None if it
     looks for none.
 
@@ -124,7 +124,7 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
         return None
     if not isinstance(source, Scene):
         raise invalid(
-            setting(SOUGHT),
+            setting(_SOUGHT),
             f"'{name}' for light that is given",
             "a parameter of a scene, which is rendered again",
         )
@@ -144,7 +144,7 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
             " starts"
         )
         raise invalid(
-            setting(SOUGHT),
+            setting(_SOUGHT),
             got,
             allowed,
             f"As contrast, size_mm or lux: {parameter('lux', '100')}.",
@@ -152,11 +152,11 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
     return start
 
 
-def threshold_of(
+def _threshold_of(
     job: Job[Run],
     light: Light,
     d_prime: float,
-    d_prime_in: Callable[[SceneLight], float],
+    _d_prime_in: Callable[[SceneLight], float],
     progress: Progress | None = None,
 ) -> Threshold:
     """Return where d′ of the target is the threshold, from scenes that are rendered again on the
@@ -172,7 +172,7 @@ def threshold_of(
     d_prime_in : returns d′ of the run's sensor in another light
     """
     settings, options, case = job.settings, job.settings.metric.detectability, job.cases[0]
-    name, start = options.solve_for, start_of(settings, case.scene)
+    name, start = options.solve_for, _start_of(settings, case.scene)
     assert name is not None
     assert start is not None
     request, across = job.request, light.image.shape[1]
@@ -199,7 +199,7 @@ def threshold_of(
         background = without_target(replace(request, scene=scene), across)
         if progress:
             progress(min(next(number) / MOST_RENDERS, 1.0))
-        return logarithm(d_prime_in(SceneLight(image, background)))
+        return logarithm(_d_prime_in(SceneLight(image, background)))
 
     def logarithm(d_prime: float) -> float:
         return math.log(max(d_prime, LEAST) / options.threshold)
@@ -245,7 +245,7 @@ class Search:
         self.climb()
         if self.at[self.best] < 0:
             return None, None
-        return self.end(-1, MAX_STEPS), self.end(1, UPWARD_STEPS)
+        return self.end(-1, MAX_STEPS), self.end(1, _UPWARD_STEPS)
 
     def climb(self) -> None:
         """Evaluate until it is 0 or more somewhere: up first, down from where it falls, then around
@@ -259,9 +259,9 @@ class Search:
             if self.at[best] >= 0:
                 return
             if not upper:
-                self.step(best, 1, min(-SLOWEST * self.at[best], WIDEST_STEP))
+                self.step(best, 1, min(-_SLOWEST * self.at[best], _WIDEST_STEP))
             elif not lower:
-                self.step(best, -1, WIDEST_STEP)
+                self.step(best, -1, _WIDEST_STEP)
             else:
                 gaps = best - max(lower), min(upper) - best
                 self.step(best, 1 if gaps[1] >= gaps[0] else -1, max(gaps) / 2)
@@ -284,7 +284,7 @@ class Search:
             self.step(
                 inner,
                 direction,
-                WIDEST_STEP if is_bright else min(SLOWEST * self.at[inner], WIDEST_STEP),
+                _WIDEST_STEP if is_bright else min(_SLOWEST * self.at[inner], _WIDEST_STEP),
             )
         return None
 
@@ -308,8 +308,8 @@ class Search:
 # ------------------------------------------------------------------------------------------------------------------------
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
-MAX_REPEATS = 10_000
-BEFORE_FRAME = 0.8  # of the work of "sense and score"
+_MAX_REPEATS = 10_000
+_BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
 
@@ -343,8 +343,8 @@ def prepare(
     if not 1 <= frames <= MAX_FRAMES:
         hint = f"For more, call run with another {setting('seed')}: another sensor."
         raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)
-    if not 1 <= repeats <= MAX_REPEATS:
-        raise invalid(setting("repeats"), repeats, f"1 to {MAX_REPEATS} sensors")
+    if not 1 <= repeats <= _MAX_REPEATS:
+        raise invalid(setting("repeats"), repeats, f"1 to {_MAX_REPEATS} sensors")
     scene: Scene | None = None
     picture: SpectralImage | None = None
     if isinstance(source, SpectralImage):
@@ -382,7 +382,7 @@ def prepare(
         whole = scene.camera(settings.camera, settings.lens)
     known = scene or picture
     assert known is not None
-    start_of(settings, scene)
+    _start_of(settings, scene)
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
         warn_of_settings_without_effect(
@@ -717,27 +717,27 @@ def score_run(
     with collected_notes() as notes:
         scored = stage("sense and score")
         background = case.without if light is None else light.without
-        with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            lit = lit_run(case, SceneLight(image, background), prepare)
+        with watched(share_of(scored, 0.0, _BEFORE_FRAME)):
+            lit = _lit_run(case, SceneLight(image, background), prepare)
         first: list[FirstFrame] = []
-        evaluating = share_of(scored, BEFORE_FRAME, 1.0)
+        evaluating = share_of(scored, _BEFORE_FRAME, 1.0)
         table = evaluate_points([lit], None, progress=lambda: evaluating, first=first)
         for reason in table.impossible.values():
             raise AlikeChannelsError(reason)
         chain_of_first, judged = first[0]
-        score = with_metrics(judged.score, settings.metrics, table)
+        score = _with_metrics(judged.score, settings.metrics, table)
         for reason in dict.fromkeys(table.reasons.values()):
             warn(Note("undefined_metric", words=reason))
 
         at_first = None
         if job.repeats > 1 and registered_in(lit.imaging, lit.light(), 1) != lit.imaging:
-            at_first = evaluate_points(sensors_at_first(lit), None, Workers())
+            at_first = evaluate_points(_sensors_at_first(lit), None, Workers())
     warned = tuple(dict.fromkeys([*rendered_run.warned, *notes]))
     threshold = None
-    if light is not None and start_of(settings, case.scene) is not None:
+    if light is not None and _start_of(settings, case.scene) is not None:
         d_prime = float(table.columns["detectability"][0])
-        threshold = threshold_of(
-            job, light, d_prime, partial(d_prime_in, case), stage("look for the threshold")
+        threshold = _threshold_of(
+            job, light, d_prime, partial(_d_prime_in, case), stage("look for the threshold")
         )
     result = RunResult(
         *(job, image, light, rendered_run.plan, warned),
@@ -751,7 +751,7 @@ def score_run(
     return replace(result, score=replace(score, light=result.light))
 
 
-def lit_run(
+def _lit_run(
     case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]
 ) -> LitCase:
     """Return the case of a run in its light, with the white that the light says.
@@ -767,20 +767,20 @@ def lit_run(
     return LitCase(replace(case, imaging=imaging), SceneCache(imaging, light), prepared)
 
 
-def d_prime_in(case: Case[Run], light: SceneLight) -> float:
+def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
     """Return d′ of the first sensor of a case in some light. Raises NoNumberError if it has
     none.
     """
     assert case.imaging is not None
     imaging = case.imaging.changed(metrics=MetricRequest((DETECTABILITY,), case.settings.metric))
     case = replace(case, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
-    table = evaluate_points([lit_run(case, light, prepare_scene)], None, Workers())
+    table = evaluate_points([_lit_run(case, light, prepare_scene)], None, Workers())
     for reason in table.reasons.values():
         raise NoNumberError(reason)
     return float(table.columns[DETECTABILITY.columns[0]][0])
 
 
-def sensors_at_first(lit: LitCase) -> list[LitCase]:
+def _sensors_at_first(lit: LitCase) -> list[LitCase]:
     """Return further sensors at the registration of the first one, each a case of its own."""
     case = lit.case
     streams = [
@@ -790,7 +790,7 @@ def sensors_at_first(lit: LitCase) -> list[LitCase]:
     return [replace(lit, case=replace(each, sizes=dict.fromkeys(case.sizes, 1))) for each in cases]
 
 
-def with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:
+def _with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:
     """Return the score of a run's first frame with the numbers of its metrics, of the first row of
     the table.
 

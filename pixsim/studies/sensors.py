@@ -91,8 +91,8 @@ OF_A_SENSOR = (
 )  # tables that each file has of its own; the others are those of the first
 # What a study says to a comparison: the scene and the settings of all sensors, and a lens for files
 # that state none. Its pixels, technologies and pixel sizes are not used.
-OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
-SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
+_OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
+SHARED = [name for name in _OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
 DIGITS = (
     12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
@@ -209,7 +209,7 @@ def sensor_layer(file: str) -> Layer:
     return Layer({"pixel": {"technology": file}}, file)
 
 
-def read_sensors(
+def _read_sensors(
     files: Sequence[str],
     lens: Layer,
     config: Sequence[Layer],
@@ -268,7 +268,7 @@ def check_files(files: Sequence[str]) -> None:
             )
 
 
-def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def _as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     """Return some tables of a study or of a condition, and the parameters of its scene, as those of
     `Run`.
     """
@@ -278,7 +278,7 @@ def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: table[name] for name in names if name in table and name != "scene"} | scene
 
 
-def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
+def _warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
     """Warn of options, as tables of `Run`, that every condition of a study overrides."""
     for path in paths_of(options):
         in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
@@ -286,13 +286,13 @@ def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
             warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
 
 
-def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
+def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
     """Return settings of a condition and of axes as tables of `Run`. Raises PixsimError for one
     that a comparison does not have.
 
     where : names the condition and the values
     """
-    allowed = [name for name in OF_STUDY if name != "seed"]
+    allowed = [name for name in _OF_STUDY if name != "seed"]
     if others := [name for name in table if name not in allowed]:
         hint = "The sensors of a comparison have their numbers from their own files."
         raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
@@ -310,11 +310,11 @@ def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
         raise invalid(where, f"set.scene = {scene!r}", files)
     if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
         raise invalid(where, f"set.scene.{unknown[0]}", files)
-    return Layer(as_run(table, allowed), where)
+    return Layer(_as_run(table, allowed), where)
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class _Circumstances:
     """What the axes and one condition of a study set for every sensor.
 
     weight : share of the condition; 1 without conditions
@@ -353,7 +353,7 @@ class Circumstances:
         )
 
 
-def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstances]]:
+def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstances]]:
     """Return the circumstances of a study: at each combination of its axes, under each of its
     conditions.
 
@@ -362,17 +362,17 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstanc
     Raises PixsimError for settings that sensors with files or pixels of their own do not have.
     """
     if plan is None or not plan.has_cases:
-        return [[Circumstances()]]
+        return [[_Circumstances()]]
     if plan.axis:
         cases_of(plan)  # that its values are allowed
     total = sum(condition.weight for condition in plan.condition)
-    combined: list[list[Circumstances]] = []
+    combined: list[list[_Circumstances]] = []
     for chosen, alone in combinations(plan.axis):
         at = values_at(plan.axis, chosen)
         table: dict[str, Any] = {}
         for point in chosen.values():
             table = merge(table, point.table)
-        under: list[Circumstances] = []
+        under: list[_Circumstances] = []
         for condition in plan.condition or (None,):
             name, settings = (
                 ("", table) if condition is None else (condition.name, merge(table, condition.set))
@@ -380,18 +380,18 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstanc
             values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
             words = ", ".join([*values, *([f"condition {name}"] if name else [])])
             layer = (
-                overrides_layer(settings, ": ".join(filter(None, (source, words))))
+                _overrides_layer(settings, ": ".join(filter(None, (source, words))))
                 if settings
                 else None
             )
             weight = 1.0 if condition is None else condition.weight / total
             scene = str(settings.get("scene", {}).get("file", ""))
-            under.append(Circumstances(weight, layer, scene, at, alone, name, words))
+            under.append(_Circumstances(weight, layer, scene, at, alone, name, words))
         combined.append(under)
     return combined
 
 
-def circumstances_of_sensors(
+def _circumstances_of_sensors(
     files: Sequence[str],
     lens: Layer,
     config: Sequence[Layer],
@@ -399,28 +399,28 @@ def circumstances_of_sensors(
     scene: str,
     plan: Study | None,
     source: str,
-) -> list[list[Circumstances]]:
+) -> list[list[_Circumstances]]:
     """Return the circumstances of a study with the sensors of files.
 
-    lens, config, options : of `read_sensors`
+    lens, config, options : of `_read_sensors`
     scene : where the study's axes and conditions set none
     plan : the study, if there is one
     source : file of the study
     """
-    combined: list[list[Circumstances]] = []
+    combined: list[list[_Circumstances]] = []
     for under in circumstances(plan, source):
         complete = []
         for place in under:
             sensors = [
                 place.placed(sensor)
-                for sensor in read_sensors(files, lens, config, options, place.layer)
+                for sensor in _read_sensors(files, lens, config, options, place.layer)
             ]
             complete.append(replace(place, scene=place.scene or scene, sensors=tuple(sensors)))
         combined.append(complete)
     return combined
 
 
-def warn_of_uncertainty(sources: Sequence[str]) -> None:
+def _warn_of_uncertainty(sources: Sequence[str]) -> None:
     """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
     for path in map(Path, sources):
         if path.is_file() and (unsure := sheet_uncertainty(path)):
@@ -482,8 +482,8 @@ def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
     )
 
 
-def group_of(
-    stated: Circumstances,
+def _group_of(
+    stated: _Circumstances,
     numbers: Sequence[int],
     common: SensorGroup | None,
     match: Match,
@@ -532,7 +532,7 @@ def group_of(
     if common is not None:
         view = {name: common.view.get(name, value) for name, value in view.items()}
     of_first = {
-        name: on_other_die(view[name], finest.camera, cameras[0])
+        name: _on_other_die(view[name], finest.camera, cameras[0])
         for name in view
         if name == MAX_LP_PER_MM
     }
@@ -551,7 +551,7 @@ def group_of(
     for case in resolved:
         of_sensor, camera, run = loaded, case.camera, case.settings
         if highest is not None:
-            on_sensor = on_other_die(float(highest), cameras[0], camera)
+            on_sensor = _on_other_die(float(highest), cameras[0], camera)
             of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
         own = {
             "camera": camera.options,
@@ -604,7 +604,7 @@ def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
     return cameras
 
 
-def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
+def _on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
     """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the
     same field of view.
     """
@@ -620,7 +620,7 @@ def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
 
 
 PAIR, MATCH = "pair", "match"  # labels, beside those of axes and conditions
-OTHER_MATCH: dict[Match, Match] = {"view": "lens", "lens": "view", "own": "view"}
+_OTHER_MATCH: dict[Match, Match] = {"view": "lens", "lens": "view", "own": "view"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -750,10 +750,10 @@ def prepare(
                 stated.source,
             )
             plan = plan.model_copy(update={"scene": StudyScene(file=file)})
-        warn_of_overridden(plan, options)
+        _warn_of_overridden(plan, options)
         file, layers = (
             plan.scene.file,
-            [Layer(as_run(stated.table, SHARED), stated.source), *layers],
+            [Layer(_as_run(stated.table, SHARED), stated.source), *layers],
         )
         camera = {
             name: value
@@ -764,8 +764,8 @@ def prepare(
         lens = Layer({name: table for name, table in of_lens.items() if table}, stated.source)
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
         plan = None  # nothing of it holds for a comparison
-    base = read_sensors(sources, lens, layers, options)
-    combined = circumstances_of_sensors(sources, lens, layers, options, file, plan, source)
+    base = _read_sensors(sources, lens, layers, options)
+    combined = _circumstances_of_sensors(sources, lens, layers, options, file, plan, source)
 
     def groups_of(numbers: Sequence[int], by: Match) -> list[SensorGroup]:
         """Return some of the sensors in each case, as if there were no others."""
@@ -775,7 +775,7 @@ def prepare(
             made: dict[int, SensorGroup] = {}
             for place in dict.fromkeys((shown, *range(len(under)))):
                 with named(under[place].words):
-                    made[place] = group_of(
+                    made[place] = _group_of(
                         under[place], numbers, made.get(shown), by, sensor, variant
                     )
             groups += [made[place] for place in range(len(under))]
@@ -789,7 +789,7 @@ def prepare(
         given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE)
     )
     with without_warnings():  # those of all sensors are shown
-        further = [] if match else groups_of(everyone, OTHER_MATCH[chosen])
+        further = [] if match else groups_of(everyone, _OTHER_MATCH[chosen])
         if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):
             further = []
         alone = [(0, other) for other in everyone[1:]] if len(sources) > 2 else []
@@ -798,11 +798,11 @@ def prepare(
             group
             for numbers in alone
             if further
-            for group in groups_of(numbers, OTHER_MATCH[chosen])
+            for group in groups_of(numbers, _OTHER_MATCH[chosen])
         ]
     asked = asked_of(uncertainty, sobol, (), {})
     if asked is None:
-        warn_of_uncertainty(sources)
+        _warn_of_uncertainty(sources)
     every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
     warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
     return ComparisonJob(

@@ -58,9 +58,9 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 # --- axes and conditions
 # ----------------------------------------------------------------------------------------------------------
 
-AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
+_AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
 MOST_TOGETHER = 100  # settings of an axis that take each value together
-NOT_NAMES = {
+_NOT_NAMES = {
     "pitch",
     "technology",
     "pitch_um",
@@ -68,13 +68,13 @@ NOT_NAMES = {
     "key",
     "condition",
 }  # columns of a study's rows
-PITCH_TABLE = "pitch"
+_PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
 NOT_SETTINGS = {
     **dict.fromkeys(
         ("name", "streams", "title", "axis", "condition", "sources", "sensors", "paper"), ""
     ),
-    PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
+    _PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",
     **dict.fromkeys(
@@ -109,7 +109,7 @@ def setting_path(dotted: str) -> tuple[str, ...]:
     return tuple(path)
 
 
-def setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
+def _setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
     """Nested tables that set one value. The technology of the pixel is a study's only
     technology.
     """
@@ -118,8 +118,8 @@ def setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
     return nested(path, value)
 
 
-def with_technology(table: dict[str, Any]) -> dict[str, Any]:
-    """The settings of an axis' value, with the technology as `setting_table` has it."""
+def _with_technology(table: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an axis' value, with the technology as `_setting_table` has it."""
     pixel = table.get("pixel")
     if not isinstance(pixel, dict) or "technology" not in pixel:
         return table
@@ -176,7 +176,7 @@ def _of_condition(table: object) -> object:
     return table
 
 
-def as_paths(value: object) -> object:
+def _as_paths(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
@@ -185,13 +185,13 @@ def _is_path(dotted: str) -> str:
     return dotted
 
 
-MAX_CASE_NAME = 60
+_MAX_CASE_NAME = 60
 
 
 def is_case_name(value: str) -> bool:
     """Whether a text can be the label of a value of an axis."""
     return (
-        len(value) <= MAX_CASE_NAME
+        len(value) <= _MAX_CASE_NAME
         and re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value) is not None
     )
 
@@ -207,13 +207,13 @@ def _case_name(value: str) -> str:
 
 
 Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
-ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
-DottedSetting = Annotated[str, AfterValidator(_is_path)]
-CaseName = Annotated[str, Field(max_length=MAX_CASE_NAME), AfterValidator(_case_name)]
+_ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
+_DottedSetting = Annotated[str, AfterValidator(_is_path)]
+_CaseName = Annotated[str, Field(max_length=_MAX_CASE_NAME), AfterValidator(_case_name)]
 
 
 # Names that the files and folders of a study have, or may have.
-FILES_OF_STUDY = re.compile(
+_FILES_OF_STUDY = re.compile(
     r"\..*|.*\.(toml|csv|json|html|svg|pdf|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE
 )
 
@@ -230,7 +230,7 @@ def check_case_folders(words: Sequence[str]) -> None:
     taken: dict[str, str] = {}
     for each in words:
         folder = case_folder(each)
-        if FILES_OF_STUDY.fullmatch(folder):
+        if _FILES_OF_STUDY.fullmatch(folder):
             raise ValueError(
                 f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another"
                 " name"
@@ -243,7 +243,7 @@ def check_case_folders(words: Sequence[str]) -> None:
         taken[folder.casefold()] = each
 
 
-SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
+_SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
     'Several are stated by technologies = ["0.35um", "0.18um"], in a study\'s file or in Python;'
     " one by --pixel.technology"
 )
@@ -266,7 +266,7 @@ def _is_table(value: object) -> str:
 class AxisValue(Record):
     """One value of an axis: its label, and the settings of the study that it changes."""
 
-    label: CaseName = Field(
+    label: _CaseName = Field(
         description="name of the value, in columns and results", examples=['label = "fast lens"']
     )
     set: Settings = Field(
@@ -275,7 +275,7 @@ class AxisValue(Record):
 
 
 # One branch for each kind, so that a message is about the kind that was meant.
-OneOfAxis = Annotated[
+_OneOfAxis = Annotated[
     Annotated[AxisValue, Tag(BRANCHES[0])]
     | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
     Discriminator(_is_table),
@@ -306,18 +306,20 @@ class Axis(Record):
     number of technologies, which a study replaces by values.
     """
 
-    name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
+    name: _CaseName = Field(
+        description="name in columns and for --axis", examples=['name = "lens"']
+    )
     set: Annotated[
-        tuple[DottedSetting, ...],
+        tuple[_DottedSetting, ...],
         Field(max_length=MOST_TOGETHER),
-        BeforeValidator(as_paths, json_schema_input_type=str | tuple[str, ...]),
+        BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...]),
     ] = Field((), description="dotted settings that take each value together")
-    values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
+    values: Annotated[tuple[_OneOfAxis, ...], Field(max_length=_AXIS_COUNT)] | None = Field(
         None, description="numbers or names, or tables of label and set"
     )
     first: AnyNumber | None = Field(None, alias="from", description="first value")
     to: AnyNumber | None = Field(None, description="last value")
-    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(
+    count: Annotated[int, Field(ge=2, le=_AXIS_COUNT)] | None = Field(
         None, description="number of values from first to last"
     )
     spacing: Literal["linear", "log"] = Field(
@@ -341,8 +343,8 @@ class Axis(Record):
 
     @model_validator(mode="after")
     def _has_values(self) -> Self:
-        if self.name in NOT_NAMES:
-            hint = f". {SEVERAL_TECHNOLOGIES}" if self.name == "technology" else ""
+        if self.name in _NOT_NAMES:
+            hint = f". {_SEVERAL_TECHNOLOGIES}" if self.name == "technology" else ""
             raise ValueError(
                 f"name: '{self.name}' is a column of every study; allowed: another name{hint}"
             )
@@ -420,11 +422,11 @@ class Axis(Record):
         points = []
         for value in values:
             if isinstance(value, AxisValue):
-                points.append(AxisPoint(value.label, with_technology(value.set)))
+                points.append(AxisPoint(value.label, _with_technology(value.set)))
             else:
                 points.append(
                     AxisPoint(
-                        value, reduce(merge, (setting_table(path, value) for path in paths), {})
+                        value, reduce(merge, (_setting_table(path, value) for path in paths), {})
                     )
                 )
         return tuple(points)
@@ -435,7 +437,7 @@ class Axis(Record):
         return tuple(dict.fromkeys(path for point in self.points for path in paths_of(point.table)))
 
 
-AXIS_DIGITS = 6
+_AXIS_DIGITS = 6
 
 
 def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
@@ -445,17 +447,17 @@ def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
         values = [first * (last / first) ** share for share in part]
     else:
         values = [first + (last - first) * share for share in part]
-    return [first, *(float(f"{value:.{AXIS_DIGITS}g}") for value in values[1:-1]), last]
+    return [first, *(float(f"{value:.{_AXIS_DIGITS}g}") for value in values[1:-1]), last]
 
 
 class Condition(Record):
     """One of the circumstances in which the pixel is used, such as day or night."""
 
-    name: CaseName = Field(description="name in columns and results", examples=['name = "night"'])
+    name: _CaseName = Field(description="name in columns and results", examples=['name = "night"'])
     weight: Annotated[float, Field(ge=0, le=1e9)] = Field(
         1.0, description="share of this condition; all are normalised to 1"
     )
-    set: ConditionSettings = Field(
+    set: _ConditionSettings = Field(
         description="settings, as set.exposure.max_integration_s = 0.033",
         examples=["set.exposure.max_integration_s = 0.033"],
     )
@@ -464,8 +466,8 @@ class Condition(Record):
 # --- the record of a study
 # --------------------------------------------------------------------------------------------------------
 
-MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
-PITCH_RATIO = (
+_MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
+_PITCH_RATIO = (
     4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 )
 
@@ -480,11 +482,11 @@ class PitchRange(Record):
         None, description="smallest pixel size, in place of min_fill_factor"
     )
     max_um: Pitch = Field(15.0, description="largest pixel size")
-    count: Annotated[int, Field(ge=5, le=MOST_PITCHES)] = Field(
+    count: Annotated[int, Field(ge=5, le=_MOST_PITCHES)] = Field(
         24, description="number of pixel sizes"
     )
     values_um: (
-        Annotated[tuple[Pitch, ...], Field(max_length=MOST_PITCHES), BeforeValidator(as_list)]
+        Annotated[tuple[Pitch, ...], Field(max_length=_MOST_PITCHES), BeforeValidator(as_list)]
         | None
     ) = Field(None, description="list of pixel sizes, in place of min, max and count")
     own_um: Pitch | None = Field(
@@ -501,7 +503,7 @@ class PitchRange(Record):
         return self.max_um if self.values_um is None else max(self.values_um)
 
 
-StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
+_StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 
 
 def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
@@ -520,15 +522,15 @@ def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -
 class Study(Setting):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
-    name: StudyName = Field(
+    name: _StudyName = Field(
         description="name: letters, digits, dots and dashes; the random streams depend on it",
         examples=['name = "my-study"'],
     )
-    streams: StudyName | None = Field(
+    streams: _StudyName | None = Field(
         None, description="name of the study whose random streams this one has; absent: its own"
     )
     title: str = Field("", description="title of the report")
-    technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
+    technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=_AXIS_COUNT)] = Field(
         ("0.35um",),
         description=(
             "packaged technologies, or paths of TOML files with a technology or a data sheet"
@@ -594,10 +596,10 @@ class Study(Setting):
         ),
     )
     scene: StudyScene = Field(StudyScene(), description="scene of the study")
-    axis: Annotated[tuple[Axis, ...], Field(max_length=AXIS_COUNT)] = Field(
+    axis: Annotated[tuple[Axis, ...], Field(max_length=_AXIS_COUNT)] = Field(
         (), description="what the study varies beside the pixel size"
     )
-    condition: Annotated[tuple[Condition, ...], Field(max_length=AXIS_COUNT)] = Field(
+    condition: Annotated[tuple[Condition, ...], Field(max_length=_AXIS_COUNT)] = Field(
         (), description="circumstances in which the pixel is used; each has its own optimum"
     )
     sources: dict[str, str] = Field(
@@ -765,9 +767,9 @@ class Study(Setting):
         low, high = self.pitch.min_um, self.pitch.max_um
         if self.own_um is None:
             return low, high
-        largest_um = max(self.own_pitches_um) * PITCH_RATIO
+        largest_um = max(self.own_pitches_um) * _PITCH_RATIO
         return (
-            low or self.own_um / PITCH_RATIO,
+            low or self.own_um / _PITCH_RATIO,
             high if "max_um" in self.pitch.model_fields_set else largest_um,
         )
 
@@ -794,16 +796,16 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
 # --- layers of settings
 # -----------------------------------------------------------------------------------------------------------
 
-SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
+_SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
-REPLACED_RANGE = {
+_REPLACED_RANGE = {
     "values_um": ("min_um", "max_um", "count", "min_fill_factor"),
     "min_um": ("min_fill_factor",),
 }
 
 
 # Names of settings that a sensor's file does not have.
-STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
+_STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
 
 
 # Questions to a study to which another command has no answer, and what asks them.
@@ -835,7 +837,7 @@ STUDY_ALONE = (
     ),
     *("max_repeats", "max_evaluations", "iso_delta_e", "paper"),
 )
-WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
+_WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
 
 
 def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list[str]:
@@ -847,7 +849,7 @@ def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list
     """
     names: list[str] = []
     for layer in layers:
-        words = WORDS_OF_FILES if layer.source else ()
+        words = _WORDS_OF_FILES if layer.source else ()
         names += [
             ".".join(path)
             for path in paths_of(layer.table)
@@ -869,8 +871,8 @@ def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
     """Return the tables of a layer that a run has too, with the scene's parameters alone, and what
     only a study has.
     """
-    of_study = {name: value for name, value in layer.table.items() if name in STUDY_ONLY}
-    of_run = {name: value for name, value in layer.table.items() if name not in STUDY_ONLY}
+    of_study = {name: value for name, value in layer.table.items() if name in _STUDY_ONLY}
+    of_run = {name: value for name, value in layer.table.items() if name not in _STUDY_ONLY}
     scene = of_run.get("scene")
     if of_study and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
         of_study |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
@@ -880,7 +882,7 @@ def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
 
 def has_study_settings(table: dict[str, Any]) -> bool:
     """Whether a table sets what only a study has, so that it is not a sensor's."""
-    return bool(table.keys() & STUDY_ONLY)
+    return bool(table.keys() & _STUDY_ONLY)
 
 
 def study_layers(
@@ -1029,7 +1031,7 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
         return dict(table)
     void = {
         name
-        for name, others in REPLACED_RANGE.items()
+        for name, others in _REPLACED_RANGE.items()
         if name not in given and any(other in given for other in others)
     }
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
@@ -1107,7 +1109,7 @@ def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
     make the die.
     """
     left = dict(table)
-    for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
+    for name, removed in (("pixel", _SET_BY_STUDY), ("camera", ("pixels",))):
         if isinstance(values := table.get(name), dict):
             left[name] = {key: value for key, value in values.items() if key not in removed}
     return left

@@ -98,7 +98,7 @@ if TYPE_CHECKING:
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
-def repeated_settings(
+def _repeated_settings(
     job: Job[Study], image: SpectralImage, spreads: Uncertainty, asked: Asked | None = None
 ) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
@@ -133,7 +133,7 @@ def repeated_settings(
     display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
     return settings_text(
         kept,
-        repeating_command(job.variant, asked),
+        _repeating_command(job.variant, asked),
         spreads_of_study(kept, spreads),
         scene=of_scene,
         camera=camera,
@@ -141,7 +141,7 @@ def repeated_settings(
     )
 
 
-def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
+def _repeating_command(variant: str | None, asked: Asked | None = None) -> str:
     """Return the command that repeats a study in the folder of its settings.toml."""
     words = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
     if asked is None:
@@ -150,7 +150,7 @@ def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
     return f"{words} --{'sobol' if asked.total else 'uncertainty'} {asked.draws}{sizes}"
 
 
-def on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
+def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
     """Return the optima of a curve on the further displays of its case, from the first sensors of
     each size.
     """
@@ -165,7 +165,7 @@ def on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[Displ
     )
 
 
-def on_their_films(lit: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
+def _on_their_films(lit: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
     """Return cases whose settings state the film of their light; those of a group share them."""
     settings: dict[object, Study] = {}
     for case, light in lit:
@@ -175,7 +175,7 @@ def on_their_films(lit: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]
     return [replace(case, settings=settings[case.group]) for case, _ in lit]
 
 
-def evaluate_cases(
+def _evaluate_cases(
     cases: Sequence[Case[Study]],
     lights: Sequence[Light],
     view: Mapping[str, Any],
@@ -234,7 +234,7 @@ def evaluate_cases(
 
     tables = table.by_case()
     curves = [rounds.curve(number, rows) for number, rows in enumerate(tables)]
-    warn_of_left_out(lit, curves)
+    _warn_of_left_out(lit, curves)
     possible = (
         sensor for sensor, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve)
     )
@@ -245,11 +245,11 @@ def evaluate_cases(
     for members in groups.values():
         of_members = [(lit[number], curves[number], tables[number]) for number in members]
         rows = table.take(np.isin(table.case, members))
-        combinations.append(combination_result(of_members, lights[members[0]], view, rows))
+        combinations.append(_combination_result(of_members, lights[members[0]], view, rows))
     return combinations, counts, table
 
 
-def combination_result(
+def _combination_result(
     members: Sequence[tuple[LitCase, Curve | str, Table]],
     light: Light,
     view: Mapping[str, Any],
@@ -275,7 +275,7 @@ def combination_result(
         causes = causes_of_curve(sensor, curve, fact.lightness, on_first_display(table))
         labels = replace(curve.case, at=case.at, condition=case.condition, alone=case.alone)
         errors = replace(curve.errors, causes=causes)
-        on_displays = on_further_displays(case.settings, curve, table)
+        on_displays = _on_further_displays(case.settings, curve, table)
         complete.append(replace(curve, case=labels, errors=errors, on_displays=on_displays))
     sensors = tuple(sensor for sensor, _, _ in members)
     return StudyResult(
@@ -283,7 +283,7 @@ def combination_result(
     )
 
 
-def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
+def _warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
     """Warn of the pixel sizes that a study leaves out of each of its cases."""
     notes = []
     for lit, curve in zip(cases, curves, strict=True):
@@ -297,7 +297,7 @@ def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) ->
         warn(note)
 
 
-def findings_of_cases(
+def _findings_of_cases(
     parts: Sequence[StudyResult], workers: Workers, progress: Progress
 ) -> tuple[tuple[Finding, ...], ...]:
     """Return the statements compared with each case of a study with axes or conditions; none where
@@ -637,7 +637,7 @@ def run_prepared(
 ) -> StudyResult:
     """Run a prepared study; the other arguments are those of `study`.
 
-    begun : that of `evaluate_cases`
+    begun : that of `_evaluate_cases`
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
     asked : about its unknown numbers
     """
@@ -669,8 +669,8 @@ def run_prepared(
             for case, light in zip(job.cases, lights, strict=True)
             if isinstance(light, Light)
         ]:
-            cases = on_their_films(lit)
-            made, counts, table = evaluate_cases(
+            cases = _on_their_films(lit)
+            made, counts, table = _evaluate_cases(
                 cases,
                 [light for _, light in lit],
                 job.view,
@@ -690,9 +690,9 @@ def run_prepared(
         curves = found[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
         if chosen.has_cases and chosen.paper:
-            findings = findings_of_cases(found, workers, stage("paper's statements"))
+            findings = _findings_of_cases(found, workers, stage("paper's statements"))
     first = found[0]
-    settings_toml = repeated_settings(job, first.irradiance, spreads or {}, asked)
+    settings_toml = _repeated_settings(job, first.irradiance, spreads or {}, asked)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
     if chosen.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)

@@ -65,7 +65,7 @@ from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, warn_of_setti
 
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
-OF_RENDER = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
+_OF_RENDER = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
 NOT_TAKEN = (
     *STUDY_ALONE,
     "detail",
@@ -73,7 +73,7 @@ NOT_TAKEN = (
     "quick",
     "resolution",
 )  # settings of a study that change nothing in a sweep
-ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
+_ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
 RECORDS = (
     "exposure",
     "display",
@@ -199,15 +199,15 @@ def sweep(
     )  # once for all cases
 
     with collected_notes(), ExitStack() as stack:
-        plan, of_all = sweep_plan(layers, variant)
+        plan, of_all = _sweep_plan(layers, variant)
         unused = unused_settings(layers, NOT_TAKEN) + ["quick"] * quick
         cases = [
             replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
-            for case in prepare_cases(light, by_name, camera, plan, of_all, without, unused)
+            for case in _prepare_cases(light, by_name, camera, plan, of_all, without, unused)
         ]
         asked = asked_of(uncertainty, sobol, (), {})
         if asked is not None:
-            cases = with_types(cases, asked)
+            cases = _with_types(cases, asked)
         check_number(
             len({case.group for case in cases}),
             sum(sum(case.sizes.values()) for case in cases),
@@ -225,11 +225,11 @@ def sweep(
         check_ideals(lit)
         stage = progress or no_stage
         table = evaluate_points(lit, results, workers, lambda: stage("evaluate"))
-        warn_of_frames(lit, table, light)
+        _warn_of_frames(lit, table, light)
     return table
 
 
-def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, list[Layer]]:
+def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, list[Layer]]:
     """Return a study with the axes and conditions of a sweep, and the settings of all of its
     sensors as tables of `Run`.
 
@@ -243,7 +243,7 @@ def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, lis
         name: value
         for layer in of_all
         for name, value in layer.table.items()
-        if name in ONLY_OF_SCENE
+        if name in _ONLY_OF_SCENE
     }
     plan = checked_study(
         [Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)]
@@ -251,7 +251,7 @@ def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, lis
     return with_range_ends(of_given_light(plan, variant)), of_all
 
 
-def prepare_cases(
+def _prepare_cases(
     light: SpectralImage,
     pixels: Mapping[Any, Pixel],
     camera: Camera | Mapping[str, Any] | None,
@@ -264,7 +264,7 @@ def prepare_cases(
     white and border in common.
 
     camera : as it was given
-    plan, of_all : of `sweep_plan`
+    plan, of_all : of `_sweep_plan`
     unused : names of settings that change nothing in a sweep
 
     Raises PixsimError with the name of the pixel.
@@ -278,16 +278,16 @@ def prepare_cases(
             with named(labels[name]):
                 table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
                 run: Run = checked(Run, [table, *of_all, *([place.layer] if place.layer else [])])
-                group.append(place.placed(prepared_case(run, light, camera), **{PIXEL: name}))
+                group.append(place.placed(_prepared_case(run, light, camera), **{PIXEL: name}))
             given.append(
-                given_settings(group[-1], light, unused, has_background=without is not None)
+                _given_settings(group[-1], light, unused, has_background=without is not None)
             )
         records = [case.settings.pixel for case in group]
         background = check_metrics(
             group[0].settings, records, light, without, names=list(labels.values())
         )
         cases += (
-            replace(case, without=background) for case in with_one_screen(group, light, len(cases))
+            replace(case, without=background) for case in _with_one_screen(group, light, len(cases))
         )
     check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
     warn_of_reviews(
@@ -297,7 +297,7 @@ def prepare_cases(
     return cases
 
 
-def given_settings(
+def _given_settings(
     case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool
 ) -> GivenSettings:
     """Return the settings of a sensor, of which some may have no effect.
@@ -306,8 +306,8 @@ def given_settings(
     has_background : whether light without the target is given, so that a file of it does not count
     """
     run = case.settings
-    settings = GivenSettings.of_records(imaging_of_case(case), light)
-    names = *settings.names, *unused, *(name for name in OF_RENDER if name in run.model_fields_set)
+    settings = GivenSettings.of_records(_imaging_of_case(case), light)
+    names = *settings.names, *unused, *(name for name in _OF_RENDER if name in run.model_fields_set)
     names = tuple(dict.fromkeys(names))
     not_taken = *NOT_TAKEN, SOLVE_FOR
     return replace(
@@ -319,7 +319,7 @@ def given_settings(
     )
 
 
-def prepared_case(
+def _prepared_case(
     run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None
 ) -> Case[Run]:
     """Return a sensor in light that is given. Raises PixsimError for one that the dots of the
@@ -352,18 +352,18 @@ def prepared_case(
     )
 
 
-def imaging_of_case(case: Case[Run]) -> Imaging:
+def _imaging_of_case(case: Case[Run]) -> Imaging:
     """Return what lies between the light and the score of a case that is prepared."""
     assert case.imaging is not None
     return case.imaging
 
 
-def with_one_screen(
+def _with_one_screen(
     cases: Sequence[Case[Run]], light: SpectralImage, group: int
 ) -> Iterator[Case[Run]]:
     """Yield cases that are scored on the dots that the largest pixels leave, with one white."""
-    border_um = max(imaging_of_case(case).scored_border_um for case in cases)
-    imagings = [imaging_of_case(case).changed(border_um=border_um) for case in cases]
+    border_um = max(_imaging_of_case(case).scored_border_um for case in cases)
+    imagings = [_imaging_of_case(case).changed(border_um=border_um) for case in cases]
     white = white_header([(imaging, light) for imaging in imagings])
     for case, imaging in zip(cases, imagings, strict=True):
         yield replace(
@@ -371,7 +371,7 @@ def with_one_screen(
         )
 
 
-def with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
+def _with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
     """Return cases and their sensor types, whose labels say the draw and its numbers. Raises
     PixsimError if nothing is unknown.
     """
@@ -385,14 +385,14 @@ def with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
     as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
     typed = [replace(case, labels=case.labels | as_is) for case in cases]
     for number, case in enumerate(cases):
-        imagings = types.imagings(str(case.labels[PIXEL]), imaging_of_case(case))
+        imagings = types.imagings(str(case.labels[PIXEL]), _imaging_of_case(case))
         for draw, imaging in enumerate(imagings):
             labels = case.labels | {DRAW: draw} | types.sample.draws[draw]
             typed.append(replace(case, labels=labels, group=(number, draw), imaging=imaging))
     return typed
 
 
-def warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage) -> None:
+def _warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage) -> None:
     """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
     display clips.
     """

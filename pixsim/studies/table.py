@@ -181,13 +181,13 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
 ROWS_FILE = "results.csv"  # a row for each evaluation
 COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
 MAX_BYTES = 1 << 31  # eight million rows
-MAX_LINE = 1 << 14
+_MAX_LINE = 1 << 14
 CHECK = "check"  # the last column, which shows whether a row is as it was written
 
 Row = dict[str, str]  # of a file
 
 
-def row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
+def _row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
     """Return the columns of results.csv, with further labels after the repeat, and those of some
     metrics at the end.
     """
@@ -210,7 +210,7 @@ class Store:
     ) -> None:
         self.path = path
         self.damaged = 0
-        self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
+        self.columns, self.metrics = _row_columns(labels, metrics), tuple(metrics)
         self._head = csv_text([[*self.columns, KEY, CHECK]]).rstrip()
         self.numbers = *PIXEL_STATISTICS, *columns_of_metrics(metrics)
         self._places: dict[str, int] = {}
@@ -382,7 +382,7 @@ class Store:
         content; return the name.
         """
         with (
-            clear_write_errors(path),
+            _clear_write_errors(path),
             opened(path, "results", "the rows of a study", MAX_BYTES) as content,
         ):
             digest = digest_of(path)
@@ -400,7 +400,7 @@ class Store:
         """Replace the file by these rows, completely or not at all."""
         assert self.path is not None
         with (
-            clear_write_errors(self.path),
+            _clear_write_errors(self.path),
             replacing(self.path, named=False) as partial,
             partial.open("wb") as file,
         ):
@@ -410,7 +410,7 @@ class Store:
     def _append(self, path: Path, rows: Collection[Sequence[Any]]) -> None:
         """Append all of the rows to the file, or none if writing fails."""
         text = b"".join(map(self._row_line, rows))
-        with clear_write_errors(path), open(path, "ab", 0, opener=not_through_links) as file:
+        with _clear_write_errors(path), open(path, "ab", 0, opener=_not_through_links) as file:
             before = file.tell()
             try:
                 if file.write(text) != len(text):
@@ -459,13 +459,13 @@ def check_replaceable_results(path: Path) -> None:
     if not stat.S_ISREG(mode := path.lstat().st_mode):
         raise invalid("results", f"'{path}', {kind_of(mode)}", allowed, hint)
     with opened(path, "results", allowed) as file:
-        first = file.readline(MAX_LINE)
+        first = file.readline(_MAX_LINE)
     if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
         raise invalid("results", f"'{path}', not written by pixsim", allowed, hint)
 
 
 @contextmanager
-def clear_write_errors(path: Path) -> Iterator[None]:
+def _clear_write_errors(path: Path) -> Iterator[None]:
     """Raise PixsimError in place of an OSError of the file, such as a full disk."""
     try:
         yield
@@ -476,15 +476,15 @@ def clear_write_errors(path: Path) -> Iterator[None]:
         ) from None
 
 
-def not_through_links(path: str, flags: int) -> int:
+def _not_through_links(path: str, flags: int) -> int:
     """Open a file that is not a link, as `os.open`."""
     return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 def _lines(file: IO[bytes]) -> Iterator[str]:
-    """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
-    while line := file.readline(MAX_LINE + 1):
+    """Iterate over the lines of a file that have an end and at most `_MAX_LINE` characters."""
+    while line := file.readline(_MAX_LINE + 1):
         if line.endswith(b"\n"):
             yield line.rstrip(b"\r\n").decode(errors="replace").replace("\0", "")
-        while not line.endswith(b"\n") and (line := file.readline(MAX_LINE)):
+        while not line.endswith(b"\n") and (line := file.readline(_MAX_LINE)):
             pass

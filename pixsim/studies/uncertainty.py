@@ -65,7 +65,7 @@ class Share:
         }
 
 
-def does_vary(values: Array) -> bool:
+def _does_vary(values: Array) -> bool:
     """Whether results (n,) differ by more than rounding."""
     return bool(np.ptp(values) > NEGLIGIBLE * np.abs(values).max())
 
@@ -97,7 +97,7 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
     F. Gamboa, J. Nonparametr. Stat. 25 (2013) 573), and that of R² of p terms without any effect,
     √(2p/((n - 1 - p)(n + 1))).
     """
-    if not does_vary(values):
+    if not _does_vary(values):
         return {name: Share() for name in names}
     count = values.size
     deviations = values - values.mean()
@@ -145,7 +145,7 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     Source: Saltelli et al. (2010), Table 2 (b) for first-order shares, with the points' mean
     removed, and Jansen (1999).
     """
-    if not does_vary(values):
+    if not _does_vary(values):
         return {name: {"first": Share(), "total": Share()} for name in names}
     centred = (values - values.mean()).reshape(len(names) + 2, -1)
     a, b = centred[:2]
@@ -160,11 +160,11 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     }
 
 
-CENTRAL_90 = float(
+_CENTRAL_90 = float(
     ndtri(0.95)
 )  # half of the central 90 % of a normal distribution, in standard deviations
 NORMAL_95 = float(ndtri(0.975))
-LEAST_KEPT = 0.5  # of a distribution, within the bounds of its number
+_LEAST_KEPT = 0.5  # of a distribution, within the bounds of its number
 # Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets
 # large, or our knowledge of them poor, does so in all of its processes.
 SHARED = (
@@ -176,16 +176,16 @@ SHARED = (
     "column_fpn",
 )
 # Pairs of a technology's numbers of which the first must not exceed the second.
-ORDERED = (
+_ORDERED = (
     ("voltage_swing_v", "reset_voltage_v"),
     ("fill_factor_inset_features", "fill_factor_zero_pitch_features"),
 )
 LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
 MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
-HALF_CELL = (
+_HALF_CELL = (
     2.0**-31
 )  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
-QUANTILES = {"p05": 0.05, "p50": 0.5, "p95": 0.95}
+_QUANTILES = {"p05": 0.05, "p50": 0.5, "p95": 0.95}
 # an input beside the numbers of the sensor: the frames and the fit of each type
 SCATTER = "scatter of the evaluations"
 
@@ -219,14 +219,14 @@ class Unknown:
                 self.name, f"a lognormal distribution of {self.value:g}", "a number above 0"
             )
         low, high = self.cut
-        if high - low < LEAST_KEPT:
+        if high - low < _LEAST_KEPT:
             bounds = f"{self.allowed[0]:g} to {self.allowed[1]:g}"
             got = (
                 f"a {self.spread.kind} distribution of which {percent(high - low)} are within"
                 f" {bounds}"
             )
             raise invalid(
-                self.name, got, f"at least {percent(LEAST_KEPT)}", "Give a narrower spread."
+                self.name, got, f"at least {percent(_LEAST_KEPT)}", "Give a narrower spread."
             )
 
     @property
@@ -245,7 +245,7 @@ class Unknown:
         is_log = spread.kind == "lognormal"
         if spread.range is not None:
             low, high = (math.log(end) if is_log else end for end in spread.range)
-            mean, sd = (low + high) / 2, (high - low) / (2 * CENTRAL_90)
+            mean, sd = (low + high) / 2, (high - low) / (2 * _CENTRAL_90)
         elif is_log:
             variance = math.log1p((sd / self.value) ** 2)
             mean, sd = math.log(self.value) - variance / 2, math.sqrt(variance)
@@ -298,7 +298,7 @@ def unknowns_of_technology(
     name : of the technology in the study
     known : numbers that the study sets, which have no range then
 
-    Where the ranges of two numbers would break their order (`ORDERED`), they end at the other
+    Where the ranges of two numbers would break their order (`_ORDERED`), they end at the other
     number's value, or at the middle between both values if both are unknown.
     """
     unknowns = {}
@@ -308,16 +308,16 @@ def unknowns_of_technology(
                 range=ends, distribution=technology.distributions.get(number, "uniform")
             )
             unknowns[number] = Unknown(
-                number, technology.numbers[number], spread, name, bounds_of(technology, number)
+                number, technology.numbers[number], spread, name, _bounds_of(technology, number)
             )
 
-    for smaller, larger in ORDERED:
+    for smaller, larger in _ORDERED:
         small, large = unknowns.get(smaller), unknowns.get(larger)
         if smaller not in technology.numbers or larger not in technology.numbers:
             continue
         small_value, large_value = technology.numbers[smaller], technology.numbers[larger]
-        highest = float(small.at(np.array([1 - HALF_CELL]))[0]) if small else small_value
-        lowest = float(large.at(np.array([HALF_CELL]))[0]) if large else large_value
+        highest = float(small.at(np.array([1 - _HALF_CELL]))[0]) if small else small_value
+        lowest = float(large.at(np.array([_HALF_CELL]))[0]) if large else large_value
         if highest <= lowest:
             continue
         limit = (
@@ -371,7 +371,7 @@ def unknowns_of_sheet(
                 hint,
             )
         unknowns.append(
-            Unknown(name, float(value), spread, technology, bounds_of(pixel, name), of_sheet=True)
+            Unknown(name, float(value), spread, technology, _bounds_of(pixel, name), of_sheet=True)
         )
     return unknowns
 
@@ -383,7 +383,7 @@ def _properties(kind: type[Record]) -> dict[str, Any]:
     return properties
 
 
-def bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, float]:
+def _bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, float]:
     """Return the smallest and the largest allowed value of a number of a technology, its junction,
     or a pixel.
     """
@@ -419,11 +419,11 @@ def unknowns_of_process(
     name : of the sensor
     """
     given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
-    given = given.union(known, excluded_by(given), given_for_process(pixel))
+    given = given.union(known, excluded_by(given), _given_for_process(pixel))
     return unknowns_of_technology(technology, name, sorted(given))
 
 
-def given_for_process(pixel: PixelOptions) -> set[str]:
+def _given_for_process(pixel: PixelOptions) -> set[str]:
     """Return the numbers of a technology that a pixel replaces by other names: of its stack, and
     with its read noise.
     """
@@ -505,7 +505,7 @@ class Sample:
             `SCATTER`; NaN where it is not known
         total : whether the types are those of `sobol_points`, which tell the `total` shares too
         """
-        scatter = scatter_share(values, scatter_variances)
+        scatter = _scatter_share(values, scatter_variances)
         if total:
             return total_indices(values, list(self.inputs)) | {
                 SCATTER: {"first": scatter, "total": scatter}
@@ -518,7 +518,7 @@ class Sample:
         return {name: {"first": share} for name, share in first.items()}
 
 
-def scatter_share(values: Array, scatter_variances: Array) -> Share:
+def _scatter_share(values: Array, scatter_variances: Array) -> Share:
     """Return the share of the variance of results (n,) that their own variances (n,) can explain at
     most.
 
@@ -530,7 +530,7 @@ def scatter_share(values: Array, scatter_variances: Array) -> Share:
     return ratio_of_means(scatter_variances[is_known], squares) if squares.any() else Share()
 
 
-def inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
+def _inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
     """Return the independent inputs: technologies' unknowns of a `SHARED` quantity, those of one
     process, each other one alone.
 
@@ -567,7 +567,7 @@ def sobol(n: int, dimensions: int, seed: int) -> Array:
     from scipy.stats import qmc  # imported here: it takes 0.5 s
 
     points = qmc.Sobol(dimensions, scramble=True, seed=stream("uncertainty", seed))
-    return np.asarray(points.random_base2((n - 1).bit_length()) + HALF_CELL)
+    return np.asarray(points.random_base2((n - 1).bit_length()) + _HALF_CELL)
 
 
 def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
@@ -576,7 +576,7 @@ def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
 
     Raises PixsimError for no unknowns.
     """
-    inputs = inputs_of(unknowns)
+    inputs = _inputs_of(unknowns)
     return Sample(inputs, sobol(n, len(inputs), seed))
 
 
@@ -586,7 +586,7 @@ def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
 
     Raises PixsimError for no unknowns.
     """
-    inputs = inputs_of(unknowns)
+    inputs = _inputs_of(unknowns)
     return Sample(inputs, saltelli(sobol(n, 2 * len(inputs), seed)))
 
 
@@ -631,8 +631,8 @@ class ResultDistribution:
         """Median, 5 and 95 % quantile, linear between the middles of the steps of the
         distribution.
         """
-        quantiles = np.quantile(self.values, list(QUANTILES.values()), method="hazen").tolist()
-        return dict(zip(QUANTILES, quantiles, strict=True))
+        quantiles = np.quantile(self.values, list(_QUANTILES.values()), method="hazen").tolist()
+        return dict(zip(_QUANTILES, quantiles, strict=True))
 
 
 @dataclass(frozen=True)
@@ -733,7 +733,7 @@ class UncertaintyResult:
             "verdicts": {
                 statement: asdict(probability) for statement, probability in self.verdicts.items()
             },
-            "shares": {output: plain_shares(shares) for output, shares in self.shares.items()},
+            "shares": {output: _plain_shares(shares) for output, shares in self.shares.items()},
         }
 
     def to_csv(self) -> str:
@@ -752,7 +752,7 @@ class UncertaintyResult:
         )
 
 
-def plain_shares(
+def _plain_shares(
     shares: Mapping[str, Mapping[str, Share]],
 ) -> dict[str, dict[str, dict[str, float | None]]]:
     """Return the shares of a result as in summary.json."""
@@ -762,7 +762,7 @@ def plain_shares(
     }
 
 
-FEW_EVALUATIONS = 24
+_FEW_EVALUATIONS = 24
 FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
 LEAST_PITCHES = 5  # of a curve that can be fitted
 # Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
@@ -778,7 +778,7 @@ def few_pitches_um(
     optimum_um: float,
     interval_um: tuple[float | None, float | None],
     range_um: tuple[float, float],
-    evaluations: int = FEW_EVALUATIONS,
+    evaluations: int = _FEW_EVALUATIONS,
 ) -> dict[float, int]:
     """Return the pitches at which every sensor type is evaluated, and the sensors of each, {µm:
     sensors}.
@@ -897,5 +897,5 @@ class PairUncertainty:
             "probability_a_better": asdict(self.probability_a_better),
             "difference": {"quantiles": self.difference.quantiles},
             "inputs": self.sample.stated,
-            "shares": plain_shares(self.shares),
+            "shares": _plain_shares(self.shares),
         }

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
 
-Quantity = ArrayLike | Callable[..., ArrayLike]
+_Quantity = ArrayLike | Callable[..., ArrayLike]
 ANSWERS = (
     None  # as expected values: the last of the arguments of each call, which `call` does not get
 )
@@ -61,11 +61,11 @@ class KnownAnswer:
 
     name: str
     call: Callable[..., ArrayLike]
-    expected: Quantity | None
+    expected: _Quantity | None
     tolerance: float
     source: str
     inputs: Iterable[Any] = ((),)
-    scale: Quantity | None = None
+    scale: _Quantity | None = None
 
     def check(self, room: str = "") -> ExtremeCase:
         """Return the worst element of all calls, with the warnings that they raised."""
@@ -93,7 +93,7 @@ class KnownAnswer:
 
 
 def _elements(
-    quantity: Quantity | None, inputs: Sequence[tuple[Any, ...]], results: Sequence[Array]
+    quantity: _Quantity | None, inputs: Sequence[tuple[Any, ...]], results: Sequence[Array]
 ) -> Array:
     """Return a quantity for each element of the results, (n,)."""
     elements = []

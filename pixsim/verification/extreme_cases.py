@@ -46,9 +46,9 @@ Row = tuple[Any, ...]  # the fields of a KnownAnswer
 ALONE = ((),)  # inputs of a call without arguments
 SIGMAS = 5.0  # limit of random samples, in standard errors
 DRAWN = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
-EPS = 2.2e-16  # of float64
+_EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
-STORED = 2e-7  # the irradiance is stored in float32
+_STORED = 2e-7  # the irradiance is stored in float32
 BOLTZMANN_J_PER_K, ELECTRON_C = (
     1.380649e-23,
     1.602176634e-19,
@@ -76,8 +76,8 @@ OTFS = (
     (0.999, 3.79549743734e-5),
     (1 - 1e-10, 1.2004e-15),
 )
-ROUNDED = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
-TRANSFORMED = (
+_ROUNDED = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
+_TRANSFORMED = (
     1e-14  # rounding of a cosine transform and its inverse, relative to the brightest sample
 )
 
@@ -89,7 +89,7 @@ def blurred(picture: Array, f_number: float) -> Array:
     )
 
 
-def contrast_of_wave(order: int, share: float) -> float:
+def _contrast_of_wave(order: int, share: float) -> float:
     """Contrast transfer of a grating at a share of the cut-off of a lens."""
     wave = np.cos(np.pi * order * (np.arange(32) + 0.5) / 32)
     f_number = share * 1e6 / (550.0 * order / 64e-3)
@@ -105,7 +105,7 @@ def optics() -> list[Row]:
             "E/L of a lens, f/0.5 to f/1e150, 0 to 80°, magnification 0 to -2",
             irradiance_factor,
             ANSWERS,
-            ROUNDED,
+            _ROUNDED,
             "Foote's formula in 400 digits; rounding",
             IRRADIANCES,
         ),
@@ -121,7 +121,7 @@ def optics() -> list[Row]:
             "OTF from 0 to just below the cut-off",
             lambda share: diffraction_otf(share, 1e6, 1.0),  # a cut-off of 1 cy/mm
             ANSWERS,
-            ROUNDED,
+            _ROUNDED,
             "overlap of two pupils; rounding of terms near 1",
             OTFS,
             1.0,
@@ -130,7 +130,7 @@ def optics() -> list[Row]:
             "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole",
             lambda picture, n: blurred(picture, n).mean(),
             lambda picture, n: picture.mean(),
-            TRANSFORMED,
+            _TRANSFORMED,
             "conservation of energy; rounding of the transform",
             product(pictures, [0.5, 4.0, 1e3, 1e6, 1e300, np.inf]),
         ),
@@ -145,7 +145,7 @@ def optics() -> list[Row]:
         ),
         (
             "contrast of a grating at the cut-off and at half of it",
-            contrast_of_wave,
+            _contrast_of_wave,
             ANSWERS,
             1e-7,
             "0 and 2/3 - √3/2π; three times the error 3e-8 of interpolation in the OTF table",
@@ -180,8 +180,8 @@ LINES = (
 )
 BANDS_NM = np.arange(365.0, 826.0, 10.0)
 SURFACES = np.zeros((0, 471))  # none
-BANDS_TOLERANCE = 2.5e-4  # error of the bands in a render with default tolerance
-SUMMED = 1e-13  # rounding of a running sum over up to 15 040 cells
+_BANDS_TOLERANCE = 2.5e-4  # error of the bands in a render with default tolerance
+_SUMMED = 1e-13  # rounding of a running sum over up to 15 040 cells
 
 
 def line(centre_nm: float) -> Spectrum:
@@ -200,7 +200,7 @@ def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
     )
 
 
-def uniform_images(spectrum: Array) -> list[SpectralImage]:
+def _uniform_images(spectrum: Array) -> list[SpectralImage]:
     """The same uniform field as a spectrum times a picture, and as full data."""
     factored = SpectralImage(BANDS_NM, 10.0, 20.0, factors=(spectrum, np.ones((1, 8, 6))))
     return [
@@ -209,12 +209,12 @@ def uniform_images(spectrum: Array) -> list[SpectralImage]:
     ]
 
 
-def is_refused(spectrum: Array, physics: PixelPhysics) -> bool:
+def _is_refused(spectrum: Array, physics: PixelPhysics) -> bool:
     try:
         imaging = Imaging(
             Camera(), physics.pixel, physics.technology, Exposure(), Display(white_cd_per_m2=1000.0)
         )
-        white_rate(imaging, uniform_images(spectrum)[0])
+        white_rate(imaging, _uniform_images(spectrum)[0])
     except PixsimError:
         return True
     return False
@@ -230,11 +230,11 @@ def spectra() -> list[Row]:
     witnesses = [Witness(electrons), Witness(photopic_efficiency)]
     nm, watts, electrons_e, lux = zip(*LINES, strict=True)
     lamps = [line(centre_nm) for centre_nm in nm]
-    bands = [place_bands([lamp], SURFACES, witnesses, BANDS_TOLERANCE) for lamp in lamps]
+    bands = [place_bands([lamp], SURFACES, witnesses, _BANDS_TOLERANCE) for lamp in lamps]
     images = [image_of(lamp, placed) for lamp, placed in zip(lamps, bands, strict=True)]
 
     def power_of_pulse(lamp: Spectrum, placed: Bands) -> float:
-        pulses = fit(lamp, placed, SURFACES, witnesses, BANDS_TOLERANCE)
+        pulses = fit(lamp, placed, SURFACES, witnesses, _BANDS_TOLERANCE)
         return (
             math.nan
             if pulses is None
@@ -255,7 +255,7 @@ def spectra() -> list[Row]:
             "power of a 1 nm line in its bands, 360 to 830 nm",
             lambda image: (image.mean_spectrum() * image.band_width_nm).sum(),
             ANSWERS,
-            SUMMED,
+            _SUMMED,
             "area of the triangle within 360-830 nm",
             zip(images, watts, strict=True),
         ),
@@ -263,7 +263,7 @@ def spectra() -> list[Row]:
             "power of a 1 nm line in one pulse of the renderer, 360 to 830 nm",
             power_of_pulse,
             ANSWERS,
-            SUMMED,
+            _SUMMED,
             "the same area",
             zip(lamps, bands, watts, strict=True),
         ),
@@ -271,7 +271,7 @@ def spectra() -> list[Row]:
             "electrons from a 1 nm line, QE of the 0.35 µm process, 360 to 830 nm",
             lambda image: (electrons_per_joule(physics, image) * image.mean_spectrum()).sum(),
             ANSWERS,
-            BANDS_TOLERANCE,
+            _BANDS_TOLERANCE,
             "∫ QE λ/hc E dλ, by quadrature; tolerance of the bands",
             zip(images, electrons_e, strict=True),
         ),
@@ -293,14 +293,14 @@ def spectra() -> list[Row]:
                     "sum over the lit bands; rounding of irradiance to float32, 6e-8; without light"
                     " exactly 0"
                 ),
-                product(uniform_images(spectrum), [Camera()], [pixel]),
+                product(_uniform_images(spectrum), [Camera()], [pixel]),
             )
             for name, (pixel, spectrum, rate) in lit.items()
         ),
         (
             "shares of light in the bands of a lamp that is off",
             lambda: place_bands(
-                [line(555.0) * 0.0], SURFACES, witnesses, BANDS_TOLERANCE
+                [line(555.0) * 0.0], SURFACES, witnesses, _BANDS_TOLERANCE
             ).shares.sum(axis=1),
             1.0,
             1e-15,
@@ -308,7 +308,7 @@ def spectra() -> list[Row]:
         ),
         (
             "white outside the sensor's response, or without light",
-            is_refused,
+            _is_refused,
             1.0,
             0.0,
             "raises PixsimError instead of dividing by 0",
@@ -342,7 +342,7 @@ CAMERA = Camera(die_mm=0.08)
 GREEN_E_PER_S = (
     1226.317856665  # of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
 )
-LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
+_LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 FRAME = (200, 500)  # pixels of a frame of random samples
 COUNT = 100_000
 BITS = range(1, 25)
@@ -373,7 +373,7 @@ def capture(
     )
 
 
-def moment_errors(variance: ArrayLike, count: int, fourth_cumulant: ArrayLike = 0.0) -> Array:
+def _moment_errors(variance: ArrayLike, count: int, fourth_cumulant: ArrayLike = 0.0) -> Array:
     """Standard errors of the mean and of the variance of `count` draws, (2, ...)."""
     variance = np.asarray(variance, float)
     return np.sqrt(np.stack([variance, 2 * variance**2 + fourth_cumulant]) / count)
@@ -384,7 +384,7 @@ def moments(values: NDArray[Any], mean: float) -> Array:
     return np.array([values.mean(), np.mean((values - mean) ** 2)])
 
 
-def green_frame(
+def _green_frame(
     luminance: ArrayLike,
     diffraction: bool = False,
     options: dict[str, Any] = GREEN,
@@ -402,9 +402,11 @@ def green_frame(
     return capture(rate, options, rate.shape, **exposure)
 
 
-def bright_and_dark(diffraction: bool) -> Array:
+def _bright_and_dark(diffraction: bool) -> Array:
     """Mean electrons of a picture whose halves have 1e12 and 1e2 cd/m²."""
-    return green_frame(np.repeat([1e12, 1e2], 8), diffraction, GREEN | {"full_well_e": 1e15}).mean_e
+    return _green_frame(
+        np.repeat([1e12, 1e2], 8), diffraction, GREEN | {"full_well_e": 1e15}
+    ).mean_e
 
 
 def light() -> list[Row]:
@@ -427,15 +429,15 @@ def light() -> list[Row]:
             # limit.
             f"Poisson: both are the mean; {DRAWN}, 1e-3 at a mean of 1e-6",
             enumerate([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15]),
-            lambda seed, mean_e: moment_errors(mean_e, 200_000, mean_e),
+            lambda seed, mean_e: _moment_errors(mean_e, 200_000, mean_e),
         ),
         (
             "mean electrons of a uniform field of 1e-9 … 1e12 cd/m²",
-            lambda luminance: green_frame(luminance).mean_e[7, 7],
+            lambda luminance: _green_frame(luminance).mean_e[7, 7],
             lambda luminance: luminance * GREEN_E_PER_S,
-            STORED,
+            _STORED,
             "L π sin²α A t QE λ/hc; float32",
-            LUMINANCES_CD_PER_M2,
+            _LUMINANCES_CD_PER_M2,
         ),
         (
             "mean code under 0.01 … 1e9 electrons, one code per electron",
@@ -448,16 +450,16 @@ def light() -> list[Row]:
         ),
         (
             "automatic exposure: brightest pixel over full well, 1e-9 … 1e12 cd/m²",
-            lambda luminance: green_frame(luminance, **metered).mean_e.max() / 1000,
+            lambda luminance: _green_frame(luminance, **metered).mean_e.max() / 1000,
             0.95,
             ROUNDING,
             "well_target; rounding of one product",
-            LUMINANCES_CD_PER_M2,
+            _LUMINANCES_CD_PER_M2,
         ),
         (
             "automatic exposure: maximum integration time for dim or no light",
             lambda luminance: (
-                green_frame(luminance, integration_s=None, max_integration_s=0.1).integration_s
+                _green_frame(luminance, integration_s=None, max_integration_s=0.1).integration_s
             ),
             0.1,
             0.0,
@@ -466,7 +468,7 @@ def light() -> list[Row]:
         ),
         (
             "1e10 : 1 in one picture: both halves, 3 pixels from the edge",
-            lambda: bright_and_dark(False)[:, [0, 4, 11, 15]],
+            lambda: _bright_and_dark(False)[:, [0, 4, 11, 15]],
             np.array([1e12, 1e12, 1e2, 1e2]) * GREEN_E_PER_S,
             # The rounding of the quintic spline is 1e-16 of the bright half's charge, which is 1e-6
             # of the dark half's.
@@ -475,14 +477,14 @@ def light() -> list[Row]:
         ),
         (
             "1e10 : 1 with diffraction: minimum electrons of a pixel",
-            lambda: min(bright_and_dark(True).min(), 0.0),
+            lambda: min(_bright_and_dark(True).min(), 0.0),
             0.0,
             0.0,
             "not negative",
         ),
         (
             "1e10 : 1 with diffraction: light 6 pixels inside the dark half",
-            lambda: bright_and_dark(True)[:, 13:15].mean() / (1e12 * GREEN_E_PER_S),
+            lambda: _bright_and_dark(True)[:, 13:15].mean() / (1e12 * GREEN_E_PER_S),
             # Averaged over its rings, the Airy pattern decays as λN/(π³ r³), so a bright strip at
             # distances a to b gives (2 λN/π³)(1/a - 1/b). Mirrored at the borders, strips of 80 µm
             # begin at 30 + 160 k and 50 + 160 k µm.
@@ -508,7 +510,7 @@ JUNCTION_WELLS_E = (
     (40.0, 3859623.8340069354),
     (100.0, 23548815.638200372),
 )
-TEMPERATURES_K = (77.0, 150.0, 250.0, 300.15, 350.0, 400.0)
+_TEMPERATURES_K = (77.0, 150.0, 250.0, 300.15, 350.0, 400.0)
 NOISY: tuple[dict[str, Any], ...] = (
     {},
     {"technology": "4t-bsi", "pitch_um": 2.8},
@@ -528,7 +530,7 @@ def saturated_fraction(options: dict[str, Any], wells: float) -> float:
     return capture(wells * physics_of(options).full_well_e, options).saturated_fraction
 
 
-def rounding_errors(bits: int) -> Array:
+def _rounding_errors(bits: int) -> Array:
     """Mean and mean square error, in codes, of 2^18 levels over a whole number of codes, so that
     all are equally frequent.
     """
@@ -536,7 +538,7 @@ def rounding_errors(bits: int) -> Array:
     return moments(quantise(level, bits) - level, 0.0)
 
 
-def dark_gains(seed: int, dsnu: float) -> Array:
+def _dark_gains(seed: int, dsnu: float) -> Array:
     """Mean and variance of the dark-current map of a sensor."""
     physics = physics_of(SENSOR | {"dsnu": dsnu, "dark_current_e_per_s": 1.0})
     gain = sample_sensor(Readout.of(physics), FRAME, default_rng(seed)).dark_gain
@@ -625,7 +627,7 @@ def sensor() -> list[Row]:
         ),
         (
             "ADC of 1 … 24 bits: mean and mean square error in codes",
-            rounding_errors,
+            _rounding_errors,
             [0.0, 1 / 12],
             1e-8,
             "symmetry; uniform error of ± half a code; steps of the sweep",
@@ -660,7 +662,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             f"black level + half of the codes above it; shot noise + 1/12; {DRAWN}",
             ALONE,
-            moment_errors(WIDE_DN2, COUNT),
+            _moment_errors(WIDE_DN2, COUNT),
         ),
         (
             "no light and half of the ADC's range at 0 … 60 dB: mean code and variance",
@@ -672,7 +674,7 @@ def sensor() -> list[Row]:
                 f" {DRAWN}"
             ),
             product([0.0, 0.1, 6.0, 20.0, 40.0, 60.0], [0.0, 0.5]),
-            lambda gain_db, share: moment_errors(amplified_variance_dn2(gain_db, share), COUNT),
+            lambda gain_db, share: _moment_errors(amplified_variance_dn2(gain_db, share), COUNT),
         ),
         (
             "four times the ADC's range at 6 … 60 dB: every code",
@@ -690,7 +692,7 @@ def sensor() -> list[Row]:
             lambda kelvin: 1e-9 * 0.5 * 6.5e-4**2 / ELECTRON_C * 2 ** ((kelvin - 300.15) / 8),
             ROUNDING,
             "1 nA/cm² · area / q at 300.15 K, doubling every 8 K; rounding",
-            TEMPERATURES_K,
+            _TEMPERATURES_K,
         ),
         (
             "kTC noise at 77 … 400 K",
@@ -700,11 +702,11 @@ def sensor() -> list[Row]:
             ),
             ROUNDING,
             "√(kTC)/q with C = 16.58 fF at the reset voltage, from SPICE's C(V)",
-            TEMPERATURES_K,
+            _TEMPERATURES_K,
         ),
         (
             "DSNU 1e-9 … 1: mean and variance of the dark current",
-            dark_gains,
+            _dark_gains,
             lambda seed, dsnu: [1.0, dsnu**2],
             SIGMAS,
             # The fourth cumulant of a gamma variable of mean 1 is 6 s⁶; 1e-15 is the rounding of
@@ -712,7 +714,7 @@ def sensor() -> list[Row]:
             f"1 and DSNU²; {DRAWN}",
             enumerate([1e-9, 0.02, 0.3, 1.0]),
             lambda seed, dsnu: (
-                moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10])
+                _moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10])
             ),
         ),
     ]
@@ -721,15 +723,15 @@ def sensor() -> list[Row]:
 # --- Stacks from 1 nm to 10 mm high behind f/0.5 to f/10⁶ ---
 
 SPOT_NM = np.array([300.0, 550.0, 1200.0])
-UNDER_LENS = 1e-11  # rounding of boundaries, of a pupil
+_UNDER_LENS = 1e-11  # rounding of boundaries, of a pupil
 
 
-def disc_radius_um(f_number: float, height_um: float, index: float) -> float:
+def _disc_radius_um(f_number: float, height_um: float, index: float) -> float:
     """Of the light under a paraxial microlens."""
     return height_um / (index * math.hypot(1.0, 2 * f_number))
 
 
-def share_under_lens(side_um: float, f_number: float, height_um: float, index: float) -> float:
+def _share_under_lens(side_um: float, f_number: float, height_um: float, index: float) -> float:
     """Share of the light on a pixel of 6 µm that its photodiode collects."""
     return float(
         stack_collection(6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial")[
@@ -738,7 +740,7 @@ def share_under_lens(side_um: float, f_number: float, height_um: float, index: f
     )
 
 
-def all_shares(f_number: float, chief_ray_deg: float, microlens: bool, height_um: float) -> float:
+def _all_shares(f_number: float, chief_ray_deg: float, microlens: bool, height_um: float) -> float:
     """Share of the light on a pixel that it and its neighbours collect, with photodiodes as wide as
     pixels.
     """
@@ -767,27 +769,27 @@ def stacks() -> list[Row]:
         ),
         (
             "small photodiodes under microlenses, f/0.5 … f/1e6, height 4 µm … 10 mm, n 1 … 10",
-            lambda *lens: share_under_lens(
-                min(0.7 * disc_radius_um(*lens), 6.0), *lens
+            lambda *lens: _share_under_lens(
+                min(0.7 * _disc_radius_um(*lens), 6.0), *lens
             ),  # its corner is within the disc
-            lambda *lens: min(0.7, 6 / disc_radius_um(*lens)) ** 2 / math.pi,
-            UNDER_LENS,
+            lambda *lens: min(0.7, 6 / _disc_radius_um(*lens)) ** 2 / math.pi,
+            _UNDER_LENS,
             "photodiode over disc, w²/(π (h NA/n)²); rounding of boundaries",
             lenses,
         ),
         (
             "photodiodes as wide as the disc, f/0.5 … f/1e6",
-            lambda *lens: share_under_lens(2 * disc_radius_um(*lens), *lens),
+            lambda *lens: _share_under_lens(2 * _disc_radius_um(*lens), *lens),
             1.0,
-            UNDER_LENS,
+            _UNDER_LENS,
             "1 at N = √((h/nw)² - ¼), where the disc touches the photodiode's sides",
-            [lens for lens in lenses if disc_radius_um(*lens) < 2.95],
+            [lens for lens in lenses if _disc_radius_um(*lens) < 2.95],
         ),
         (
             "photodiodes as wide as their pixels, 0 and 20°: all nine",
-            all_shares,
+            _all_shares,
             1.0,
-            UNDER_LENS,
+            _UNDER_LENS,
             "conservation",
             product([0.7, 4.0, 1e3], [0.0, 20.0], [True, False], [3.5, 5.0]),
         ),
@@ -812,7 +814,7 @@ def stacks() -> list[Row]:
         (
             "light beyond étendue at f/0.5, from the lowest microlens on",
             lambda fill, high_um: max(
-                0.0, share_under_lens(6 * math.sqrt(fill), 0.5, high_um, 1.5) - fill * 1.5**2 / 0.5
+                0.0, _share_under_lens(6 * math.sqrt(fill), 0.5, high_um, 1.5) - fill * 1.5**2 / 0.5
             ),
             0.0,
             0.0,
@@ -825,19 +827,19 @@ def stacks() -> list[Row]:
 # --- Integration over pixels of incommensurate pitch and grid, and of ratios that are integers
 # except for rounding ---
 
-ALMOST = 1e-12
+_ALMOST = 1e-12
 SIDE, LONG = 64, 20_000  # samples
 # The rounding of a running sum of n cells is proportional to n, and the spline amplifies it:
 # measured 5 to 20 eps n.
-RUNNING = 50 * EPS
-ALL = 4 * EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
+_RUNNING = 50 * _EPS
+ALL = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
 
 
-def random_picture(*shape: int) -> Array:
+def _random_picture(*shape: int) -> Array:
     return default_rng(shape).uniform(0.5, 1.5, shape)
 
 
-def centres_um(count: int, pitch_um: float, length_um: float) -> Array:
+def _centres_um(count: int, pitch_um: float, length_um: float) -> Array:
     return length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
 
 
@@ -845,25 +847,25 @@ def plane(shape: tuple[int, ...], size_um: tuple[int, int], pitch_um: float = 1.
     """A linear picture, per µm², at centres of pixels: its value at a point is its mean over any
     rectangle centred there.
     """
-    y, x = map(centres_um, shape, (pitch_um, pitch_um), size_um)
+    y, x = map(_centres_um, shape, (pitch_um, pitch_um), size_um)
     return 1 + (y[:, None] + 2 * x) / max(size_um)
 
 
-def integrated_plane(size_um: tuple[int, int], pitch_um: float, side_um: float) -> Array:
+def _integrated_plane(size_um: tuple[int, int], pitch_um: float, side_um: float) -> Array:
     """Means of a linear picture over photodiodes, over its values at their centres."""
     means = integrate_pixels(plane(size_um, size_um), 1.0, pitch_um, side_um) / side_um**2
     return means / plane(means.shape, size_um, pitch_um)
 
 
-def wave_means(count: int, pitch_um: float, side_um: float) -> Array:
+def _wave_means(count: int, pitch_um: float, side_um: float) -> Array:
     """Means of a grating with 2.5 periods in 64 µm over photodiodes, in closed form."""
-    return 1 + np.cos(np.pi * 5 * centres_um(count, pitch_um, SIDE) / SIDE) * np.sinc(
+    return 1 + np.cos(np.pi * 5 * _centres_um(count, pitch_um, SIDE) / SIDE) * np.sinc(
         5 * side_um / (2 * SIDE)
     )
 
 
 def integration() -> list[Row]:
-    picture, long = random_picture(SIDE, SIDE), random_picture(LONG, 3)
+    picture, long = _random_picture(SIDE, SIDE), _random_picture(LONG, 3)
     return [
         (
             (
@@ -875,49 +877,49 @@ def integration() -> list[Row]:
             ALL,
             "conservation; roundings of sums",
             [
-                *product([picture], [1.0, 1 + ALMOST, 1 / 3, 4 / 7, SIDE]),
-                (random_picture(63, 70), 7 / 3),
-                (random_picture(1, 1), 1.0),
+                *product([picture], [1.0, 1 + _ALMOST, 1 / 3, 4 / 7, SIDE]),
+                (_random_picture(63, 70), 7 / 3),
+                (_random_picture(1, 1), 1.0),
             ],
         ),
         (
             "every pixel, pitch/grid 1 + 1e-12 and 1 - 1e-12",
             lambda ratio: integrate_pixels(picture, 1.0, ratio, ratio),
             picture,
-            4 * SIDE * ALMOST,
+            4 * SIDE * _ALMOST,
             "limit: the samples themselves; borders move by 3.2e-11 samples along either axis",
-            [1 + ALMOST, 1 - ALMOST],
+            [1 + _ALMOST, 1 - _ALMOST],
             1.0,
         ),
         (
             "linear pictures of 64×64 to 20 000×4 samples, pitch/grid 1, 7/3, π, 1/3, 0.3",
-            lambda size_um, ratio: integrated_plane(size_um, ratio, 0.6 * ratio),
+            lambda size_um, ratio: _integrated_plane(size_um, ratio, 0.6 * ratio),
             1.0,
-            RUNNING,
+            _RUNNING,
             "closed form; rounding of a running sum of n samples, relative to n samples",
             product([(SIDE, SIDE), (5, 60), (60, 4), (LONG, 4)], [1.0, 7 / 3, math.pi, 1 / 3, 0.3]),
             lambda size_um, ratio: max(size_um) / (0.6 * ratio),
         ),
         (
             "a photodiode of a millionth of a sample's width, linear picture",
-            lambda: integrated_plane((SIDE, SIDE), math.pi, 1e-6),
+            lambda: _integrated_plane((SIDE, SIDE), math.pi, 1e-6),
             1.0,
-            RUNNING * SIDE / 1e-6,
+            _RUNNING * SIDE / 1e-6,
             "limit: the value at its centre; rounding of a running sum relative to the width",
         ),
         (
             "20 000×3 samples of 0.1 µm in pixels of 0.3 µm: electrons of all",
             lambda: integrate_pixels(long, 0.1, 0.3, 0.3).sum(),
             long[1:-1].sum() * 0.01,
-            4 * EPS * LONG,
+            4 * _EPS * LONG,
             "conservation: 6666 centred pixels exclude one sample at either end",
         ),
         (
             "a grating with a period of 26 samples, photodiodes of 0.6 π samples, pitch π",
             lambda: integrate_pixels(
-                np.tile(wave_means(SIDE, 1, 1), (SIDE, 1)), 1.0, math.pi, 0.6 * math.pi
+                np.tile(_wave_means(SIDE, 1, 1), (SIDE, 1)), 1.0, math.pi, 0.6 * math.pi
             ),
-            wave_means(20, math.pi, 0.6 * math.pi) * (0.6 * math.pi) ** 2,
+            _wave_means(20, math.pi, 0.6 * math.pi) * (0.6 * math.pi) ** 2,
             2e-4,
             "closed form; error of the quintic spline, 0.02 %",
             ALONE,
@@ -939,8 +941,8 @@ def integration() -> list[Row]:
 # --- Viewing: 0.5 to 2000 samples per degree, light from zero to 1e12 times white, tiny pictures
 # ---
 
-DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
-SEEN_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))  # smaller than the widest Gaussian, 4.3°
+_DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
+_SEEN_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))  # smaller than the widest Gaussian, 4.3°
 BOTH = ("published", "zhang1996")
 WHITE = np.array([95.047, 100.0, 108.883])
 THRESHOLD = (6 / 29) ** 3  # of Y/Yn, CIE 15
@@ -963,10 +965,10 @@ GRATINGS = (
 )
 # Rounding of transforms of values near 1 times the slope of Lab, up to 903 in L* and 500·7.8 in a*:
 # 1e-15 · 4e3 · 10.
-LAB_ROUNDED = 1e-10
+_LAB_ROUNDED = 1e-10
 
 
-def seen_lab(
+def _seen_lab(
     relative: Array, samples_per_deg: float = 23.0, filters: Filters = "published"
 ) -> Array:
     """CIELAB of X/Xn, Y/Yn, Z/Zn behind the filters of the eye."""
@@ -975,7 +977,7 @@ def seen_lab(
     )
 
 
-def seen_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters: Any) -> Array:
+def _seen_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters: Any) -> Array:
     return delta_e_map(
         relative * WHITE * unit,
         other * WHITE * unit,
@@ -991,53 +993,53 @@ def grating(order: int) -> Array:
     return 0.5 + wave[None, :, None] * np.array([0.3, 0.1, -0.2])
 
 
-def mirrored_lab(relative: Array, samples_per_deg: float, filters: Filters) -> Array:
+def _mirrored_lab(relative: Array, samples_per_deg: float, filters: Filters) -> Array:
     """CIELAB of a picture, filtered with its mirror images around it."""
     rows, columns, _ = relative.shape
     whole = np.pad(relative, ((0, rows), (0, columns), (0, 0)), mode="symmetric")
-    return seen_lab(whole, samples_per_deg, filters)[:rows, :columns]
+    return _seen_lab(whole, samples_per_deg, filters)[:rows, :columns]
 
 
 def viewer() -> list[Row]:
-    pictures = [default_rng(shape).uniform(0.02, 1.2, (*shape, 3)) for shape in SEEN_SHAPES]
+    pictures = [default_rng(shape).uniform(0.02, 1.2, (*shape, 3)) for shape in _SEEN_SHAPES]
     grey = np.ones((4, 4, 3))
     noise = default_rng(9).uniform(-0.5, 0.5, (24, 24, 3)) * THRESHOLD
     return [
         (
             "CIELAB of uniform pictures, 0.5 to 2000 samples/deg",
-            lambda colour, lab, shape, density: seen_lab(
+            lambda colour, lab, shape, density: _seen_lab(
                 np.broadcast_to(colour, (*shape, 3)), density
             ),
             lambda colour, lab, shape, density: lab,
-            LAB_ROUNDED,
+            _LAB_ROUNDED,
             "CIE 15: blur does not change a uniform picture; ΔE, rounding",
             [
                 (*colour, *view)
-                for colour, view in product(COLOURS, product(SEEN_SHAPES, DENSITIES))
+                for colour, view in product(COLOURS, product(_SEEN_SHAPES, _DENSITIES))
             ],
             1.0,
         ),
         (
             "CIELAB of coloured gratings, 0.5 to 1e9 samples/deg",
-            lambda density, order: seen_lab(grating(order), density)[0, 0],
+            lambda density, order: _seen_lab(grating(order), density)[0, 0],
             ANSWERS,
-            LAB_ROUNDED,
+            _LAB_ROUNDED,
             "Σ w exp(-π² s² f²)/Σ w of each opponent channel, closed form; ΔE, rounding",
             GRATINGS,
             1.0,
         ),
         (
             "pictures smaller than the eye's blur, both filters, 0.5 to 2000 samples/deg",
-            seen_lab,
-            mirrored_lab,
-            LAB_ROUNDED,
+            _seen_lab,
+            _mirrored_lab,
+            _LAB_ROUNDED,
             "symmetry: adding the mirror images to a picture changes nothing; ΔE, rounding",
-            product(pictures, DENSITIES, BOTH),
+            product(pictures, _DENSITIES, BOTH),
             1.0,
         ),
         (
             "ΔE of a picture with itself: black, negative, 1e-12 and 1e12 times white",
-            lambda picture, times, filters: seen_delta_e(
+            lambda picture, times, filters: _seen_delta_e(
                 picture * times, picture * times, filters=filters
             ),
             0.0,
@@ -1047,15 +1049,15 @@ def viewer() -> list[Row]:
         ),
         (
             "ΔE of images and white times 2^-1000 and 2^1000",
-            lambda picture, unit: seen_delta_e(picture, 0.9 * picture[::-1, ::-1], unit),
-            lambda picture, unit: seen_delta_e(picture, 0.9 * picture[::-1, ::-1]),
+            lambda picture, unit: _seen_delta_e(picture, 0.9 * picture[::-1, ::-1], unit),
+            lambda picture, unit: _seen_delta_e(picture, 0.9 * picture[::-1, ::-1]),
             0.0,
             "independent of the unit of XYZ, bit for bit",
             product(pictures, [2.0**-1000, 2.0**1000]),
         ),
         (
             "ΔE of black and grey of 1e-150 to 1e-3 of white",
-            lambda share: seen_delta_e(0 * grey, share * grey),
+            lambda share: _seen_delta_e(0 * grey, share * grey),
             lambda share: (29 / 3) ** 3 * share,
             1e-12,
             "(29/3)³ Y/Yn",
@@ -1063,9 +1065,9 @@ def viewer() -> list[Row]:
         ),
         (
             "CIELAB of noise around black, negative XYZ included",
-            lambda: seen_lab(-noise),
-            lambda: -seen_lab(noise),
-            LAB_ROUNDED,
+            lambda: _seen_lab(-noise),
+            lambda: -_seen_lab(noise),
+            _LAB_ROUNDED,
             "symmetry: CIELAB is linear through zero, without clipping; ΔE, rounding",
             ALONE,
             1.0,
@@ -1075,10 +1077,10 @@ def viewer() -> list[Row]:
             lambda picture, density: filtered_grey_lab(
                 picture[..., 1], white_xyz=WHITE, samples_per_deg=density
             ),
-            lambda picture, density: seen_lab(picture[..., [1, 1, 1]], density),
-            LAB_ROUNDED,
+            lambda picture, density: _seen_lab(picture[..., [1, 1, 1]], density),
+            _LAB_ROUNDED,
             "identical pictures; ΔE, rounding",
-            product(pictures, DENSITIES),
+            product(pictures, _DENSITIES),
             1.0,
         ),
         (
@@ -1087,7 +1089,7 @@ def viewer() -> list[Row]:
             lambda times: 8 * times if times < 1 else 24 * np.cbrt(times) - 16,
             ROUNDING,
             "CIE 15 by its two branches, without a step",
-            1 + np.array([-0.5, -1e-2, -1e-4, -1e-8, -EPS, 0.0, EPS, 1e-8, 1e-4, 1e-2, 0.5]),
+            1 + np.array([-0.5, -1e-2, -1e-4, -1e-8, -_EPS, 0.0, _EPS, 1e-8, 1e-4, 1e-2, 0.5]),
         ),
     ]
 
@@ -1095,10 +1097,10 @@ def viewer() -> list[Row]:
 # --- Photodiodes: from hours in the dark to picoseconds in forward bias, 77 to 400 K, four
 # processes ---
 
-CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
-HOURS_S = 36000.0
-DISCHARGES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, HOURS_S])
-PROCESSES: dict[str, dict[str, Any]] = {
+_CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
+_HOURS_S = 36000.0
+_DISCHARGES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, _HOURS_S])
+_PROCESSES: dict[str, dict[str, Any]] = {
     "0.5um": {"technology": "0.5um", "pitch_um": 8.7},
     "0.35um": {"technology": "0.35um", "pitch_um": 6.5},
     "0.25um": {"technology": "0.25um", "pitch_um": 5.3},
@@ -1110,13 +1112,13 @@ CHARGES_E = {
     "closed form": (
         ("constant capacitance", 77.0, 1e-3, 1e-9, 1.0032843818270583e-12),
         ("constant capacitance", 77.0, 1e12, 1e-7, 84491.43154199269),
-        ("constant capacitance", 77.0, 1e17, HOURS_S, 87107.63453965045),
-        ("constant capacitance", 300.15, 0.0, HOURS_S, 75343.33026288537),
+        ("constant capacitance", 77.0, 1e17, _HOURS_S, 87107.63453965045),
+        ("constant capacitance", 300.15, 0.0, _HOURS_S, 75343.33026288537),
         ("constant capacitance", 300.15, 7e6, 0.01, 70008.19022382855),
         ("constant capacitance", 300.15, 1e12, 1e-7, 93875.83711192531),
         ("constant capacitance", 400.0, 1e-3, 1e-9, 0.004683167761739064),
         ("constant capacitance", 400.0, 7e6, 0.01, 76422.48585985567),
-        ("constant capacitance", 400.0, 1e17, HOURS_S, 103420.17697545441),
+        ("constant capacitance", 400.0, 1e17, _HOURS_S, 103420.17697545441),
     ),
     "LSODA, an implicit solver, with a tolerance of 1e-13": (
         ("0.5um", 300.15, 1e12, 2.4e-7, 232411.27747887),
@@ -1128,21 +1130,21 @@ CHARGES_E = {
     ),
     "∫C dV/q of SPICE's C(V) down to V_oc = -V_T ln(1 + i/I_s), by quadrature": (
         ("0.5um", 300.15, 0.0, 3.6e7, 167707.77639408252),
-        ("0.5um", 300.15, 1e6, HOURS_S, 188263.70950412468),
-        ("0.5um", 300.15, 1e11, HOURS_S, 224596.4430751707),
-        ("0.5um", 300.15, 1e17, HOURS_S, 280912.6295021242),
+        ("0.5um", 300.15, 1e6, _HOURS_S, 188263.70950412468),
+        ("0.5um", 300.15, 1e11, _HOURS_S, 224596.4430751707),
+        ("0.5um", 300.15, 1e17, _HOURS_S, 280912.6295021242),
         ("0.35um", 300.15, 0.0, 3.6e7, 182613.06807338033),
-        ("0.35um", 300.15, 1e6, HOURS_S, 202324.7433576583),
-        ("0.35um", 300.15, 1e11, HOURS_S, 238365.47653420203),
-        ("0.35um", 300.15, 1e17, HOURS_S, 291989.46309839684),
+        ("0.35um", 300.15, 1e6, _HOURS_S, 202324.7433576583),
+        ("0.35um", 300.15, 1e11, _HOURS_S, 238365.47653420203),
+        ("0.35um", 300.15, 1e17, _HOURS_S, 291989.46309839684),
         ("0.25um", 300.15, 0.0, 3.6e7, 256929.17258345024),
-        ("0.25um", 300.15, 1e6, HOURS_S, 288159.17272281554),
-        ("0.25um", 300.15, 1e11, HOURS_S, 355165.9536653456),
-        ("0.25um", 300.15, 1e17, HOURS_S, 458262.8480418944),
+        ("0.25um", 300.15, 1e6, _HOURS_S, 288159.17272281554),
+        ("0.25um", 300.15, 1e11, _HOURS_S, 355165.9536653456),
+        ("0.25um", 300.15, 1e17, _HOURS_S, 458262.8480418944),
         ("0.18um", 300.15, 0.0, 3.6e7, 63493.554031178406),
-        ("0.18um", 300.15, 1e6, HOURS_S, 72799.82249640423),
-        ("0.18um", 300.15, 1e11, HOURS_S, 95058.09287983931),
-        ("0.18um", 300.15, 1e17, HOURS_S, 128755.59422329054),
+        ("0.18um", 300.15, 1e6, _HOURS_S, 72799.82249640423),
+        ("0.18um", 300.15, 1e11, _HOURS_S, 95058.09287983931),
+        ("0.18um", 300.15, 1e17, _HOURS_S, 128755.59422329054),
     ),
 }
 # Of the tables of a photodiode's response: process and K.
@@ -1150,18 +1152,18 @@ TABLES = (("0.5um", 400.0), ("0.35um", 300.15), ("0.25um", 77.0), ("0.18um", 400
 
 
 def pixel_at(process: str, temperature_k: float, **options: Any) -> PixelPhysics:
-    return physics_of(PROCESSES[process] | {"temperature_k": temperature_k} | options)
+    return physics_of(_PROCESSES[process] | {"temperature_k": temperature_k} | options)
 
 
-def collected_share(process: str) -> Array:
+def _collected_share(process: str) -> Array:
     """Share of the generated charge that is collected; 1 above 29 000 electrons, which take half of
     the reset voltage at most.
     """
     diode = diode_of(pixel_at(process, 300.15))
-    generated_e = (CURRENTS_E_PER_S[:, None] + diode.saturation_current_e_per_s) * DISCHARGES_S
+    generated_e = (_CURRENTS_E_PER_S[:, None] + diode.saturation_current_e_per_s) * _DISCHARGES_S
     return np.where(
         generated_e < 29_000,
-        collected_charge_e(CURRENTS_E_PER_S[:, None], DISCHARGES_S, diode) / generated_e,
+        collected_charge_e(_CURRENTS_E_PER_S[:, None], _DISCHARGES_S, diode) / generated_e,
         1.0,
     )
 
@@ -1173,7 +1175,7 @@ def photodiode() -> list[Row]:
             name = f"{process}, {temperature_k:g} K, {current:g} e-/s for {time_s:g} s"
             inputs = [(current, time_s, diode_of(pixel_at(process, temperature_k)))]
             rows.append((name, collected_charge_e, charge_e, 1e-9, source, inputs))
-    for saturation, currents in ((0.0, CURRENTS_E_PER_S), (1e-300, CURRENTS_E_PER_S[:90])):
+    for saturation, currents in ((0.0, _CURRENTS_E_PER_S), (1e-300, _CURRENTS_E_PER_S[:90])):
         name = f"a diode current of {saturation:g} e-/s: no charge is lost"
         diode = replace(default_diode(), saturation_current_e_per_s=saturation)
         rows.append(
@@ -1192,19 +1194,19 @@ def photodiode() -> list[Row]:
         rows.append(
             (
                 f"{process}: no loss before saturation",
-                collected_share,
+                _collected_share,
                 1.0,
                 1e-11,
                 "conservation of charge",
                 [process],
             )
         )
-        rows += table_rows(process, temperature_k, 1e-3, "linear")
-        rows += table_rows(process, temperature_k, HOURS_S, "junction")
+        rows += _table_rows(process, temperature_k, 1e-3, "linear")
+        rows += _table_rows(process, temperature_k, _HOURS_S, "junction")
     return rows
 
 
-def table_rows(process: str, temperature_k: float, time_s: float, conversion: str) -> list[Row]:
+def _table_rows(process: str, temperature_k: float, time_s: float, conversion: str) -> list[Row]:
     """The table of a photodiode's response, beside the quadrature that it stands for."""
     name = f"{process}, {temperature_k:g} K, {time_s:g} s, {conversion}"
     physics = pixel_at(process, temperature_k, well_limit="diode", conversion=conversion)

@@ -27,14 +27,14 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import xyz_to_lab
 from pixsim.viewer.score import NOTHING, Cause
 
-FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
-SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
+_FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
+_SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
 ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
-LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
+_LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
-LEAST_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
-ALL_FULL = 1.0 - 1e-6  # of the pixels
+_LEAST_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
+_ALL_FULL = 1.0 - 1e-6  # of the pixels
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
@@ -76,28 +76,28 @@ def lightness_range(ideal: Array) -> tuple[float, float]:
     ideal : (H, W) luminance, or (H, W, 3) light of the display's primaries, 1 for white
     """
     planes = ideal.reshape(-1, ideal.shape[2] if ideal.ndim == 3 else 1)
-    ends = lightness_of(np.stack([planes.min(axis=0), planes.max(axis=0)]).astype(float))
+    ends = _lightness_of(np.stack([planes.min(axis=0), planes.max(axis=0)]).astype(float))
     low, high = ends[:, np.ptp(ends, axis=0).argmax()]
     return float(low), float(high)
 
 
-def lightness_of(luminance: Array) -> Array:
+def _lightness_of(luminance: Array) -> Array:
     """Return CIE L* of a luminance relative to white, (...)."""
     return np.asarray(xyz_to_lab(luminance[..., None] * np.ones(3), np.ones(3))[..., 0])
 
 
-def luminance_of_lightness(lightness: float) -> float:
-    """Return the luminance relative to white of a CIE L*, the inverse of `lightness_of`.
+def _luminance_of_lightness(lightness: float) -> float:
+    """Return the luminance relative to white of a CIE L*, the inverse of `_lightness_of`.
 
     >>> [round(float(lightness_of(np.array(luminance_of_lightness(each)))), 9) for each in (0.0, 5.0, 50.0, 100.0)]
     [0.0, 5.0, 50.0, 100.0]
     """
     return float(
-        ((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389
+        ((lightness + 16) / 116) ** 3 if lightness > _LINEAR_BELOW else lightness * 27 / 24389
     )
 
 
-def codes_to_white(readout: Readout, white_e: float, integration_s: float) -> float:
+def _codes_to_white(readout: Readout, white_e: float, integration_s: float) -> float:
     """Return the codes of the ADC between black and display white, as far as the well and the ADC
     reach.
 
@@ -129,12 +129,12 @@ def tells_nothing(
     white_e, integration_s, saturated_fraction : of `causes_of`
     lightest : L* of the ideal image's lightest dot
     """
-    if saturated_fraction >= ALL_FULL:
+    if saturated_fraction >= _ALL_FULL:
         return True
-    if lightest < SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
+    if lightest < _SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
         return False
     exposure, time_s = readout.burst(1), integration_s / readout.exposures
-    signal_e = white_e * luminance_of_lightness(lightest) / readout.exposures
+    signal_e = white_e * _luminance_of_lightness(lightest) / readout.exposures
     dark_e = exposure.dark_current_e_per_s * time_s
     charge_e = np.minimum(np.array([0.0, signal_e]) + dark_e, exposure.saturation_e)
     level_dn = np.minimum(
@@ -144,14 +144,14 @@ def tells_nothing(
         variance_e2(exposure, charge_e, light_e=charge_e - dark_e, dark_e=dark_e)
     )
     mean_dn, variance_dn2, _ = moments_of_codes(level_dn, np.maximum(sigma_dn, NO_NOISE_DN))
-    return bool(mean_dn[1] - mean_dn[0] <= LEAST_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
+    return bool(mean_dn[1] - mean_dn[0] <= _LEAST_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
 
 
 def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
     """Return a cause of the sensor as one that leaves nothing; without one, that of full pixels or
     of noise.
     """
-    if cause is None and saturated_fraction >= ALL_FULL:
+    if cause is None and saturated_fraction >= _ALL_FULL:
         cause = Cause("all pixels are saturated", ALL, _less_light())
     elif cause is None:
         more = (
@@ -171,19 +171,19 @@ def _less_light() -> str:
 
 def _codes(readout: Readout, white_e: float, integration_s: float, lightest: float) -> Cause | None:
     codes, range_e = (
-        codes_to_white(readout, white_e, integration_s),
+        _codes_to_white(readout, white_e, integration_s),
         _range_e(readout, integration_s),
     )
-    signal = codes_to_white(readout, white_e * luminance_of_lightness(lightest), integration_s)
-    if codes >= FEWEST_CODES * (1 - ROUNDING) and (
-        signal >= 1 or lightest < SEEN_LIGHTNESS
+    signal = _codes_to_white(readout, white_e * _luminance_of_lightness(lightest), integration_s)
+    if codes >= _FEWEST_CODES * (1 - ROUNDING) and (
+        signal >= 1 or lightest < _SEEN_LIGHTNESS
     ):  # black has no contrast
         return None
     brighter = f"light, time or gain ({setting('exposure.gain_db')})"
     hint = (
         f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
     )
-    if codes >= FEWEST_CODES:
+    if codes >= _FEWEST_CODES:
         return Cause(
             f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint
         )
@@ -194,16 +194,16 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
     elif white_e > range_e:
         words = f"only {codes:.2g} codes of the ADC between black and its end"
     # A step beside black; below one step, all codes may be equal.
-    return Cause(words, float(lightness_of(np.array(1 / max(codes, 1.0)))), hint)
+    return Cause(words, float(_lightness_of(np.array(1 / max(codes, 1.0)))), hint)
 
 
 def _contrast(low: float, high: float, white: str) -> Cause | None:
-    if high - low >= SEEN_LIGHTNESS:
+    if high - low >= _SEEN_LIGHTNESS:
         return None
     hint = "its mean ΔE is that of noise and offsets alone; a scene with detail judges a sensor"
-    if high < SEEN_LIGHTNESS:
+    if high < _SEEN_LIGHTNESS:
         hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
-    elif low > ALL - SEEN_LIGHTNESS:
+    elif low > ALL - _SEEN_LIGHTNESS:
         hint = (
             f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
         )
@@ -221,9 +221,9 @@ def _full(
     if share <= SATURATED_SHOWN or range_e >= white_e * (1 + modulation):
         return None
     lost = lightest - float(
-        lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation)))
+        _lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation)))
     )
-    if lost < SEEN_LIGHTNESS:
+    if lost < _SEEN_LIGHTNESS:
         return None
     return Cause(f"{percent(share)} of the pixels are saturated", lost, _less_light())
 
@@ -232,5 +232,5 @@ def _light(share: float) -> Cause | None:
     if share <= SHOWN_SHARE:
         return None
     return Cause(
-        outside_words(share), ALL - float(lightness_of(np.array(1 - share))), outside_hint()
+        outside_words(share), ALL - float(_lightness_of(np.array(1 - share))), outside_hint()
     )

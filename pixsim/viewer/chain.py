@@ -292,7 +292,7 @@ def _standing(
 ) -> ImagingChain:
     """Return the chain of light that stands still."""
     physics, rendition = imaging.physics, scene.rendition
-    check_whole_cell(physics, signal.shape)
+    _check_whole_cell(physics, signal.shape)
 
     collection: Collection | ColourCollection | None = collections[0] if collections else None
     if collections and rendition is not None:
@@ -330,7 +330,7 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     )
     still = replace(still, exposure=exposure)
     if not room_is_checked:
-        check_room(still, moving)
+        _check_room(still, moving)
 
     pixels = scene.sample_pitch_um, imaging.physics, scene.array_um, moving
     signal, subexposures = moved_signals(scene.lights, *pixels, exposure.frames)
@@ -350,7 +350,7 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     )
 
 
-def check_room(chain: ImagingChain, moving: Moving) -> None:
+def _check_room(chain: ImagingChain, moving: Moving) -> None:
     """Raise PixsimError if light from beyond the picture moves into the part of it that is
     scored.
     """
@@ -385,7 +385,7 @@ def check_room(chain: ImagingChain, moving: Moving) -> None:
             )
 
 
-def check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
+def _check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
     """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and
     with it colours.
     """

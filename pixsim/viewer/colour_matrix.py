@@ -48,20 +48,20 @@ class AlikeChannelsError(PixsimError):
 
 Fit = Literal["least_squares", "least_delta_e", "noise_aware"]
 STANDARD_NM = np.arange(380.0, 781.0, 5.0)  # of the tables of illuminants, patches and cameras
-MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
-NEEDED_NM = (400.0, 700.0)  # range of sensitivities; the observer has 99.8 % of X, Y and Z in it
+_MAX_STEP_NM = 20.0  # between sensitivities: above, the maxima of narrow filters would be missed
+_NEEDED_NM = (400.0, 700.0)  # range of sensitivities; the observer has 99.8 % of X, Y and Z in it
 RANK_TOLERANCE = 1e-6  # smallest over largest singular value; noise gains are a million there
-NOISE_TOLERANCE = (
+_NOISE_TOLERANCE = (
     1e-12  # in place of it with noise, which may be much larger in one channel than in the others
 )
-MAX_NOISE_GAIN = (
+_MAX_NOISE_GAIN = (
     10.0  # of the display's linear RGB; 52 measured cameras have 1.3 to 3, stacked sensors 6 to 9
 )
-SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
-SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
+_SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
+_SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
 CIE_LINEAR_BELOW, CIE_SLOPE = 216 / 24389, 841 / 108
 # L*, a* and b* from f(X/Xn), f(Y/Yn) and f(Z/Zn), without the constant -16 of L*.
-LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+_LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
 
 
 def colour_matrix(
@@ -188,14 +188,14 @@ def fit_matrix(
     from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
     basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
-    kept = sizes > (RANK_TOLERANCE if covariance is None else NOISE_TOLERANCE) * sizes[0]
+    kept = sizes > (RANK_TOLERANCE if covariance is None else _NOISE_TOLERANCE) * sizes[0]
     basis, turns = basis[:, kept], turns[kept] / sizes[kept, None] @ orthogonal
     wanted = target if covariance is None else np.vstack([target, np.zeros((channels, 3))])
     free = (basis.T @ (wanted - from_equal)).ravel()
     patches = slice(0, len(target))
     error = _MeanError(basis[patches], turns, from_equal[patches], target, covariance)
     options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
-    for smoothing in SMOOTHING_DELTA_E:
+    for smoothing in _SMOOTHING_DELTA_E:
         found = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
         free, curvature = found.x, (found.hess_inv + found.hess_inv.T) / 2
         # After a search that rounding stopped, it may be of no use.
@@ -231,13 +231,13 @@ class _MeanError:
         self.lab, slope = _f_and_slope(target)
         self.noise = self.metric = None
         if noise is not None:
-            jacobian = LAB_FROM_F * slope[:, None, :]
+            jacobian = _LAB_FROM_F * slope[:, None, :]
             self.noise, self.metric = noise, np.swapaxes(jacobian, 1, 2) @ jacobian
 
     def __call__(self, free: Array, smoothing: float) -> tuple[float, Array]:
         rows = free.reshape(-1, 3)
         f, slope = _f_and_slope(self.from_equal + self.basis @ rows)
-        difference = (f - self.lab) @ LAB_FROM_F.T
+        difference = (f - self.lab) @ _LAB_FROM_F.T
         squares = np.square(difference).sum(axis=1) + smoothing**2
         if self.noise is not None:
             matrix = 1 / self.turns.shape[1] + rows.T @ self.turns
@@ -246,7 +246,7 @@ class _MeanError:
             )  # (P, 3, C), half the gradient of the variance
             squares += (moved * matrix).sum(axis=(1, 2))
         errors = np.sqrt(squares)
-        gradient = self.basis.T @ ((difference / errors[:, None]) @ LAB_FROM_F * slope)
+        gradient = self.basis.T @ ((difference / errors[:, None]) @ _LAB_FROM_F * slope)
         if self.noise is not None:
             gradient += self.turns @ (moved / errors[:, None, None]).sum(axis=0).T
         return float(errors.mean()), gradient.ravel() / len(errors)
@@ -278,7 +278,7 @@ def metamerism_index(errors_delta_e: Array) -> float:
     The text of the standard was not read; secondary sources agree. Under D55 it is the index of the
     standard's annex.
     """
-    return 100.0 - SMI_PER_DELTA_E * float(np.mean(errors_delta_e))
+    return 100.0 - _SMI_PER_DELTA_E * float(np.mean(errors_delta_e))
 
 
 def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> Array:
@@ -304,14 +304,14 @@ def check_noise_gains(
     those of `noise_gains`.
     """
     gains = noise_gains(matrix, white_xyz, adaptation)
-    if not gains.max() <= MAX_NOISE_GAIN:
+    if not gains.max() <= _MAX_NOISE_GAIN:
         got = f"noise gains of {', '.join(f'{gain:.3g}' for gain in gains)} in R, G, B"
         hint = (
             "The channels are nearly alike under this lamp. Choose filters that overlap less, or a"
             " lamp with a broader spectrum."
         )
         raise AlikeChannelsError(
-            str(invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint))
+            str(invalid("colour matrix", got, f"gains up to {_MAX_NOISE_GAIN:g}", hint))
         )
 
 
@@ -326,18 +326,18 @@ def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
             f"an array of shape {nm.shape}",
             "wavelengths in increasing order, one axis",
         )
-    low, high = NEEDED_NM
+    low, high = _NEEDED_NM
     if nm[0] > low or nm[-1] < high:
         raise invalid(
             "wavelength_nm", f"{nm[0]:g} to {nm[-1]:g} nm", f"at least {low:g} to {high:g} nm"
         )
     widest = int(np.diff(nm).argmax())
-    if nm[widest + 1] - nm[widest] > MAX_STEP_NM:
+    if nm[widest + 1] - nm[widest] > _MAX_STEP_NM:
         got = f"a gap from {nm[widest]:g} to {nm[widest + 1]:g} nm"
         raise invalid(
             "wavelength_nm",
             got,
-            f"steps of at most {MAX_STEP_NM:g} nm",
+            f"steps of at most {_MAX_STEP_NM:g} nm",
             "Fill the gap, with 0 where it is dark.",
         )
     if len(sensitivities) != nm.size or sensitivities.shape[1] < 3:

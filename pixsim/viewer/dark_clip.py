@@ -16,11 +16,11 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
 from pixsim.viewer.scielab import xyz_to_lab
 
-DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
+_DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
 # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing
 # by itself
 FEW_E = 100.0
-POISSON_TERMS = 200  # 10 σ above `FEW_E`
+_POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
@@ -68,16 +68,16 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     dark_e = np.array([ordinary_e])
     if dark.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
         shape = dark.dsnu**-2
-        dark_e = dark_e * gammaincinv(shape, (np.arange(DARK_NODES) + 0.5) / DARK_NODES) / shape
+        dark_e = dark_e * gammaincinv(shape, (np.arange(_DARK_NODES) + 0.5) / _DARK_NODES) / shape
     share = np.full(dark_e.size, 1.0 / dark_e.size)
     if dark.hot_fraction:
-        logarithm = dark.hot_spread * ndtri((np.arange(DARK_NODES) + 0.5) / DARK_NODES)
-        of_hot = np.full(DARK_NODES, dark.hot_fraction / DARK_NODES)
+        logarithm = dark.hot_spread * ndtri((np.arange(_DARK_NODES) + 0.5) / _DARK_NODES)
+        of_hot = np.full(_DARK_NODES, dark.hot_fraction / _DARK_NODES)
         dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
         share = np.concatenate([(1 - dark.hot_fraction) * share, of_hot])
     is_few = dark_e <= FEW_E
     many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
-    counts = np.arange(POISSON_TERMS)
+    counts = np.arange(_POISSON_TERMS)
     poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(
         axis=0
     )
@@ -103,8 +103,8 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     }
 
 
-HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
-TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
+_HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
+_TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
 
 
 def clips_dark(dark: dict[str, float]) -> bool:
@@ -113,7 +113,8 @@ def clips_dark(dark: dict[str, float]) -> bool:
     """
     clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
     return (
-        clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+        clipped_e * dark["spread_dn"] > _HIDDEN_DN * spread_e
+        and clipped_e > _TAIL_SIGMAS * spread_e
     )
 
 

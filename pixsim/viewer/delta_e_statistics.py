@@ -7,7 +7,7 @@ import numpy as np
 from pixsim.base.arrays import Array, strips
 
 HISTOGRAM_BINS = 1 << 14
-COUNTED = 1 << 18  # values at a time, many more than bins
+_COUNTED = 1 << 18  # values at a time, many more than bins
 COLUMNS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 
 
@@ -26,7 +26,7 @@ def percentiles(
         np.empty(values.size, np.uint16),
         np.zeros(HISTOGRAM_BINS, np.intp),
     )
-    for part in strips(values.size, 1, COUNTED):
+    for part in strips(values.size, 1, _COUNTED):
         np.multiply(values[part], scale, out=bins[part], casting="unsafe")
         counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
     up_to = counts.cumsum()

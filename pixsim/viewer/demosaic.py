@@ -45,23 +45,23 @@ Products = tuple[tuple[float, tuple[float, ...]], ...]
 WHITE: Products = ((1.0, (1.0,)),)  # of no filter
 MAX_VALUE = 1e300  # sums of these do not overflow
 # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
-MENON_REACH = 8
-SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
+_MENON_REACH = 8
+_SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
 # Weights of |difference(x) - difference(x + 2)| around a pixel in the change along x; transposed,
 # along y.
-MENON_CHANGES = np.array(
+_MENON_CHANGES = np.array(
     [[1, 0, 1, 0, 0], [0, 1, 0, 0, 0], [3, 0, 3, 0, 0], [0, 1, 0, 0, 0], [1, 0, 1, 0, 0]], float
 )
 # Filters of Malvar et al., times 8: green at red or blue; red (blue) at a green pixel in a row of
 # red (blue); at blue (red). The filter at a green pixel in a column of red (blue) is the transposed
 # second one.
-MALVAR_GREEN = (
+_MALVAR_GREEN = (
     np.array(
         [[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]
     )
     / 8
 )
-MALVAR_ROW = (
+_MALVAR_ROW = (
     np.array(
         [
             [0, 0, 0.5, 0, 0],
@@ -73,7 +73,7 @@ MALVAR_ROW = (
     )
     / 8
 )
-MALVAR_CROSS = (
+_MALVAR_CROSS = (
     np.array(
         [
             [0, 0, -1.5, 0, 0],
@@ -108,7 +108,7 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
     [[0.2, 0.5, 0.9], [0.2, 0.5, 0.9], [0.2, 0.5, 0.9]]
     """
     cell = unit_cell(pattern)
-    check_method(cell, method)
+    _check_method(cell, method)
     is_linear = method != "menon2007" and cell in BAYER.values()
     values = np.asarray(mosaic, mosaic.dtype if is_linear and mosaic.dtype == np.float32 else float)
     if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
@@ -126,8 +126,8 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
             f"finite numbers up to {MAX_VALUE:g}",
         )
     if method == "menon2007":
-        planes = _menon(np.pad(values, MENON_REACH, mode="reflect"), cell)[
-            :, MENON_REACH:-MENON_REACH, MENON_REACH:-MENON_REACH
+        planes = _menon(np.pad(values, _MENON_REACH, mode="reflect"), cell)[
+            :, _MENON_REACH:-_MENON_REACH, _MENON_REACH:-_MENON_REACH
         ]
     elif is_linear:
         planes = _filtered(values, _weights(cell, method))
@@ -253,7 +253,7 @@ def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     return cell
 
 
-def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
+def _single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     """Return the unit cell that `remosaic` makes of a quad pattern. Raises PixsimError for a
     pattern that is not one.
     """
@@ -269,7 +269,7 @@ def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
 
 def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     """Return a mosaic (H, W) of a quad pattern as one of single pixels, whose pattern is
-    `single_cell`, in its precision and unit.
+    `_single_cell`, in its precision and unit.
 
     Each pixel keeps its sample, or is interpolated from the nearest ones of its new channel; at the
     edges from those inside.
@@ -283,7 +283,7 @@ def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     [[1.0, 2.0, 1.0, 2.0], [2.0, 3.0, 2.0, 3.0]]
     """
     cell = unit_cell(pattern)
-    single_cell(cell)
+    _single_cell(cell)
     (rows, columns), (height, width) = (len(cell), len(cell[0])), mosaic.shape
     if height < rows or width < columns:
         raise invalid(
@@ -357,7 +357,7 @@ def _remosaic_taps(cell: tuple[str, ...]) -> dict[tuple[int, int], dict[tuple[in
     return found
 
 
-def check_method(cell: Sequence[str], method: Method) -> None:
+def _check_method(cell: Sequence[str], method: Method) -> None:
     """Raise PixsimError if a method cannot demosaic a unit cell."""
     if method != "interpolate" and tuple(cell) not in BAYER.values():
         hint = (
@@ -393,9 +393,9 @@ def _weights(cell: tuple[str, ...], method: Method) -> Array:
             weights[y, x, c, ry, rx] = 1.0
         elif method == "malvar2004":
             in_row, in_column = channel in letters[y], channel in letters[:, x]
-            cross = MALVAR_GREEN if channel == "G" else MALVAR_CROSS
+            cross = _MALVAR_GREEN if channel == "G" else _MALVAR_CROSS
             weights[y, x, c] = (
-                cross if in_row == in_column else MALVAR_ROW if in_row else MALVAR_ROW.T
+                cross if in_row == in_column else _MALVAR_ROW if in_row else _MALVAR_ROW.T
             )
         else:
             around = letters[
@@ -490,7 +490,7 @@ def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
 
 
 def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
-    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `MENON_REACH` pixels at
+    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `_MENON_REACH` pixels at
     each edge are void.
     """
     height, width = mosaic.shape
@@ -505,7 +505,7 @@ def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
     # Green by interpolation along y and along x, and how much the difference from green changes
     # along each.
     greens, changes = [], []
-    for axis, weights in enumerate((MENON_CHANGES.T, MENON_CHANGES)):
+    for axis, weights in enumerate((_MENON_CHANGES.T, _MENON_CHANGES)):
         greens.append(
             np.where(is_green, mosaic, along(axis, mosaic, (-0.25, 0.5, 0.5, 0.5, -0.25)))
         )
@@ -606,7 +606,7 @@ def _correlated(
             reach = len(taps) // 2 + (
                 0
                 if dot_px is None
-                else int(np.ceil(dot_px)) + (2 * SPLINE_REACH if interpolation == "cubic" else 2)
+                else int(np.ceil(dot_px)) + (2 * _SPLINE_REACH if interpolation == "cubic" else 2)
             )
             sides = []
             for axis, size, step in ((0, ky, rows), (1, kx, columns)):
@@ -672,7 +672,7 @@ def _column_products(
         )
     found = np.zeros((len(channels),) * 4)
     for factor, taps in products:
-        reach = len(taps) // 2 + (0 if dot_px is None else int(np.ceil(dot_px)) + 2 * SPLINE_REACH)
+        reach = len(taps) // 2 + (0 if dot_px is None else int(np.ceil(dot_px)) + 2 * _SPLINE_REACH)
         along = _filtered_products(
             dot_px, interpolation, max(kx, reach if taps == (1.0,) else reach + 1), taps
         )
@@ -718,7 +718,7 @@ def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
     polynomials of degree 4 or less: Gauss-Legendre nodes are exact.
     """
     degree = SPLINE_DEGREE[interpolation]
-    reach = SPLINE_REACH if degree > 1 else 1
+    reach = _SPLINE_REACH if degree > 1 else 1
     pixels = 2 * (reach + count) + int(np.ceil(dot_px)) + 1
     knots = np.unique(
         np.concatenate([[0.0, 1.0], (np.array([0.0, 0.5, -dot_px, 0.5 - dot_px])) % 1])

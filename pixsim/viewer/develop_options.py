@@ -26,14 +26,16 @@ if TYPE_CHECKING:
     from pixsim.base.arrays import Array
 
 Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
-DENOISERS = ("none", "wiener_bound", "nlm", "wavelet")
-TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
-ALLOWED_TONE = f"{', '.join(TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
+_DENOISERS = ("none", "wiener_bound", "nlm", "wavelet")
+_TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
+_ALLOWED_TONE = (
+    f"{', '.join(_TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
+)
 MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
-ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
-ToneTable = tuple[ToneRow, ...]
-OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}"
+_ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
+_ToneTable = tuple[_ToneRow, ...]
+_OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}"
 
 
 def _as_gains(value: object) -> object:
@@ -45,7 +47,7 @@ def _as_gains(value: object) -> object:
 
 
 @dataclass(frozen=True)
-class OwnDenoiser:
+class _OwnDenoiser:
     """A user's function of a plane, whose noise has variance 1, and of the strength, that returns
     the plane with less noise.
 
@@ -59,19 +61,19 @@ class OwnDenoiser:
         found: Array = self.function(plane, strength)
         return found
 
-    def __reduce__(self) -> tuple[type[OwnDenoiser], tuple[object, str]]:
-        return OwnDenoiser, (by_value(self.function), self.text)
+    def __reduce__(self) -> tuple[type[_OwnDenoiser], tuple[object, str]]:
+        return _OwnDenoiser, (by_value(self.function), self.text)
 
 
 _functions: dict[
-    str, OwnDenoiser
+    str, _OwnDenoiser
 ] = {}  # that this process was given, by their texts, as which settings are handed on
 
 
-def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
+def _own_denoiser(function: Callable[[Any, float], Any]) -> _OwnDenoiser:
     """Return the denoiser of a function, which this process knows from now on."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    denoiser = OwnDenoiser(
+    denoiser = _OwnDenoiser(
         function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}"
     )
     _functions[denoiser.text] = denoiser
@@ -80,23 +82,23 @@ def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
 
 def _as_denoiser(value: object) -> object:
     if callable(value):
-        return value if isinstance(value, OwnDenoiser) else own_denoiser(value)
-    if isinstance(value, str) and value not in DENOISERS:
+        return value if isinstance(value, _OwnDenoiser) else _own_denoiser(value)
+    if isinstance(value, str) and value not in _DENOISERS:
         if value in _functions:
             return _functions[value]
-        raise ValueError(f"got {brief(value)}; allowed: {', '.join(DENOISERS)}; {OF_FUNCTIONS}")
+        raise ValueError(f"got {brief(value)}; allowed: {', '.join(_DENOISERS)}; {_OF_FUNCTIONS}")
     return value
 
 
 def _text_of(value: object) -> object:
-    return value.text if isinstance(value, OwnDenoiser) else value
+    return value.text if isinstance(value, _OwnDenoiser) else value
 
 
-Denoise = Annotated[
-    Literal["none", "wiener_bound", "nlm", "wavelet"] | OwnDenoiser,
+_Denoise = Annotated[
+    Literal["none", "wiener_bound", "nlm", "wavelet"] | _OwnDenoiser,
     BeforeValidator(_as_denoiser),
     PlainSerializer(_text_of),
-    WithJsonSchema({"enum": [*DENOISERS], "type": "string"}),
+    WithJsonSchema({"enum": [*_DENOISERS], "type": "string"}),
 ]
 
 
@@ -111,7 +113,7 @@ def as_tone_curve(value: object) -> object:
     ValueError if it is neither, or if a value falls as the light rises.
     """
     if isinstance(value, str | Path):
-        return value if value in TONE_CURVES else _read_tone_table(Path(value))
+        return value if value in _TONE_CURVES else _read_tone_table(Path(value))
     try:
         rows = tuple(
             (as_float(light), as_float(out))
@@ -120,13 +122,13 @@ def as_tone_curve(value: object) -> object:
     except (TypeError, ValueError):
         got = "got neither a name, nor a file, nor a list of pairs"
         raise ValueError(
-            f"{got}; allowed: {ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]"
+            f"{got}; allowed: {_ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]"
         ) from None
     return _checked_tone(rows, "a list")
 
 
-def _read_tone_table(path: Path) -> ToneTable:
-    cells = read_cells(path, "tone curve", ALLOWED_TONE, MAX_FILE_BYTES)
+def _read_tone_table(path: Path) -> _ToneTable:
+    cells = read_cells(path, "tone curve", _ALLOWED_TONE, MAX_FILE_BYTES)
     rows = []
     for place, (number, row) in enumerate(cells.rows):
         found = [as_number(cell, cells.decimal) for cell in row[:2]]
@@ -134,12 +136,12 @@ def _read_tone_table(path: Path) -> ToneTable:
             rows.append((float(found[0] or 0), float(found[1] or 0)))
         elif place:  # the first row may have titles
             raise ValueError(
-                f"got no two numbers in line {number} of '{path}'; allowed: {ALLOWED_TONE}"
+                f"got no two numbers in line {number} of '{path}'; allowed: {_ALLOWED_TONE}"
             )
     return _checked_tone(tuple(rows), f"'{path}'")
 
 
-def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
+def _checked_tone(rows: _ToneTable, source: str) -> _ToneTable:
     if not 2 <= len(rows) <= MAX_TONE_ROWS:
         raise ValueError(
             f"got {source} of {len(rows)} rows; allowed: 2 to {MAX_TONE_ROWS} rows of light and"
@@ -167,10 +169,10 @@ def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
     return rows
 
 
-ToneCurve = Annotated[
-    Literal["none", "gamma", "srgb", "reinhard"] | ToneTable,
+_ToneCurve = Annotated[
+    Literal["none", "gamma", "srgb", "reinhard"] | _ToneTable,
     BeforeValidator(as_tone_curve),
-    rows_schema(ALLOWED_TONE, {"enum": [*TONE_CURVES], "type": "string"}),
+    rows_schema(_ALLOWED_TONE, {"enum": [*_TONE_CURVES], "type": "string"}),
 ]
 
 
@@ -181,7 +183,7 @@ class Develop(Record):
 
     ALTERNATIVES: ClassVar = ((("sharpen_radius_px",), ("sharpen_radius_cy_per_deg",)),)
 
-    denoise: Denoise = Field(
+    denoise: _Denoise = Field(
         "none",
         description=(
             "noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and"
@@ -250,7 +252,7 @@ class Develop(Record):
             " e^(-1/2), for pixels of any size"
         ),
     )
-    tone_curve: ToneCurve = Field(
+    tone_curve: _ToneCurve = Field(
         "none",
         description=(
             "of the sensor's and the ideal picture alike: 'none', light as it is; 'gamma' and"
@@ -275,7 +277,7 @@ class Develop(Record):
         """Name of the noise reduction, without the hash of a function."""
         return (
             self.denoise.text.partition("#")[0]
-            if isinstance(self.denoise, OwnDenoiser)
+            if isinstance(self.denoise, _OwnDenoiser)
             else self.denoise
         )
 

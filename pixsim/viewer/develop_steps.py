@@ -56,7 +56,7 @@ from pixsim.viewer.sharpening import unsharp_mask, unsharp_products
 from pixsim.viewer.tone import toned
 
 SATURATED = 0.99  # of the saturation level
-MAX_LAGS = 256  # pixels of a plane between which a covariance is known
+_MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Developing:
         layout = self.layout
         if layout is None or layout.is_stacked:
             return None
-        return Layout(binned_cell(layout.cell)) if is_remosaiced(self.develop, layout) else layout
+        return Layout(binned_cell(layout.cell)) if _is_remosaiced(self.develop, layout) else layout
 
     @property
     def method(self) -> Method | None:
@@ -118,7 +118,7 @@ class Developing:
         return [picture] if self.layout is None else list(self.layout.parts(picture))
 
 
-def is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
+def _is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
     """Return whether the mosaic of a frame becomes one of single pixels."""
     return (
         develop.remosaic
@@ -129,7 +129,7 @@ def is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
 
 
 @dataclass(frozen=True)
-class PixelNoise:
+class _PixelNoise:
     """The noise of the channels of even patches on its way through linear steps, in closed form.
 
     cell : rows of the unit cell; one letter where every pixel has every channel
@@ -216,7 +216,7 @@ class PixelNoise:
         )
 
 
-def _unchanged(noise: PixelNoise, _: Developing) -> PixelNoise:
+def _unchanged(noise: _PixelNoise, _: Developing) -> _PixelNoise:
     return noise
 
 
@@ -240,7 +240,7 @@ class Step:
     works_on: str
     apply: Callable[[Any, Developing], Any] = field(repr=False)
     is_on: Callable[[Developing], bool] = field(default=_always, repr=False)
-    of_noise: Callable[[PixelNoise, Developing], PixelNoise] | None = field(
+    of_noise: Callable[[_PixelNoise, Developing], _PixelNoise] | None = field(
         default=None, repr=False
     )
 
@@ -306,7 +306,7 @@ def noise_of_expected_e2(
     return np.maximum(total - row - column, 0.0), column, row
 
 
-def wiener_responses(c: Developing) -> list[Array]:
+def _wiener_responses(c: Developing) -> list[Array]:
     """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that
     'wiener_bound' has.
     """
@@ -322,7 +322,7 @@ def wiener_responses(c: Developing) -> list[Array]:
     return found
 
 
-def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
+def _denoised_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
     """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose
     in the mean.
 
@@ -331,7 +331,7 @@ def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
     """
     if c.develop.adapts:
         return noise
-    responses = wiener_responses(c)
+    responses = _wiener_responses(c)
     layout = c.layout
     letters = "R" if layout is None else "".join(layout.cell)
     channels = ("R",) if layout is None else layout.channels
@@ -374,7 +374,7 @@ def _lag_products(count: int) -> Array:
     The mean of cos θ(x + ½) cos θ(x + d + ½) over n - d places is ½ (cos dθ - sin dθ/((n - d) sin
     θ)), with θ = πk/n.
     """
-    lags, theta = np.arange(min(count, MAX_LAGS))[:, None], np.pi * np.arange(1, count) / count
+    lags, theta = np.arange(min(count, _MAX_LAGS))[:, None], np.pi * np.arange(1, count) / count
     products = (
         np.cos(lags * theta) - np.sin(lags * theta) / ((count - lags) * np.sin(theta))
     ) / count
@@ -384,7 +384,7 @@ def _lag_products(count: int) -> Array:
 def _denoise(picture: Array, c: Developing) -> Array:
     frame, develop = c.frame, c.develop
     if develop.denoise == "wiener_bound":
-        for part, factors in zip(c.parts(picture), wiener_responses(c), strict=True):
+        for part, factors in zip(c.parts(picture), _wiener_responses(c), strict=True):
             part[...] = wiener.filtered(part, factors)
         return picture
     assert develop.denoise != "none"
@@ -419,7 +419,7 @@ def _white_balance(picture: Array, c: Developing) -> Array:
     return picture
 
 
-def _balanced_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
+def _balanced_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
     by_channel = c.white_e if c.layout is None else balance(c.develop, c.layout, c.white_e)
     return replace(
         noise,
@@ -445,7 +445,7 @@ def _demosaic(picture: Array, c: Developing) -> list[Array]:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
+def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
     """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as
     their brightest channel.
 
@@ -465,7 +465,7 @@ def whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> 
 def _highlights(planes: list[Array], c: Developing) -> list[Array]:
     assert c.full is not None
     assert c.layout is not None
-    whiten(planes, c.full, c.layout)
+    _whiten(planes, c.full, c.layout)
     return planes
 
 
@@ -473,7 +473,7 @@ def _sharpen(planes: list[Array], c: Developing) -> list[Array]:
     return [unsharp_mask(plane, c.develop.sharpen_amount, c.sharpen_px) for plane in planes]
 
 
-def _sharpened_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
+def _sharpened_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
     return replace(noise, products=unsharp_products(c.develop.sharpen_amount, c.sharpen_px))
 
 
@@ -503,7 +503,7 @@ STEPS: Mapping[str, Step] = {
         Step(
             name="remosaic",
             works_on=RAW,
-            is_on=lambda c: is_remosaiced(c.develop, c.layout),
+            is_on=lambda c: _is_remosaiced(c.develop, c.layout),
             apply=_remosaic,
             of_noise=lambda noise, c: replace(noise, remosaiced=True),
         ),
@@ -611,7 +611,7 @@ def noise_covariance(
     count = len(c.white_e)
     lines = np.full(count, of_columns_e), np.full(count, of_rows_e)
     is_mosaic = layout is not None and not layout.is_stacked
-    noise = PixelNoise(
+    noise = _PixelNoise(
         layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines
     )
     for step in STEPS.values():

@@ -58,26 +58,26 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
-FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
-Electrons = Annotated[float, FAINTEST]
-AxisNumber = Annotated[int, Bounds(0, 1)]
+_FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
+Electrons = Annotated[float, _FAINTEST]
+_AxisNumber = Annotated[int, Bounds(0, 1)]
 Degree = Annotated[int, Bounds(0, 5)]
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 # Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is
 # its white.
-PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
-_PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in PRIMARIES_XY]).T
+_PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+_PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in _PRIMARIES_XY]).T
 XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
 GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = (
     1e-9,
     1e-6,
 )  # of a primary's largest light, for rounding; of float32
-WHITE_E_PER_S_UM2 = (
+_WHITE_E_PER_S_UM2 = (
     1e-200,
     1e200,
 )  # pictures divided by white stay within float64 for any sensor and exposure
-MAX_SINGLE = (
+_MAX_SINGLE = (
     1e30  # of white, in float32: shading, corrections and matrices leave it within its range
 )
 SPLINE_DEGREE = {
@@ -86,7 +86,7 @@ SPLINE_DEGREE = {
     "cubic": 3,
     "quintic": 5,
 }  # quintic is only the reference for cubic displays
-B_SPLINE_SAMPLES = {
+_B_SPLINE_SAMPLES = {
     0: (1.0,),
     1: (1.0,),
     3: (4 / 6, 1 / 6),
@@ -96,7 +96,7 @@ BINS_OF_CODE, MAX_BINS = (
     128,
     1 << 18,
 )  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
-CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
+_CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
@@ -214,7 +214,7 @@ def white_rate(
     else:
         white = white_lx(irradiance, camera, display)
         rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
-    low, high = WHITE_E_PER_S_UM2
+    low, high = _WHITE_E_PER_S_UM2
     if not low < rate < high:
         got = (
             f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx"
@@ -321,7 +321,7 @@ def average_axis(
     low_um: float,
     edges_um: Row,
     degree: Degree,
-    axis: AxisNumber,
+    axis: _AxisNumber,
 ) -> Array:
     """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
@@ -443,7 +443,7 @@ def interpolation_mtf(
         raise invalid("interpolation", f"'{interpolation}'", ", ".join(SPLINE_DEGREE))
     degree = SPLINE_DEGREE[interpolation]
     x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
-    middle, *others = B_SPLINE_SAMPLES[degree]
+    middle, *others = _B_SPLINE_SAMPLES[degree]
     samples = middle + sum(
         2 * sample * np.cos(2 * np.pi * k * x) for k, sample in enumerate(others, 1)
     )
@@ -551,7 +551,7 @@ def fits_single(frame: Frame, white_e: Electrons) -> bool:
     """Return whether all codes of a frame, in units of white (electrons), are far within the range
     of float32.
     """
-    return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
+    return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < _MAX_SINGLE * white_e
 
 
 def on_dots(
@@ -632,8 +632,8 @@ def _code_borders(gamma: float, top: int) -> Array:
     """
     codes = np.arange(1.0, top + 1)
     near = ((codes - 0.5) / top) ** gamma
-    below = np.maximum((near * (1 - CODE_MARGIN)).view(np.int64) - 1, 0)
-    reached = (near * (1 + CODE_MARGIN)).view(np.int64) + 1
+    below = np.maximum((near * (1 - _CODE_MARGIN)).view(np.int64) - 1, 0)
+    reached = (near * (1 + _CODE_MARGIN)).view(np.int64) + 1
     while (reached - below > 1).any():
         middle = (below + reached) // 2
         has_code = np.rint(middle.view(float) ** (1 / gamma) * top) >= codes

@@ -33,7 +33,7 @@ class RawNoise(NamedTuple):
     row: float
 
 
-class AxisPower(NamedTuple):
+class _AxisPower(NamedTuple):
     """What one axis does to noise: cross-spectra on its dots, (n, n, dots), of n pictures with each
     other.
 
@@ -85,7 +85,7 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
     return np.asarray(total / total.size / development.screen.display.samples_per_deg**2)
 
 
-def _axis_power(development: Development, axis: int, count: int) -> AxisPower:
+def _axis_power(development: Development, axis: int, count: int) -> _AxisPower:
     """Return the factor of an axis, 0 along y or 1 along x, of `count` pixels."""
     screen, readout = development.screen, development.readout
     sigma_px = development.sharpen_px if development.imaging.develop.sharpens else None
@@ -116,7 +116,7 @@ def _power_of_dots(
     edges_bytes: bytes | None,
     degree: int,
     sigma_px: float | None,
-) -> AxisPower:
+) -> _AxisPower:
     """Return the factor of an axis of `count` pixels; the other arguments are those of
     `average_axis`.
 
@@ -145,7 +145,7 @@ def _power_of_dots(
     dots = len(pictures[0])
     power_of_pixels = np.square(pictures[0]).sum(axis=0)
     share = power_of_pixels / power_of_pixels.sum()
-    return AxisPower(_both_halves(independent, dots), _both_halves(shared, dots), share)
+    return _AxisPower(_both_halves(independent, dots), _both_halves(shared, dots), share)
 
 
 def _both_halves(half: Array, dots: int) -> Array:

@@ -41,7 +41,7 @@ from pixsim.viewer.without_effect import warn_of_records
 
 S = TypeVar("S", bound=Score)
 MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
-MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
+_MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
 _recent_chains: dict[
     str, tuple[ImagingChain, float]
 ] = {}  # the last one last; with `PreparedScene.beyond_white`
@@ -101,7 +101,7 @@ def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
     angles that a file has.
     """
     samples = irradiance.data if irradiance.factors is None else irradiance.factors[1]
-    if samples.nbytes > MAX_DIGESTED_BYTES or imaging.camera.chief_ray_angle is not None:
+    if samples.nbytes > _MAX_DIGESTED_BYTES or imaging.camera.chief_ray_angle is not None:
         return None
     physics = imaging.physics
     responses = [electrons_per_joule(channel, irradiance).tolist() for channel in physics.channels]
@@ -132,7 +132,7 @@ def _add_recent(key: str, chain: ImagingChain, beyond_white: float) -> None:
         sizes.pop(0)
 
 
-def evaluate_frame(
+def _evaluate_frame(
     chain: ImagingChain, key: tuple[object, ...], missing: dict[str, str] | None = None
 ) -> FrameScore:
     """Return the score of a new sensor and a new frame for a key, with the numbers of the metrics.
@@ -161,7 +161,7 @@ def with_numbers(
     """Return a score with the numbers of metrics.
 
     judged : the frame of the score, or the score alone for metrics that need no frame
-    missing : as for `evaluate_frame`
+    missing : as for `_evaluate_frame`
     """
     others = [metric for metric in metrics if not metric.is_delta_e]  # a score has ΔE
     numbers = numbers_of(others, judged, missing)
@@ -229,7 +229,7 @@ def evaluate(
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
     warn_of_records(imaging, irradiance)
     missing: dict[str, str] = {}
-    score = evaluate_frame(chain, ("evaluate", seed), missing)
+    score = _evaluate_frame(chain, ("evaluate", seed), missing)
     for reason in missing.values():
         warn(Note("undefined_metric", words=reason))
 

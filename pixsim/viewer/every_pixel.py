@@ -32,7 +32,7 @@ def at_every_pixel(
     shares : whether pixels around collect light of each other
     """
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    mean = aperture_means(rate, light, physics, side_um, moving)
+    mean = _aperture_means(rate, light, physics, side_um, moving)
     if collection is not None and shares:
         rows, columns = mean.shape
         mean = (
@@ -44,7 +44,7 @@ def at_every_pixel(
     return read_as_one(mean, side) / side**2
 
 
-def aperture_means(
+def _aperture_means(
     rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float, moving: Moving
 ) -> Array:
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
@@ -80,7 +80,7 @@ def mixed_at_every_pixel(
         middle
     """
     means = [
-        aperture_means(
+        _aperture_means(
             channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, moving
         )
         for channel_light, channel in zip(light.lights, collection.each, strict=True)

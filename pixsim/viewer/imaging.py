@@ -34,7 +34,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E_ONLY, MetricRequest
 from pixsim.viewer.setting import Run
 
-OF_PHYSICS = "pixel", "technology"
+_OF_PHYSICS = "pixel", "technology"
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Imaging:
         changes it.
         """
         other = replace(self, **settings)
-        if "physics" in self.__dict__ and not settings.keys() & set(OF_PHYSICS):
+        if "physics" in self.__dict__ and not settings.keys() & set(_OF_PHYSICS):
             other.__dict__["physics"] = self.physics
         return other
 

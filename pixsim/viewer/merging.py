@@ -17,7 +17,7 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 
 # Table -> the words that those of another layer restate.
-RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
+_RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
     "pixel": excluded_by,
     "stack": partial(restated_by, StackOptions),
     "colour": colour_excluded_by,
@@ -38,7 +38,7 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Tables without what others restate in other words."""
     gone = {
-        key: words(over[key]) for key, words in RESTATED.items() if isinstance(over.get(key), dict)
+        key: words(over[key]) for key, words in _RESTATED.items() if isinstance(over.get(key), dict)
     }
     gone["camera"] = {*replaced_by_lens(base, over)}
     return {key: _without(table, gone.get(key, ())) for key, table in base.items()}

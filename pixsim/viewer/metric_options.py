@@ -90,7 +90,7 @@ class Information(Record):
         return self.contrast / 3, max(self.contrast, min(3 * self.contrast, 1.0))
 
 
-class SnrIlluminance(Record):
+class _SnrIlluminance(Record):
     """Settings of the metric snr10_lx."""
 
     snr: Annotated[float, Field(ge=0.1, le=1e6)] = Field(
@@ -127,13 +127,13 @@ class MetricOptions(Record):
 
     detectability: Detectability = Field(Detectability(), description="settings of detectability")
     information: Information = Field(Information(), description="settings of information")
-    snr10_lx: SnrIlluminance = Field(SnrIlluminance(), description="settings of snr10_lx")
+    snr10_lx: _SnrIlluminance = Field(_SnrIlluminance(), description="settings of snr10_lx")
     niirs: Niirs = Field(Niirs(), description="settings of niirs")
 
 
 METRIC_OPTIONS = MetricOptions()
 
-OF_TARGETS = (
+_OF_TARGETS = (
     "detectability",
     "npwe",
 )  # metrics that ask for the light of the scene without its target
@@ -143,4 +143,4 @@ def has_target(metrics: Sequence[str]) -> bool:
     """Return whether some metrics, by their names, ask for the light of the scene without its
     target.
     """
-    return any(name in metrics for name in OF_TARGETS)
+    return any(name in metrics for name in _OF_TARGETS)

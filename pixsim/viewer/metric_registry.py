@@ -13,8 +13,8 @@ from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, 
 from pixsim.viewer.score import Score
 from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
-NamedOrOwn = str | Callable[[Score], float]
-GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
+_NamedOrOwn = str | Callable[[Score], float]
+_GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
 OF_FRAMES = DETECTABILITY, INFORMATION, MTF50, NIIRS
 OF_PICTURES = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
 METRICS: Mapping[str, Metric] = {
@@ -23,7 +23,7 @@ METRICS: Mapping[str, Metric] = {
 
 
 # No metric of a user's may have the name of a column, or of a metric.
-TAKEN = {
+_TAKEN = {
     KEY,
     *OF_PIXEL,
     "condition",
@@ -36,13 +36,13 @@ TAKEN = {
 _functions: dict[str, Metric] = {}  # of the user's, that a call of this process named last
 
 
-def installed_metrics() -> dict[str, metadata.EntryPoint]:
+def _installed_metrics() -> dict[str, metadata.EntryPoint]:
     """Return the metrics of installed packages, by the names of their entry points in the group
     `pixsim.metrics`.
     """
     return {
         entry.name: entry
-        for entry in metadata.entry_points(group=GROUP)
+        for entry in metadata.entry_points(group=_GROUP)
         if entry.name not in METRICS
     }
 
@@ -61,7 +61,7 @@ def installed_metric(entry: metadata.EntryPoint) -> Metric:
         raise invalid("metrics", got, "an entry point that is a function of a Score") from None
 
 
-def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
+def metrics_named(names: Sequence[_NamedOrOwn]) -> tuple[Metric, ...]:
     """Return metrics by their names, and those of functions. Raises PixsimError for an unknown
     name, or one that is there twice.
 
@@ -75,7 +75,7 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
             metric = METRICS[name]
         elif name in _functions:
             metric = _functions[name]
-        elif name in (installed := installed_metrics()):
+        elif name in (installed := _installed_metrics()):
             metric = installed_metric(installed[name])
         else:
             own = "A function of your own is given in Python: metrics=[…, my_metric]."
@@ -83,7 +83,7 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
             raise invalid(
                 "metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint
             )
-        if metric.code and metric.name in TAKEN:
+        if metric.code and metric.name in _TAKEN:
             raise invalid(
                 "metrics",
                 f"a function '{metric.name}', which is a name of pixsim's",
@@ -100,7 +100,7 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
     return tuple(found.values())
 
 
-def names_of(metrics: Sequence[NamedOrOwn]) -> tuple[str, ...]:
+def names_of(metrics: Sequence[_NamedOrOwn]) -> tuple[str, ...]:
     """Return the names of metrics for settings, and keep the functions among them for this process.
 
     metrics : as of `metrics_named`

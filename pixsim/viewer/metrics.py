@@ -175,13 +175,13 @@ class MetricContext:
 
 
 @dataclass(frozen=True)
-class OwnFunction:
+class _OwnFunction:
     """A user's function of a Score as `Metric.compute`."""
 
     function: Callable[[Score], float]
 
-    def __reduce__(self) -> tuple[type[OwnFunction], tuple[object]]:
-        return OwnFunction, (by_value(self.function),)
+    def __reduce__(self) -> tuple[type[_OwnFunction], tuple[object]]:
+        return _OwnFunction, (by_value(self.function),)
 
     def __call__(self, score: Score) -> tuple[float]:
         value = self.function(score)
@@ -224,7 +224,7 @@ def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
         unseen=getattr(function, "unseen", "not stated"),
         columns=(name,),
         bounds=(-math.inf, math.inf),
-        compute=OwnFunction(function),
+        compute=_OwnFunction(function),
         needs_frame=False,
         code=code_hash(function),
     )

@@ -20,7 +20,7 @@ from pixsim.viewer.display import interpolation_mtf, picture_size_um
 from pixsim.viewer.imaging import Imaging
 
 Value = TypeVar("Value", Array, float)
-OF_DISPLAY = ("interpolation", "dot")
+_OF_DISPLAY = ("interpolation", "dot")
 
 
 def mtf_terms(
@@ -37,7 +37,7 @@ def mtf_terms(
     response; of a real lens, in its place, `real lens`: the rms of its MTF over the die. Lens and
     photodiode are those of Chen et al. (2000), section 2.2. The last two belong to the display: its
     interpolation between pixel centres, and the mean over a dot. A `one_to_one` display has
-    neither. In the place of the photodiode, pixels with a stack have that of `stack_mtf_terms`.
+    neither. In the place of the photodiode, pixels with a stack have that of `_stack_mtf_terms`.
 
     dot_um : side of a dot on the sensor; None means that of the whole picture
     path_um : of light that moves in an exposure, along the axis
@@ -62,7 +62,7 @@ def mtf_terms(
     if physics.stack is None:
         terms["photodiode"] = square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
     else:
-        terms |= stack_mtf_terms(irradiance, camera, physics, frequency_cy_per_mm)
+        terms |= _stack_mtf_terms(irradiance, camera, physics, frequency_cy_per_mm)
     if display.raster == "fixed_size":
         terms["interpolation"] = interpolation_mtf(
             frequency_cy_per_mm, physics.pitch_um, display.interpolation
@@ -73,7 +73,7 @@ def mtf_terms(
     return terms
 
 
-def stack_mtf_terms(
+def _stack_mtf_terms(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, frequency_cy_per_mm: Array
 ) -> dict[str, Array]:
     """Return the MTF of each term of a pixel's stack along an axis, for light on the axis of the
@@ -118,4 +118,4 @@ def stack_mtf_terms(
 
 def of_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:
     """Return the terms from scene to sensor."""
-    return {name: mtf for name, mtf in terms.items() if name not in OF_DISPLAY}
+    return {name: mtf for name, mtf in terms.items() if name not in _OF_DISPLAY}

@@ -63,7 +63,7 @@ MOSAIC, CROSSTALK, COLOUR_ERROR = "mosaic", "crosstalk and shading", "colour err
 SHADING, MOTION, VEIL, LENS, NEIGHBOURS = "shading", "motion", "veiling glare", "lens", "neighbours"
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
 NOISE, BLUR = "noise", "blur"
-MORE_BITS = 8  # of an ADC that rounds 256 times finer
+_MORE_BITS = 8  # of an ADC that rounds 256 times finer
 Steps = Iterator[
     tuple[str, float]
 ]  # each cause with the mean ΔE that is left without it and those before it
@@ -131,22 +131,22 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
         return replace(steady, mean_delta_e=whole, delta_e=delta_e)
     frame = chain.capture(*key)
     time_s = frame.integration_s
-    variances = variances_of(chain, time_s)
+    variances = _variances_of(chain, time_s)
     measured = (frame.dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e - frame.mean_e
     noiseless = noiseless_frame(chain, time_s)
 
     mean_delta_e = chain.development.score(frame).mean_delta_e
     steps = [
-        *noise_steps(chain, noiseless, variances, key),
-        *colour_steps(chain, irradiance, noiseless),
-        *blur_steps(chain, irradiance, noiseless),
+        *_noise_steps(chain, noiseless, variances, key),
+        *_colour_steps(chain, irradiance, noiseless),
+        *_blur_steps(chain, irradiance, noiseless),
     ]
     left = [mean_delta_e, *(delta_e for _, delta_e in steps)]
     return NoiseBudget(
         electrons_e={name: math.sqrt(value) for name, value in variances.items()},
         total_e=math.sqrt(sum(variances.values())),
         measured_e=float(np.sqrt(np.mean(np.square(measured)))),
-        render_e=render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
+        render_e=_render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
         mean_delta_e=mean_delta_e,
         delta_e={
             cause: before - after
@@ -176,14 +176,14 @@ def undenoised(chain: ImagingChain) -> ImagingChain:
     )
 
 
-def render_noise_of(irradiance: SpectralImage) -> float:
+def _render_noise_of(irradiance: SpectralImage) -> float:
     """Return the noise of a render relative to its light; 0 where the light states none."""
     stated = irradiance.header.get("render_noise")
     relative = stated.get("relative") if isinstance(stated, dict) else None
     return relative if isinstance(relative, float) else 0.0
 
 
-def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
+def _variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
     """Return the variance of a frame by each cause of noise, the mean over its values in electrons
     squared, in their order.
 
@@ -208,13 +208,13 @@ def finer_adc(readout: Readout) -> Readout:
     """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes
     have the bits.
     """
-    adc, more = readout.adc, min(MORE_BITS, MAX_CODE_BITS - readout.code_bits)
+    adc, more = readout.adc, min(_MORE_BITS, MAX_CODE_BITS - readout.code_bits)
     gain_e_per_dn = readout.amplification / readout.dn_per_e / 2**more
     finer = Adc(adc.bits + more, adc.black_level_dn * 2**more, gain_e_per_dn=gain_e_per_dn)
     return replace(readout, adc=finer)
 
 
-def noise_steps(
+def _noise_steps(
     chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]
 ) -> Steps:
     """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE
@@ -237,7 +237,7 @@ def noise_steps(
         yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
 
 
-def delta_e_of_planes(
+def _delta_e_of_planes(
     planes: Sequence[Array], matrix: Array | None, chain: ImagingChain, noiseless: Frame
 ) -> float:
     """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for
@@ -245,16 +245,16 @@ def delta_e_of_planes(
     """
     developing = chain.development.developing(noiseless, matrix)
     dots = chain.development.mixed_on_dots(developed(list(planes), developing), developing)
-    return delta_e_of_dots(dots, chain)
+    return _delta_e_of_dots(dots, chain)
 
 
-def delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
+def _delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
     """Return the mean ΔE of the light of the display's dots, (H, W) or (3, H, W), 1 for white."""
     image = display_image(chain.development.toned(dots), chain.screen.display)
     return float(chain.screen.delta_e_of(image).mean())
 
 
-def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
+def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
     """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left;
     nothing for grey sensors.
     """
@@ -285,8 +285,8 @@ def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fram
             scene, physics, chain.collection, chain.moving, is_shaded=is_shaded
         )
         matrix = chain.development.matrix
-    yield MOSAIC, delta_e_of_planes(recorded, matrix, unmixed, noiseless)
-    yield CROSSTALK, delta_e_of_planes(channels, unmixed.development.matrix, unmixed, noiseless)
+    yield MOSAIC, _delta_e_of_planes(recorded, matrix, unmixed, noiseless)
+    yield CROSSTALK, _delta_e_of_planes(channels, unmixed.development.matrix, unmixed, noiseless)
 
     weights, white = observer(chain.development.imaging, irradiance)
     collection = collection_of(
@@ -296,7 +296,7 @@ def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fram
     observed = [
         at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates
     ]
-    yield COLOUR_ERROR, delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
+    yield COLOUR_ERROR, _delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
 
 
 def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
@@ -311,7 +311,7 @@ def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], 
     ) * M2_PER_UM2
 
 
-def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
+def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
     """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour
     error.
     """
@@ -329,7 +329,7 @@ def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame)
             at_every_pixel(rate, scene, physics, collection, moving, shares=shares) / white
             for rate in rates
         ]
-        return delta_e_of_planes(planes, matrix, chain, noiseless)
+        return _delta_e_of_planes(planes, matrix, chain, noiseless)
 
     if scene.rendition is None and collection is not None:
         yield (
@@ -360,8 +360,8 @@ def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame)
             / side_um**2
             for rate in rates
         ]
-        yield SAMPLING, delta_e_of_dots(on_dots(averaged, scene, chain, matrix, white), chain)
-    yield APERTURE, delta_e_of_dots(on_dots(rates, scene, chain, matrix, white), chain)
+        yield SAMPLING, _delta_e_of_dots(on_dots(averaged, scene, chain, matrix, white), chain)
+    yield APERTURE, _delta_e_of_dots(on_dots(rates, scene, chain, matrix, white), chain)
 
 
 def on_dots(

@@ -38,11 +38,11 @@ from pixsim.viewer.metric_options import NO_CONTRAST, Detectability
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
-LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
+_LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
 FARTHEST = 1e12  # of d′, and of the factor of a contrast that none makes visible
 RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
-CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
-START_POINTS = 4097  # signals up to the end of the well, among which a table begins
+_CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
+_START_POINTS = 4097  # signals up to the end of the well, among which a table begins
 MOST_WELLS, WIDER = (
     64.0,
     1.25,
@@ -52,11 +52,11 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(
 )  # of a panel of up to 12 deviations: errors of 1e-7
 LEAST = 1e-9  # of deviations, in DN
 POINTS = 65  # frequencies on an axis of the Nyquist square
-ORDERS = 2  # of aliases
+_ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
-RADIAL = (*LENSES, "diffusion")  # terms of the MTF; the others are products of both axes
-TABLE_POINTS = 1025
-HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
+_RADIAL = (*LENSES, "diffusion")  # terms of the MTF; the others are products of both axes
+_TABLE_POINTS = 1025
+_HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
 
 
 def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
@@ -84,7 +84,7 @@ def clips(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]
     return np.asarray(signal_e >= full_e(readout, time_s))
 
 
-class CodeTable(NamedTuple):
+class _CodeTable(NamedTuple):
     """Mean and variance of a frame's codes where the well, or an end of the codes, cuts off their
     noise, against the signal.
 
@@ -107,8 +107,8 @@ class CodeTable(NamedTuple):
     high_e: float
 
 
-class CodeMoments(NamedTuple):
-    """Numbers of a `CodeTable` at signals (...), in their shape."""
+class _CodeMoments(NamedTuple):
+    """Numbers of a `_CodeTable` at signals (...), in their shape."""
 
     mean_e: Array
     variance_e2: Array
@@ -116,7 +116,7 @@ class CodeMoments(NamedTuple):
     offset_slope: Array
 
 
-class ClippedExposure:
+class _ClippedExposure:
     """One exposure of a frame, of pixels that all have the same mean signal.
 
     It takes the noise of the charge, before the well, and that behind it as normal. Each exposure
@@ -278,7 +278,7 @@ class ClippedExposure:
         away_e = means_e - (weight * means_e).sum(axis=1, keepdims=True)
         return np.asarray((weight * away_e**2).sum(axis=1) + offset_slope**2 * self.offset_fpn_e2)
 
-    def table(self, signal_e: Array, low_e: float, high_e: float) -> CodeTable:
+    def table(self, signal_e: Array, low_e: float, high_e: float) -> _CodeTable:
         """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to
         `high_e` of an exposure.
         """
@@ -287,7 +287,7 @@ class ClippedExposure:
         shared_e2 = self.shared_e2(signal_e, offset_slope) if count > 1 else 0.0
         variance_e2 = count * (alone_e2 + (count - 1) * shared_e2)
         mean_e = count * (mean_e - self.dark_e)
-        return CodeTable(
+        return _CodeTable(
             count * signal_e,
             mean_e,
             variance_e2,
@@ -298,49 +298,49 @@ class ClippedExposure:
         )
 
 
-def cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], CodeTable]) -> CodeTable:
+def _cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], _CodeTable]) -> _CodeTable:
     """Return a table that frames of one time and pixel share."""
     readout = frame.readout
     key = name, frame.integration_s, readout.gain_db, readout.exposures, *frame.imaging.pixel_key
     return frame.light.cached(key, compute)
 
 
-def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
+def bottom_table(frame: ExpectedFrame, darkest_e: float) -> _CodeTable | None:
     """Return the table of signals near code 0; None if the noise of the darkest one does not reach
     it.
     """
-    exposure = ClippedExposure(frame.readout, frame.integration_s)
+    exposure = _ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_0(darkest_e / exposure.count):
         return None
 
-    def compute() -> CodeTable:
+    def compute() -> _CodeTable:
         # Shot noise and PRNU grow with the signal: twice as far until the noise no longer reaches
         # code 0.
         end_e = FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2) or 1.0
         while exposure.reaches_0(end_e) and end_e < min(exposure.well_e, exposure.top_e):
             end_e *= 2
-        return exposure.table(np.linspace(0.0, end_e, CODE_POINTS), -math.inf, end_e)
+        return exposure.table(np.linspace(0.0, end_e, _CODE_POINTS), -math.inf, end_e)
 
-    return cached_codes(frame, "bottom codes", compute)
+    return _cached_codes(frame, "bottom codes", compute)
 
 
-def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
+def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
     """Return the table of signals near the full well or the top code; None if the noise of the
     brightest does not reach either.
     """
-    exposure = ClippedExposure(frame.readout, frame.integration_s)
+    exposure = _ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_top(brightest_e / exposure.count):
         return None
 
-    def compute() -> CodeTable:
+    def compute() -> _CodeTable:
         full_e = max(min(exposure.well_e, exposure.top_e) - exposure.dark_e, 0.0)
-        below_e = np.linspace(0.0, full_e, START_POINTS)
+        below_e = np.linspace(0.0, full_e, _START_POINTS)
         start_e = float(below_e[max(int(np.argmax(exposure.reaches_top(below_e))) - 1, 0)])
         width_e = max(full_e - start_e, 1.0)
         most_e = MOST_WELLS * max(min(exposure.well_e, exposure.top_e), 1.0)
         while not exposure.is_certain(full_e + width_e) and width_e < most_e:
             width_e *= WIDER
-        half = CODE_POINTS // 2
+        half = _CODE_POINTS // 2
         beyond_e = full_e + width_e * np.linspace(0.0, 1.0, half + 1) ** 2  # denser near the end
         signal_e = np.concatenate([np.linspace(start_e, full_e, half, endpoint=False), beyond_e])
         table = exposure.table(signal_e, start_e, math.inf)
@@ -348,10 +348,10 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
             table.signal_slope[-1] = 0.0
         return table
 
-    return cached_codes(frame, "top codes", compute)
+    return _cached_codes(frame, "top codes", compute)
 
 
-def code_tables(frame: ExpectedFrame, *signals_e: Array) -> list[CodeTable]:
+def code_tables(frame: ExpectedFrame, *signals_e: Array) -> list[_CodeTable]:
     """Return the tables of both ends that the noise of pictures reaches; none of them far from
     both.
     """
@@ -362,8 +362,8 @@ def code_tables(frame: ExpectedFrame, *signals_e: Array) -> list[CodeTable]:
 
 
 def code_moments(
-    tables: Sequence[CodeTable], signal_e: Array, variance_e2: Array | float
-) -> CodeMoments:
+    tables: Sequence[_CodeTable], signal_e: Array, variance_e2: Array | float
+) -> _CodeMoments:
     """Return the moments of codes at signals (...); where no table holds, they are the signal,
     `variance_e2`, 1 and 1.
     """
@@ -380,7 +380,7 @@ def code_moments(
             np.where(holds, np.interp(signal_e, table.signal_e, column), values)
             for column, values in zip(columns, moments, strict=True)
         ]
-    return CodeMoments(*moments)
+    return _CodeMoments(*moments)
 
 
 def expected_e(frame: ExpectedFrame, signal_e: Array) -> Array:
@@ -409,13 +409,13 @@ def _d_prime(frame: ExpectedFrame) -> float:
     sigma_dn = math.sqrt(
         max(unrounded_dn2, 0.0) / p.exposures
     )  # of an exposure, before it is rounded
-    if sigma_dn < LEAST_SIGMA_DN:
+    if sigma_dn < _LEAST_SIGMA_DN:
         got = (
             f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC"
             " rounds away"
         )
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
-        allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
+        allowed = f"at least {_LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
     column_variance, row_variance = (
         float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")
@@ -467,7 +467,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     factor = min(options.threshold / d_prime, FARTHEST) if d_prime else FARTHEST
     lowest_e = float((background_e + factor * difference_e).min())
     is_negative = lowest_e < -RENDER_NOISE * float(background_e.mean())
-    if is_negative or factor * stated_contrast(frame, options) < -1:
+    if is_negative or factor * _stated_contrast(frame, options) < -1:
         return FARTHEST, "a target cannot be darker than black"
 
     # A target that is full now has a d′ from which no factor follows.
@@ -479,7 +479,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     return factor, ""
 
 
-def stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
+def _stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
     """Return the contrast of a target that its scene states, where the light without it is that of
     no contrast; else 0.
     """
@@ -535,7 +535,7 @@ def grey(asked: MetricContext) -> str:
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
 
 
-def grey_at_a_distance(asked: MetricContext) -> str:
+def _grey_at_a_distance(asked: MetricContext) -> str:
     """Return what a metric of the ground lacks, seen by monochrome sensors."""
     stated = (
         f"the distance of the ground: {setting('camera.object_distance_m')}, or"
@@ -552,7 +552,7 @@ def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
     def compute() -> tuple[Array, dict[str, Array]]:
         readout = frame.readout
         along = np.linspace(
-            0.0, HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, TABLE_POINTS
+            0.0, _HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, _TABLE_POINTS
         )
         return along, of_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
@@ -581,13 +581,13 @@ def sensor_mtf(
     for name, values in terms.items():
         if not with_lens and name in LENSES:
             continue
-        at = (np.hypot(across, down),) if name in RADIAL else (np.abs(across), np.abs(down))
+        at = (np.hypot(across, down),) if name in _RADIAL else (np.abs(across), np.abs(down))
         for frequency in at:
             found = found * np.interp(frequency, along, values, right=0.0)
     return found
 
 
-def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
+def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
     """Return frequencies of an axis (n,), and what pixels see of the scene's spectrum and of its
     aliases, (n, n), in mm².
 
@@ -613,13 +613,13 @@ def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
             )
             return np.asarray(own * sensor_mtf(frame, across, down, with_lens=not of_scene) ** 2)
 
-        return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, ORDERS)
+        return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, _ORDERS)
 
     key = "power", options.content_hash, frame.moving.path_um, *frame.imaging.pixel_key
     return frame.light.cached(key, compute)
 
 
-class Veiled(NamedTuple):
+class _Veiled(NamedTuple):
     """What veiling glare makes of the light that pixels see: all of it, 1 and 0, without.
 
     kept : share of the picture's own electrons that does not stray
@@ -630,24 +630,24 @@ class Veiled(NamedTuple):
     stray: float
 
 
-def veiled(frame: ExpectedFrame) -> Veiled:
+def veiled(frame: ExpectedFrame) -> _Veiled:
     """Return what veiling glare makes of the light of a frame."""
     camera, physics, light = frame.imaging.camera, frame.readout.physics, frame.light.mean
     if not camera.veiling_glare:
-        return Veiled(1.0, 0.0)
+        return _Veiled(1.0, 0.0)
 
-    def compute() -> Veiled:
+    def compute() -> _Veiled:
         weight = electrons_per_joule(physics, light)
         (of_kept,), (stray,) = split_by_veil(light, camera, [weight])
         own, kept = (
             M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept)
         )
-        return Veiled(kept / own, stray / (kept + stray)) if own else Veiled(1.0, 0.0)
+        return _Veiled(kept / own, stray / (kept + stray)) if own else _Veiled(1.0, 0.0)
 
     return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
 
 
-class MeanLevel(NamedTuple):
+class _MeanLevel(NamedTuple):
     """Mean level of the pixels whose codes change with their light, which what clips does less.
 
     share : of the sensor that those pixels are: (Σ s)²/(n Σ s²) of the slopes s at the well and the
@@ -661,7 +661,7 @@ class MeanLevel(NamedTuple):
     variance_e2: float
 
 
-def mean_level(frame: ExpectedFrame) -> MeanLevel:
+def _mean_level(frame: ExpectedFrame) -> _MeanLevel:
     """Return the mean level of a frame, weighted with the slopes of its pixels; a share of 0 if all
     of them are full.
     """
@@ -672,7 +672,7 @@ def mean_level(frame: ExpectedFrame) -> MeanLevel:
         slope = code_moments([top], signal_e, 0.0).signal_slope
         total = float(slope.sum())
         if not total:
-            return MeanLevel(0.0, 0.0, math.inf)
+            return _MeanLevel(0.0, 0.0, math.inf)
         share, mean_e = (
             total**2 / (slope.size * float((slope**2).sum())),
             float((slope * signal_e).sum()) / total,
@@ -681,9 +681,9 @@ def mean_level(frame: ExpectedFrame) -> MeanLevel:
     variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
     tables = code_tables(frame, level_e)
     if not tables:
-        return MeanLevel(share, mean_e, float(variance_e2))
+        return _MeanLevel(share, mean_e, float(variance_e2))
     moments = code_moments(tables, level_e, variance_e2)
-    return MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
+    return _MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
 def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
@@ -695,8 +695,8 @@ def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
     """
     frame, options = judged.expected, judged.options.information
     others = options.other_contrasts
-    axis, power, folded = scene_power(frame)
-    share, mean_e, variance_e2 = mean_level(frame)
+    axis, power, folded = _scene_power(frame)
+    share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
         nothing = math.nan if others is None else 0.0
         return 0.0, 0.0, nothing, nothing
@@ -723,7 +723,7 @@ def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
     where all of them are.
     """
     frequency = np.linspace(0.0, 500.0 / frame.readout.physics.read_pitch_um, POINTS)
-    share, mean_e, variance_e2 = mean_level(frame)
+    share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
         return frequency, np.full(POINTS, np.nan)
     noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
@@ -777,7 +777,7 @@ def _mtf50(judged: FrameUnderTest) -> tuple[float]:
         path_um := frame.moving.longest_um
     ):  # before the first zero of a long path, which the table may leave out
         along, mtf = _mtf_along(
-            frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS)
+            frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), _TABLE_POINTS)
         )
     half = mtf50(along, mtf)
     return (float(along[-1]) if half is None else half,)
@@ -899,6 +899,6 @@ NIIRS = Metric(
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,
-    lacks=grey_at_a_distance,
+    lacks=_grey_at_a_distance,
     needs_light=True,
 )

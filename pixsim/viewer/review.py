@@ -24,7 +24,7 @@ def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
     """
     if light is None:
         return pixel_notes(imaging.physics)
-    notes = camera_notes(imaging.camera, light.irradiance)
+    notes = _camera_notes(imaging.camera, light.irradiance)
     return notes + pixel_notes(imaging.physics, imaging.camera, light.irradiance)
 
 
@@ -51,7 +51,7 @@ def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | No
         warn(note)
 
 
-def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[Note]:
+def _camera_notes(camera: Camera, irradiance: SpectralImage) -> list[Note]:
     """Return a note if light was rendered with another camera than the one that is given."""
     stated = irradiance.header.get("camera")
     if stated is None:

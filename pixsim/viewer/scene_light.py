@@ -39,8 +39,8 @@ from pixsim.viewer.screen import (
 
 T = TypeVar("T")
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
-CACHED_TABLES = 32  # of some pixel sizes
-RECENT = (
+_CACHED_TABLES = 32  # of some pixel sizes
+_RECENT = (
     4  # prepared scenes, and lights behind the lens; each has some 20 MB at 1024 samples across
 )
 
@@ -99,7 +99,7 @@ class LightFacts:
         there are too many.
         """
         if key not in self._cached:
-            while len(self._cached) >= CACHED_TABLES:
+            while len(self._cached) >= _CACHED_TABLES:
                 self._cached.pop(next(iter(self._cached)), None)
             self._cached[key] = compute()
         value: T = self._cached[key]
@@ -429,6 +429,6 @@ class RecentScenes:
 
 def _add_recent(recent: dict[Hashable, T], key: Hashable, value: T) -> None:
     """Add an entry as the last one; the first goes if there are too many."""
-    while len(recent) >= RECENT:
+    while len(recent) >= _RECENT:
         del recent[next(iter(recent))]
     recent[key] = value

@@ -58,10 +58,10 @@ Planes = npt.NDArray[Any]  # float64, or float32 with `single`
 SINGLE_DELTA_E = 1e-3
 
 
-MAX_EXPONENT = 1000  # of a power of two in float64, and of its reciprocal
+_MAX_EXPONENT = 1000  # of a power of two in float64, and of its reciprocal
 
 
-def checked_triples(
+def _checked_triples(
     name: str, values: npt.ArrayLike, dimensions: int | None = None, single: bool = False
 ) -> Planes:
     array = np.asarray(values)
@@ -77,8 +77,8 @@ def checked_triples(
     return array
 
 
-def checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:
-    first, second = (checked_triples(name, values, dimensions) for name, values in arrays.items())
+def _checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:
+    first, second = (_checked_triples(name, values, dimensions) for name, values in arrays.items())
     if first.shape != second.shape:
         shapes = f"shapes {first.shape} and {second.shape}"
         raise invalid(
@@ -104,7 +104,7 @@ def checked_white(white_xyz: npt.ArrayLike) -> Floats:
 Filters = Literal["published", "zhang1996"]
 # (weight, spread in degrees) of each Gaussian exp(-r^2 / spread^2), a row per opponent channel:
 # [ZW].
-PUBLISHED_GAUSSIANS = (
+_PUBLISHED_GAUSSIANS = (
     ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
     ((0.531, 0.0392), (0.330, 0.494)),
     ((0.488, 0.0536), (0.371, 0.386)),
@@ -115,8 +115,8 @@ ZHANG1996_GAUSSIANS = (
     ((0.616725, 0.0685), (0.383275, 0.826)),
     ((0.567885, 0.092), (0.432115, 0.6451)),
 )
-ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
-ZHANG1996_SAMPLES_PER_DEG = (
+_ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
+_ZHANG1996_SAMPLES_PER_DEG = (
     1e-6,
     1e6,
 )  # its kernels are a degree long: outside this range they are one sample, or fill the memory
@@ -141,7 +141,7 @@ class ViewingConditions:
         cls, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters
     ) -> ViewingConditions:
         white = checked_white(white_xyz)
-        low, high = ZHANG1996_SAMPLES_PER_DEG
+        low, high = _ZHANG1996_SAMPLES_PER_DEG
         if filters == "zhang1996" and not low <= samples_per_deg <= high:
             allowed = f"{low:g} to {high:g} for 'zhang1996'"
             raise invalid(
@@ -202,7 +202,7 @@ def _published_terms(
     in cy/deg, for exp(-x²/s²).
     """
     frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
-    gaussians = PUBLISHED_GAUSSIANS[channel]
+    gaussians = _PUBLISHED_GAUSSIANS[channel]
     gain = sum(weight for weight, _ in gaussians)
     with np.errstate(
         over="ignore"
@@ -232,7 +232,7 @@ def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
     """Return one Gaussian of [1996], one degree long. Its sum is 1 before, but not after thinning
     to the image's density.
     """
-    upsampling = max(1, math.ceil(ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
+    upsampling = max(1, math.ceil(_ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
     position = _centred_positions(samples_per_deg * upsampling)
     alpha = 2 * math.sqrt(math.log(2)) / (width_deg * samples_per_deg * upsampling - 1)
     dense = np.exp(-((alpha * position) ** 2))
@@ -287,7 +287,7 @@ def delta_e_map(
     >>> round(float(delta_e.mean()), 6), round(116 * (1 - 0.5 ** (1 / 3)), 6)
     (23.930739, 23.930739)
     """
-    reference, test = checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
+    reference, test = _checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
     lab = partial(
         filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters
     )
@@ -321,7 +321,7 @@ def filtered_lab(
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     spectrum = _opponent_spectrum(
-        checked_triples("xyz", xyz, dimensions=3, single=single), view, single
+        _checked_triples("xyz", xyz, dimensions=3, single=single), view, single
     )
     return _assemble_strips(_iter_lab_strips(spectrum, view), spectrum)
 
@@ -393,7 +393,7 @@ def colour_delta_e_map(
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     spectrum = _opponent_spectrum(
-        checked_triples("xyz", xyz, dimensions=3, single=single), view, single
+        _checked_triples("xyz", xyz, dimensions=3, single=single), view, single
     )
     return _differences(reference_lab, _iter_lab_strips(spectrum, view), spectrum)
 
@@ -424,7 +424,7 @@ def _opponent_spectrum(xyz: Planes, view: ViewingConditions, single: bool) -> Pl
     # A product takes a tenth of the time of `ldexp`, but its factor must be a number.
     scaled, scale = (
         (np.multiply, math.ldexp(1.0, -view.exponent))
-        if abs(view.exponent) < MAX_EXPONENT
+        if abs(view.exponent) < _MAX_EXPONENT
         else (np.ldexp, -view.exponent)
     )
     for rows, strip in strips_of(planes.shape, opponent.dtype, STRIP_DOTS):
@@ -489,7 +489,7 @@ def delta_e(lab_reference: Finites, lab_test: Finites, formula: Formula = "1976"
     >>> float(delta_e([50.0, 0.0, 0.0], [53.0, 4.0, 0.0]))
     5.0
     """
-    reference, test = checked_pair(lab_reference=lab_reference, lab_test=lab_test)
+    reference, test = _checked_pair(lab_reference=lab_reference, lab_test=lab_test)
     if formula == "1976":
         distance = np.empty(reference.size // 3)
         x, y, z = test.reshape(-1, 3).T.copy()
@@ -525,7 +525,7 @@ def xyz_to_lab(xyz: Finites, white_xyz: Positives) -> Floats:
     Negative XYZ is treated as in `filtered_lab`. Raises PixsimError (a ValueError) for invalid
     shapes or values.
     """
-    planes = np.moveaxis(checked_triples("xyz", xyz), -1, 0)
+    planes = np.moveaxis(_checked_triples("xyz", xyz), -1, 0)
     white = checked_white(white_xyz)
     return _lab(
         np.stack([plane / scale for plane, scale in zip(planes, white, strict=True)]), *CIE_LAB
@@ -571,7 +571,7 @@ def _lab_of_f(f: Planes) -> Lab:
 
 # of the 23 of a float32's fraction: 1024 bins an octave, whose chords are within 3e-8 of a cube
 # root
-F_BIN_BITS = 13
+_F_BIN_BITS = 13
 
 
 @lru_cache(maxsize=2)
@@ -579,11 +579,11 @@ def _f_lines(threshold: float, slope: float) -> npt.NDArray[np.complex64]:
     """Return CIELAB's f as a straight line in each bin of the non-negative float32 numbers: its
     slope, and i times its value at 0.
 
-    Numbers that differ only in the last `F_BIN_BITS` of their bits share a bin. The bits of such
+    Numbers that differ only in the last `_F_BIN_BITS` of their bits share a bin. The bits of such
     numbers, read as integers, increase with them. Below the threshold f is a line itself.
     """
-    infinity = np.float32(np.inf).view(np.int32) >> F_BIN_BITS
-    edges = (np.arange(infinity + 1, dtype=np.int32) << F_BIN_BITS).view(np.float32).astype(float)
+    infinity = np.float32(np.inf).view(np.int32) >> _F_BIN_BITS
+    edges = (np.arange(infinity + 1, dtype=np.int32) << _F_BIN_BITS).view(np.float32).astype(float)
     edges[-1] = 2.0**128  # in place of infinity
     f = np.where(edges > threshold, np.cbrt(edges), slope * edges + 16 / 116)
     slopes = np.where(edges[1:] > threshold, np.diff(f) / np.diff(edges), slope)
@@ -601,7 +601,7 @@ def _single_f(relative: Planes, threshold: float, slope: float, out: Planes) -> 
     bins = np.empty(relative.shape, np.intp)
     # Negative numbers have negative bins, which are clipped to the first one, of the line through
     # 0.
-    np.right_shift(relative.view(np.int32), F_BIN_BITS, out=bins)
+    np.right_shift(relative.view(np.int32), _F_BIN_BITS, out=bins)
     lines = np.take(_f_lines(threshold, slope), bins, mode="clip")
     np.multiply(relative, lines.real, out=out)
     out += lines.imag

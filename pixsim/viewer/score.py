@@ -18,7 +18,7 @@ from pixsim.sensor.readout import Frame
 from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
 from pixsim.viewer.display_options import Display
 
-FloatOrNaN = Annotated[float, Bounds(unknown=True)]
+_FloatOrNaN = Annotated[float, Bounds(unknown=True)]
 NOTHING = "the frame tells nothing"
 
 
@@ -87,8 +87,8 @@ class Score(Result):
     ideal: Array = field(repr=False)
     image: Array = field(repr=False)
     display: Display = field(repr=False)
-    metrics: dict[str, FloatOrNaN] = field(default_factory=dict, kw_only=True)
-    further: dict[str, FloatOrNaN] = field(default_factory=dict, kw_only=True, repr=False)
+    metrics: dict[str, _FloatOrNaN] = field(default_factory=dict, kw_only=True)
+    further: dict[str, _FloatOrNaN] = field(default_factory=dict, kw_only=True, repr=False)
 
     @property
     def mean_delta_e(self) -> float:

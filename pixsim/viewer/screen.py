@@ -42,16 +42,16 @@ from pixsim.viewer.tone import luminance_of, toned
 
 ROUNDING = 1e-6  # of white, in the luminance of a dot
 CLIPPED_WARNING = 0.01  # share of the ideal picture
-WHITE_PERCENTILE = 99.0  # of the ideal picture of a scene whose white is unknown
-WHITE_FROM = f"{WHITE_PERCENTILE:g}th percentile of the ideal image"
-WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
+_WHITE_PERCENTILE = 99.0  # of the ideal picture of a scene whose white is unknown
+_WHITE_FROM = f"{_WHITE_PERCENTILE:g}th percentile of the ideal image"
+_WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 # of white, between the primaries of a dot of the ideal image: two codes of 8 bits and more in all
 # but dark greys
 COLOURED = 0.02
 
 # Of fields of a display: their units, and their entries in a header. A radiance is there where a
 # luminance says nothing.
-UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "cd/m²"}
+_UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "cd/m²"}
 HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "luminance_cd_per_m2"}
 
 
@@ -71,7 +71,7 @@ def perceived_lab(
     shown : (H, W) luminance, or (H, W, 3) light of the display's primaries
     single : compute in float32
     """
-    view = viewing_conditions(display) | {"single": single}
+    view = _viewing_conditions(display) | {"single": single}
     if shown.ndim == 3:
         return filtered_lab(
             displays.rgb_to_xyz(shown.astype(np.float32, copy=False) if single else shown), **view
@@ -81,7 +81,7 @@ def perceived_lab(
     )
 
 
-def viewing_conditions(display: Display) -> dict[str, Any]:
+def _viewing_conditions(display: Display) -> dict[str, Any]:
     """Return the S-CIELAB arguments for a display."""
     return {
         "white_xyz": displays.WHITE_XYZ,
@@ -136,7 +136,7 @@ class Screen:
                 perceived_lab(image, self.display, self.full, self.single),
                 self.display.delta_e,
             )
-        view = viewing_conditions(self.display) | {"single": self.single}
+        view = _viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
         return colour_delta_e_map(
@@ -330,10 +330,10 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
     ):
         return {}
     estimate = max(
-        float(np.percentile(amount_of_white(*pair), WHITE_PERCENTILE, overwrite_input=True))
+        float(np.percentile(amount_of_white(*pair), _WHITE_PERCENTILE, overwrite_input=True))
         for pair in seen
     )
-    unit = UNITS_OF_WHITE[name]
+    unit = _UNITS_OF_WHITE[name]
     if not estimate > 0:
         got = "no value, and the picture is too dark to estimate it"
         what = "luminance" if name == "white_cd_per_m2" else "radiance"
@@ -343,9 +343,9 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
             f"the scene {what} in {unit} shown as white",
             f"Set {setting(f'display.{name}')}.",
         )
-    white = rounded_up(estimate, WHITE_DIGITS)
+    white = _rounded_up(estimate, _WHITE_DIGITS)
     of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
-    source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
+    source = f"the {_WHITE_FROM} in the sensor's response{of_all}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
     warn(
         Note(
@@ -353,7 +353,7 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
             words=f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}",
         )
     )
-    return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
+    return {HEADER_OF_WHITE[name]: white, "white_from": _WHITE_FROM}
 
 
 def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]:
@@ -396,7 +396,7 @@ def with_white(display: Display, white: Mapping[str, Any]) -> Display:
     return display.model_copy(update={**stated, "white": None}) if stated else display
 
 
-def rounded_up(value: float, digits: int) -> float:
+def _rounded_up(value: float, digits: int) -> float:
     """Return a positive number rounded up to so many decimal digits, but for errors of rounding.
 
     >>> rounded_up(730.1, 2), rounded_up(730.0000001, 2), rounded_up(9.96e-5, 2)
@@ -439,7 +439,7 @@ class LightLevel(NamedTuple):
         scene's.
         """
         header, times_s = irradiance.header, np.array(list(integration_s), float)
-        stated = [name for name in UNITS_OF_WHITE if getattr(display, name)]
+        stated = [name for name in _UNITS_OF_WHITE if getattr(display, name)]
         name = (
             stated[0]
             if stated
@@ -450,10 +450,10 @@ class LightLevel(NamedTuple):
         else:
             white = header[HEADER_OF_WHITE[name]]
             source = header.get("white_from", "the scene")
-            source += ", in the sensor's response" if source == WHITE_FROM else ""
+            source += ", in the sensor's response" if source == _WHITE_FROM else ""
         return cls(
             float(white),
-            UNITS_OF_WHITE[name],
+            _UNITS_OF_WHITE[name],
             source,
             displays.white_light(irradiance)[1],
             float(times_s.min()),

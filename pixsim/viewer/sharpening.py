@@ -15,7 +15,7 @@ import scipy  # whose parts are imported when they are used
 from pixsim.base.arrays import Array, Finites, Picture
 from pixsim.base.bounds import NotNegative, Positive
 
-TRUNCATED = 4.0  # standard deviations, beyond which 6e-5 of a Gaussian lies
+_TRUNCATED = 4.0  # standard deviations, beyond which 6e-5 of a Gaussian lies
 
 
 def gaussian_taps(sigma_px: Positive) -> Array:
@@ -24,7 +24,7 @@ def gaussian_taps(sigma_px: Positive) -> Array:
 
     sigma_px : standard deviation in pixels
     """
-    reach = math.ceil(TRUNCATED * sigma_px)
+    reach = math.ceil(_TRUNCATED * sigma_px)
     taps = np.exp(-((np.arange(-reach, reach + 1) / sigma_px) ** 2) / 2)
     return np.asarray(taps / taps.sum())
 

@@ -35,9 +35,9 @@ from pixsim.viewer.score import Score
 from pixsim.viewer.sharpening import unsharp_response
 
 GREY = 0.18  # of white: the patch of visual noise
-FEW_FULL = 0.01  # of the patch's pixels: the noise of more of them is cut off where it shows
+_FEW_FULL = 0.01  # of the patch's pixels: the noise of more of them is cut off where it shows
 POINTS = 257
-FLIP_PACKAGE = "flip_evaluator"
+_FLIP_PACKAGE = "flip_evaluator"
 
 
 def _acutance(judged: FrameUnderTest) -> tuple[float]:
@@ -114,14 +114,12 @@ def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
     )
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
-    if frame.saturated_fraction > FEW_FULL:
+    if frame.saturated_fraction > _FEW_FULL:
         full = (
             f"{percent(frame.saturated_fraction)} of the pixels of"
             f" {development.readout.physics.pitch_um:g} µm full"
         )
-        allowed = (
-            f"at most {percent(FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
-        )
+        allowed = f"at most {percent(_FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
         raise NoNumberError(
             str(invalid("the metric visual_noise", full, allowed, "Expose it for less time."))
         )
@@ -174,7 +172,7 @@ def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
         development = frame.development
         with_target, difference = _expected_light(judged.frame, frame)
         samples_per_deg = development.screen.display.samples_per_deg
-        power = expected_noise_power(development, raw_noise(frame, frame.signal_e))
+        power = expected_noise_power(development, _raw_noise(frame, frame.signal_e))
         if number == 0 and develop.tone and difference.any():
             light = development.light_before_tone(judged.frame)
             curved = npwe(
@@ -211,7 +209,7 @@ def _periodogram(noise: Array) -> Array:
     return np.asarray(np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2)
 
 
-def raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
+def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
     """Return the noise of an expected frame behind its corrections, relative to the scene's white.
 
     Near the ends of the well and of the codes it is what these leave.
@@ -284,7 +282,7 @@ NPWE = Metric(
 
 def _needs_flip(asked: MetricContext) -> str:
     return (
-        "" if find_spec(FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
+        "" if find_spec(_FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
     )
 
 

@@ -30,7 +30,7 @@ SRGB_LINEAR_TO, SRGB_SLOPE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = (
 )
 
 
-def srgb_value(light: Numbers) -> Array:
+def _srgb_value(light: Numbers) -> Array:
     """Return the value of sRGB (IEC 61966-2-1), 0 to 1, (...) as the light, which is clipped to 0 …
     1.
 
@@ -83,7 +83,7 @@ def toned(light: Array, develop: Develop, display: Display) -> Array:
     if curve == "gamma":
         values = lambda inside: inside ** (1 / develop.tone_gamma)  # noqa: E731
     elif curve == "srgb":
-        values = srgb_value
+        values = _srgb_value
     else:
         assert not isinstance(curve, str)
         at, value = np.array(curve).T

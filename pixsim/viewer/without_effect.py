@@ -57,7 +57,7 @@ from pixsim.viewer.setting import Setting
 
 # of the smallest difference that a result resolves: the scatter of a frame, a code of the display
 RESOLVED = 1e-3
-METRIC_DIGITS = 1e-6  # relative: 1e-3 of the last of the four digits that are shown
+_METRIC_DIGITS = 1e-6  # relative: 1e-3 of the last of the four digits that are shown
 PIXELS, SAMPLES = (
     20,
     24,
@@ -65,15 +65,15 @@ PIXELS, SAMPLES = (
 MIN_ASPECT, MAX_ASPECT = 0.5, 2.0  # of the small light
 DOTS = 16  # of the display across it
 BAND_NM = 40.0
-WHITE_OVER_LIGHT = 1.1  # so that no dot of the ideal picture is brighter than display white
-NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
+_WHITE_OVER_LIGHT = 1.1  # so that no dot of the ideal picture is brighter than display white
+_NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 # Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
-PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
+_PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
 PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1  # of what dark charge leaves, of the brightest pixel
 STREAM = ("small light",)
-KEPT_NOTES = 256  # of calls with records
-SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
-QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
+_KEPT_NOTES = 256  # of calls with records
+_SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
+_QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
 SOLVE_FOR = "metric.detectability.solve_for"  # for commands of one frame
 TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop", "display"
 
@@ -108,14 +108,14 @@ def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
     return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
 
 
-RecordKind = TypeVar("RecordKind", bound=Record)
+_RecordKind = TypeVar("_RecordKind", bound=Record)
 
 
 class Default:
     """In place of a value, that a setting is left out."""
 
 
-def record_with(record: RecordKind, path: Sequence[str], value: object) -> RecordKind:
+def record_with(record: _RecordKind, path: Sequence[str], value: object) -> _RecordKind:
     """Return a record with another value of one of its fields, or of a record inside.
 
     value : `Default` leaves the field out, and a record inside with its last field
@@ -135,7 +135,7 @@ def record_with(record: RecordKind, path: Sequence[str], value: object) -> Recor
     )
 
 
-def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
+def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
     """Return an imaging with another value of a setting, as of `record_with`."""
     table, *path = name.split(".")
     if table == "metric":
@@ -165,7 +165,7 @@ def words_of(annotation: object) -> Iterator[object]:
 
 
 @dataclass(frozen=True)
-class SmallLight:
+class _SmallLight:
     """A picture with an edge, a ramp and a coloured patch on a few hundred pixels of a sensor.
 
     light : with the target, and the white
@@ -186,7 +186,7 @@ class SmallLight:
     _prepared: dict[object, PreparedScene] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
-    def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> SmallLight:
+    def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> _SmallLight:
         """Return the small light for settings; `picture` is light that is given, whose bands it
         has.
         """
@@ -220,7 +220,7 @@ class SmallLight:
             )
 
         unit = light(with_target, 1.0)
-        small = cls(unit, unit, imaging, scale, dict(NO_WHITE))
+        small = cls(unit, unit, imaging, scale, dict(_NO_WHITE))
         brightness = small._brightness(small.seen(imaging))
         lit = replace(
             small, light=light(with_target, brightness), background=light(background, brightness)
@@ -245,9 +245,9 @@ class SmallLight:
 
         if exposure.integration_s is None:
             well_e = exposure.well_target * readout.saturation_e
-            time_s = PART_OF_LONGEST * exposure.times * exposure.max_integration_s
+            time_s = _PART_OF_LONGEST * exposure.times * exposure.max_integration_s
             if exposure.flicker_hz is not None:  # in many periods lamps are steady
-                time_s = min(time_s, PART_OF_LONGEST / exposure.flicker_hz)
+                time_s = min(time_s, _PART_OF_LONGEST / exposure.flicker_hz)
             if readout.dark_current_e_per_s * time_s > PART_OF_WELL * well_e:
                 time_s = PART_OF_WELL * well_e / readout.dark_current_e_per_s
         else:
@@ -258,9 +258,9 @@ class SmallLight:
 
     def _white(self, imaging: Imaging) -> dict[str, float | None]:
         """Return the fields of a display that state a white above all of the light."""
-        return NO_WHITE | {
+        return _NO_WHITE | {
             white_field(self.light): (
-                WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())
+                _WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())
             )
         }
 
@@ -288,7 +288,7 @@ class SmallLight:
 
         develop = imaging.develop
         if "matrix" not in self.imaging.develop.model_fields_set:
-            develop = develop.model_copy(update={"matrix": QUICK_MATRIX})
+            develop = develop.model_copy(update={"matrix": _QUICK_MATRIX})
 
         display = imaging.display.model_copy(update={"dots": DOTS, **self.white})
         motion = Motion(image_um_per_s=imaging.um_per_s) if imaging.motion.is_on else imaging.motion
@@ -356,10 +356,12 @@ def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
 # ---------------------------------------------------------------------------------------------------------
 
 
-class SmallFrame:
+class _SmallFrame:
     """What settings make of the small light, each part computed when it is asked for."""
 
-    def __init__(self, small: SmallLight, imaging: Imaging, base: SmallFrame | None = None) -> None:
+    def __init__(
+        self, small: _SmallLight, imaging: Imaging, base: _SmallFrame | None = None
+    ) -> None:
         self.small = small
         self.base = base or self
         self.imaging = small.seen(imaging)
@@ -439,7 +441,7 @@ class SmallFrame:
         return np.array(list(values.values()))
 
 
-def has_effect(base: SmallFrame, other: SmallFrame) -> bool:
+def _has_effect(base: _SmallFrame, other: _SmallFrame) -> bool:
     """Whether two settings give the small light another frame, noise, ideal picture or metric.
 
     The noise is that of the same mean charge, and the picture that of the same frame: each part is
@@ -479,7 +481,7 @@ def has_effect(base: SmallFrame, other: SmallFrame) -> bool:
             values = base.metric_values(metric, base.frame)
             # NaN differs from everything: of a metric without a number nothing is known.
             if _differ(
-                other.metric_values(metric, base.frame), values, METRIC_DIGITS * np.abs(values)
+                other.metric_values(metric, base.frame), values, _METRIC_DIGITS * np.abs(values)
             ):
                 return True
     return False
@@ -555,7 +557,7 @@ class GivenSettings:
             for name, size_mm, die_mm in zip(
                 ("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True
             ):
-                if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=SAME_LENGTH):
+                if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=_SAME_LENGTH):
                     same.add(name)
         return cls(imaging, tuple(name for name in names if name not in same), **facts)
 
@@ -575,21 +577,21 @@ class GivenSettings:
         return cls.of(imaging, tables, settings=setting, **facts)
 
     @cached_property
-    def base(self) -> SmallFrame | None:
+    def base(self) -> _SmallFrame | None:
         """What the settings make of the small light; None where it is too small for them."""
         try:
-            trial = SmallFrame(SmallLight.of(self.imaging, self.picture), self.imaging)
+            trial = _SmallFrame(_SmallLight.of(self.imaging, self.picture), self.imaging)
             trial.variance_e2(trial.frame.mean_e)
         except PixsimError:
             return None
         return trial
 
-    def trial_with(self, name: str, value: object) -> SmallFrame:
-        """Return what other settings make of the small light, as of `imaging_with`. Raises
+    def trial_with(self, name: str, value: object) -> _SmallFrame:
+        """Return what other settings make of the small light, as of `_imaging_with`. Raises
         PixsimError if they are refused.
         """
         assert self.base is not None
-        return SmallFrame(self.base.small, imaging_with(self.imaging, name, value), self.base)
+        return _SmallFrame(self.base.small, _imaging_with(self.imaging, name, value), self.base)
 
     def without_effect(self) -> list[str]:
         """Return the names of the settings that do nothing."""
@@ -614,7 +616,7 @@ class GivenSettings:
     def _differs_with(self, name: str, value: object, *, when_refused: bool) -> bool:
         assert self.base is not None
         try:
-            return has_effect(self.base, self.trial_with(name, value))
+            return _has_effect(self.base, self.trial_with(name, value))
         except PixsimError:
             return when_refused
 
@@ -675,7 +677,7 @@ def _is_of_render(case: GivenSettings, name: str) -> bool | None:
     return (case.is_rendered and has_fall_off) or None
 
 
-CAMERA_OF_RENDER = (
+_CAMERA_OF_RENDER = (
     "focal_length_mm",
     "f_number",
     "die_mm",
@@ -693,7 +695,7 @@ ROWS = (
     # It is not rendered.
     Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
     Row(
-        (*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"),
+        (*(f"camera.{name}" for name in _CAMERA_OF_RENDER), "lens.relative_illumination"),
         _is_of_render,
     ),
     # It has one target, which no parameter states.
@@ -713,7 +715,7 @@ ROWS = (
         ("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"
     ),
     Row(
-        tuple(f"display.{name}" for name in NO_WHITE), lambda case, _: True
+        tuple(f"display.{name}" for name in _NO_WHITE), lambda case, _: True
     ),  # it has a white of its own
     Row(("display.dots",), lambda case, _: case.imaging.display.raster == "fixed_size"),
     Row(("correction.defects",), lambda case, _: True),
@@ -773,7 +775,7 @@ def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
         *header,
     )
     if key not in _notes:
-        while len(_notes) >= KEPT_NOTES:
+        while len(_notes) >= _KEPT_NOTES:
             del _notes[next(iter(_notes))]
         _notes[key] = effect_notes({"": [GivenSettings.of_records(imaging, light)]})
     for note in _notes[key]:

@@ -18,8 +18,8 @@ from pixsim.light.tables import A_PER_W, read_table
 from pixsim.scene.mitsuba import mitsuba_folder
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?")
-NO_METAL = "none"
-ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
+_NO_METAL = "none"
+_ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
 MIN_PLAIN, MAX_PLAIN = (
     -5,
     16,
@@ -49,7 +49,7 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
     once for each state of the file.
     """
     try:
-        table = read_table(path, "spectrum", ALLOWED_SPECTRUM, 1, MAX_SPECTRUM)
+        table = read_table(path, "spectrum", _ALLOWED_SPECTRUM, 1, MAX_SPECTRUM)
     except ValueError as error:
         raise PixsimError(f"spectrum: {error}") from None
     if len(table.nm) < 2:
@@ -86,7 +86,7 @@ def _plain(number: Decimal) -> str:
 def metals() -> tuple[str, ...]:
     """Return the names of the metals whose refractive index comes with Mitsuba."""
     return (
-        NO_METAL,
+        _NO_METAL,
         *sorted(
             path.name.removesuffix(".eta.spd")
             for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd")

@@ -33,10 +33,10 @@ from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.textures import check_share
 from pixsim.scene.variants.graphics import CUDA
 
-ENDED_S = 10.0  # in which a killed process ends
-MAX_REPLY = 1 << 20  # bytes of a line
+_ENDED_S = 10.0  # in which a killed process ends
+_MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
-READ_AT_ONCE = 1 << 16
+_READ_AT_ONCE = 1 << 16
 LOOK_S = 0.5  # between two looks at the child and the clock
 
 
@@ -99,7 +99,7 @@ class _Child:
             with suppress(OSError):
                 self.process.kill()
             with suppress(OSError, subprocess.SubprocessError):
-                self.process.wait(timeout=ENDED_S)
+                self.process.wait(timeout=_ENDED_S)
         for name in ("requests", "replies", "life"):
             with suppress(OSError):
                 os.close(getattr(self, name))
@@ -154,16 +154,16 @@ class _Child:
         os.set_blocking(self.requests, False)
         while left:
             self._wait([], [self.requests], ends_at_s)
-            left = left[os.write(self.requests, left[:READ_AT_ONCE]) :]
+            left = left[os.write(self.requests, left[:_READ_AT_ONCE]) :]
 
     def _line(self, ends_at_s: float | None) -> bytes:
         while b"\n" not in self._read:
             self._wait([self.replies], [], ends_at_s)
-            more = os.read(self.replies, READ_AT_ONCE)
+            more = os.read(self.replies, _READ_AT_ONCE)
             if not more:
                 raise EOFError
             self._read += more
-            if len(self._read) > MAX_REPLY:
+            if len(self._read) > _MAX_REPLY:
                 raise ValueError
         line, _, self._read = self._read.partition(b"\n")
         return line

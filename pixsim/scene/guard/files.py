@@ -30,16 +30,16 @@ from pixsim.scene.packaged import packaged_folder
 
 ALLOWED = "a readable XML file"
 ASSETS = "assets"  # the parameter of pixsim that names a folder of files for scenes
-MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
+_MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
 MAX_DEPTH = 24  # of nested elements; Mitsuba's two-sided materials double the work at each level
-MAX_INCLUDES = 64
-MAX_INCLUDE_DEPTH = 8
-MAX_PARAMETERS = 512
-MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
-MAX_SUBSTITUTED = 20_000  # parameters in all attributes
-OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
-DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
-TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
+_MAX_INCLUDES = 64
+_MAX_INCLUDE_DEPTH = 8
+_MAX_PARAMETERS = 512
+_MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
+_MAX_SUBSTITUTED = 20_000  # parameters in all attributes
+_OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
+_DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
+_TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class SceneFiles:
     defaults: dict[str, str] = field(default_factory=dict)
     root: SceneElement | None = None
     _values: dict[str, str] = field(default_factory=dict)
-    _left_bytes: int = MAX_XML
-    _left_expanded: int = MAX_EXPANDED
-    _left_substituted: int = MAX_SUBSTITUTED
+    _left_bytes: int = _MAX_XML
+    _left_expanded: int = _MAX_EXPANDED
+    _left_substituted: int = _MAX_SUBSTITUTED
     _includes: int = 0
 
     @property
@@ -189,11 +189,11 @@ class SceneFiles:
             size += len(self._values[name])
             self._left_substituted -= 1
             if self._left_substituted < 0 or size > self._left_expanded:
-                allowed = f"{MAX_SUBSTITUTED} of them, {MAX_EXPANDED} characters in total"
+                allowed = f"{_MAX_SUBSTITUTED} of them, {_MAX_EXPANDED} characters in total"
                 raise invalid(f"scene '{path}'", "too many substitutions of parameters", allowed)
             return self._values[name] + word[len(name) :]
 
-        value = DOLLAR.sub(put, value)
+        value = _DOLLAR.sub(put, value)
         self._left_expanded -= len(value)
         return value
 
@@ -220,7 +220,7 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
     return scene
 
 
-def without_comments(text: str) -> str:
+def _without_comments(text: str) -> str:
     """Remove comments: Mitsuba's parser accepts two hyphens in a comment, which XML does not."""
     pieces, at = [], 0
     while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
@@ -235,7 +235,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     scene._left_bytes -= len(text)
     if not includes_deep:
         scene.content = text
-    text = without_comments(text)
+    text = _without_comments(text)
     parser = expat.ParserCreate("utf-8")
     # For each element that is open: what it will be, and its children so far.
     open_elements: list[tuple[str, dict[str, str], int, list[SceneElement]]] = [("", {}, 0, [])]
@@ -303,9 +303,9 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
 def _check_version(root: SceneElement) -> None:
     version = root.attributes.get("version", "")
     numbers = re.fullmatch(r"(\d{1,4})\.(\d{1,4})\.(\d{1,4})", version)
-    if numbers is None or tuple(map(int, numbers.groups())) < OLDEST_VERSION:
+    if numbers is None or tuple(map(int, numbers.groups())) < _OLDEST_VERSION:
         got = f"version {version}" if numbers else "no version"
-        oldest = ".".join(map(str, OLDEST_VERSION))
+        oldest = ".".join(map(str, _OLDEST_VERSION))
         hint = 'Write <scene version="3.0.0">, and names with underscores, such as to_world.'
         raise invalid(f"scene '{root.file}'", got, f"{oldest} or newer in its first element", hint)
 
@@ -320,23 +320,23 @@ def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> 
         )
     scene.defaults.setdefault(name, value)
     scene._values.setdefault(name, value)
-    if len(scene._values) > MAX_PARAMETERS:
+    if len(scene._values) > _MAX_PARAMETERS:
         raise invalid(
-            f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}"
+            f"scene '{path}'", f"more than {_MAX_PARAMETERS} parameters", f"up to {_MAX_PARAMETERS}"
         )
 
 
 def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
     """Return the file that a line of an XML includes."""
     scene._includes += 1
-    if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
+    if scene._includes > _MAX_INCLUDES or includes_deep >= _MAX_INCLUDE_DEPTH:
         got = (
             "includes nested too deep"
-            if includes_deep >= MAX_INCLUDE_DEPTH
-            else f"more than {MAX_INCLUDES} includes"
+            if includes_deep >= _MAX_INCLUDE_DEPTH
+            else f"more than {_MAX_INCLUDES} includes"
         )
         raise invalid(
-            f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep"
+            f"scene '{path}'", got, f"at most {_MAX_INCLUDES}, nested {_MAX_INCLUDE_DEPTH} deep"
         )
     return scene.locate(name, path.parent, "include", f"line {line} of '{path.name}'")
 
@@ -377,4 +377,4 @@ def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
 
 def escaped(value: str) -> str:
     # Mitsuba would take a dollar for a parameter unless a backslash is before it.
-    return TO_ESCAPE.sub(lambda match: f"&#{ord(match[0])};", value.replace("$", "\\$"))
+    return _TO_ESCAPE.sub(lambda match: f"&#{ord(match[0])};", value.replace("$", "\\$"))

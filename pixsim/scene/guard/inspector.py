@@ -30,7 +30,7 @@ VALUES = (
     "spectrum",
     "transform",
 )  # elements of properties
-STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
+_STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 # Why some plugins of Mitsuba are not in the table.
 REASONS = {
     "integrator": (
@@ -42,12 +42,14 @@ REASONS = {
         " one may stand beside it, and is not used."
     ),
 }
-PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
+_PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
 MAX_NAME = 256
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
 # As Mitsuba names an element of a text, and what it quotes.
-LINE_OF_TEXT = re.compile(r"(?:\b[Aa]t|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)")
-QUOTED = re.compile(r'"([^"]*)"')
+_LINE_OF_TEXT = re.compile(
+    r"(?:\b[Aa]t|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)"
+)
+_QUOTED = re.compile(r'"([^"]*)"')
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,11 @@ class SceneText:
             name = Path(word[1]).name
             is_file = any(f"'{name}'" in place for place in self.places)
             return excerpt(
-                word[1], word[1] in self.typed or is_file or PROPERTY.fullmatch(word[1]) is not None
+                word[1],
+                word[1] in self.typed or is_file or _PROPERTY.fullmatch(word[1]) is not None,
             )
 
-        return LINE_OF_TEXT.sub(place, QUOTED.sub(quote, message))
+        return _LINE_OF_TEXT.sub(place, _QUOTED.sub(quote, message))
 
 
 def open_scene(
@@ -204,11 +207,11 @@ class _Inspector:
             raise invalid(f"{parent}.{name}", f"<{kind}> in {node.place}", allowed, rule.instead)
         if kind == "transform":
             for step in node.children:
-                if step.tag not in STEPS_OF_TRANSFORM:
+                if step.tag not in _STEPS_OF_TRANSFORM:
                     raise invalid(
                         f"{parent}.{name}",
                         f"another element in {step.place}",
-                        ", ".join(STEPS_OF_TRANSFORM),
+                        ", ".join(_STEPS_OF_TRANSFORM),
                     )
                 _without_children(step)
             return node
@@ -259,4 +262,4 @@ def _property(name: str) -> str:
     """Return the name of a property as messages have it: quoted if it is one as Mitsuba's, and no
     key.
     """
-    return excerpt(name, typed=PROPERTY.fullmatch(name) is not None)
+    return excerpt(name, typed=_PROPERTY.fullmatch(name) is not None)

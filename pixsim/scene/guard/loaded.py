@@ -27,14 +27,14 @@ LEAST_BYTES = 4 << 30
 # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
 BYTES_PER_BYTE = 16
 # A corner of an OBJ's face that names no texture coordinates, or no normal.
-CORNER = rb"(?m)^[ \t]*f[ \t](?:.*[ \t])?-?\d+%b(?=\s|\Z)"
-UNSET_OF_OBJ = (
+_CORNER = rb"(?m)^[ \t]*f[ \t](?:.*[ \t])?-?\d+%b(?=\s|\Z)"
+_UNSET_OF_OBJ = (
     (
         "texture coordinates",
         re.compile(rb"(?m)^[ \t]*vt[ \t]"),
-        re.compile(CORNER % rb"(?:/(?:/-?\d*)?)?"),
+        re.compile(_CORNER % rb"(?:/(?:/-?\d*)?)?"),
     ),
-    ("normals", re.compile(rb"(?m)^[ \t]*vn[ \t]"), re.compile(CORNER % rb"(?:/-?\d*/?)?")),
+    ("normals", re.compile(rb"(?m)^[ \t]*vn[ \t]"), re.compile(_CORNER % rb"(?:/-?\d*/?)?")),
 )
 
 
@@ -132,7 +132,7 @@ def _check_obj(path: Path, what: str) -> None:
     Mitsuba leaves those of the others as the memory was, so that a render would not repeat.
     """
     content = path.read_bytes()
-    for name, declaration, corner in UNSET_OF_OBJ:
+    for name, declaration, corner in _UNSET_OF_OBJ:
         if declaration.search(content) and (face := corner.search(content)):
             line = content.count(b"\n", 0, face.start()) + 1
             hint = f"Export it again with {name} for all of it, or for none."

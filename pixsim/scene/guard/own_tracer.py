@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     )
     from mitsuba.parser import ParserConfig, ParserState
 
-SCALAR_BLOCK = (
+_SCALAR_BLOCK = (
     32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 )
 OF_THE_LENS = (
@@ -114,7 +114,7 @@ class OwnTracer:
                     )  # a plain number would be a d65
         for index, node in nodes_of(tree, "Integrator"):
             if self._scalar and "block_size" not in node:
-                state.nodes[index].props["block_size"] = SCALAR_BLOCK
+                state.nodes[index].props["block_size"] = _SCALAR_BLOCK
         for index, name, table in self.job.tables:
             state.nodes[index].props[name] = mi.load_dict(table)
         config = mi.parser.ParserConfig(self.job.variant)
@@ -129,7 +129,7 @@ class OwnTracer:
     def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
         scene_integrator: Any = None if self.job.integrator else scene.integrator()
         return scene_integrator or mi.load_dict(
-            {"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {})
+            {"type": "path", "block_size": _SCALAR_BLOCK} | (self.job.integrator or {})
         )
 
     def sample_count(self, sampler: str, samples: int) -> int:

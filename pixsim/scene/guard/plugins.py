@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 from pixsim.scene.textures import METAL_BY_NAME
 
-NUMBER_TAGS = ("float", "integer")
-COLOUR_TAGS = (*NUMBER_TAGS, "spectrum", "rgb")
+_NUMBER_TAGS = ("float", "integer")
+_COLOUR_TAGS = (*_NUMBER_TAGS, "spectrum", "rgb")
 
 
 @dataclass(frozen=True)
@@ -41,17 +41,17 @@ class Plugin:
 
 
 NUMBER, WHOLE, FLAG, WORD = (
-    Allowed(NUMBER_TAGS),
+    Allowed(_NUMBER_TAGS),
     Allowed(("integer",)),
     Allowed(("boolean",)),
     Allowed(("string",)),
 )
 TRANSFORM, PLACE = Allowed(("transform",)), Allowed(("point", "vector"))
-COLOUR = Allowed(COLOUR_TAGS, kinds=("texture",))
+COLOUR = Allowed(_COLOUR_TAGS, kinds=("texture",))
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
-INDEX = Allowed(("string", *COLOUR_TAGS), kinds=("texture",))
-INDEX_OF_METAL = replace(COLOUR, tags=(*NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
-VOLUME = Allowed(COLOUR_TAGS, kinds=("volume",))
+INDEX = Allowed(("string", *_COLOUR_TAGS), kinds=("texture",))
+_INDEX_OF_METAL = replace(COLOUR, tags=(*_NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
+VOLUME = Allowed(_COLOUR_TAGS, kinds=("volume",))
 PICTURE, MESH, GRID, METAL = (
     Allowed(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal")
 )
@@ -62,30 +62,30 @@ def each(rule: Allowed, names: str) -> dict[str, Allowed]:
     return dict.fromkeys(names.split(), rule)
 
 
-OF_EMITTERS = each(NUMBER, "sampling_weight") | each(TRANSFORM, "to_world")
-OF_SHAPES = (
+_OF_EMITTERS = each(NUMBER, "sampling_weight") | each(TRANSFORM, "to_world")
+_OF_SHAPES = (
     each(TRANSFORM, "to_world")
     | each(FLAG, "flip_normals")
     | each(NUMBER, "silhouette_sampling_weight")
 )
-OF_MESHES = OF_SHAPES | each(MESH, "filename") | each(FLAG, "face_normals flip_tex_coords")
-OF_INTEGRATORS = (
+_OF_MESHES = _OF_SHAPES | each(MESH, "filename") | each(FLAG, "face_normals flip_tex_coords")
+_OF_INTEGRATORS = (
     each(WHOLE, "max_depth rr_depth block_size samples_per_pass")
     | each(FLAG, "hide_emitters")
     | each(NUMBER, "timeout")
 )
-OF_SENSORS = each(TRANSFORM, "to_world") | each(
+_OF_SENSORS = each(TRANSFORM, "to_world") | each(
     NUMBER, "near_clip far_clip shutter_open shutter_close"
 )
-OF_LENSES = (
-    OF_SENSORS
+_OF_LENSES = (
+    _OF_SENSORS
     | each(WORD, "fov_axis focal_length")
     | each(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
 )
-OF_THIN_LENSES = OF_LENSES | each(NUMBER, "aperture_radius focus_distance")
-OF_SAMPLERS = each(WHOLE, "sample_count seed")
-OF_JITTERED = OF_SAMPLERS | each(FLAG, "jitter")
-OF_FILMS = (
+_OF_THIN_LENSES = _OF_LENSES | each(NUMBER, "aperture_radius focus_distance")
+_OF_SAMPLERS = each(WHOLE, "sample_count seed")
+_OF_JITTERED = _OF_SAMPLERS | each(FLAG, "jitter")
+_OF_FILMS = (
     each(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
     | each(FLAG, "sample_border compensate banner")
     | each(WORD, "component_format")
@@ -96,37 +96,37 @@ OF_PICTURES = (
     | each(FLAG, "raw accel")
     | each(TRANSFORM, "to_uv")
 )
-OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
-OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(
+_OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
+_OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(
     COLOUR, "specular_reflectance specular_transmittance"
 )
-OF_ROUGH = (
+_OF_ROUGH = (
     each(COLOUR, "alpha alpha_u alpha_v")
     | each(WORD, "distribution")
     | each(FLAG, "sample_visible")
 )
-OF_METALS = (
-    each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
+_OF_METALS = (
+    each(METAL, "material") | each(_INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
 )
-OF_PLASTICS = (
+_OF_PLASTICS = (
     each(COLOUR, "diffuse_reflectance specular_reflectance")
     | each(INDEX, "int_ior ext_ior")
     | each(FLAG, "nonlinear")
 )
-OF_PRINCIPLED = (
+_OF_PRINCIPLED = (
     each(COLOUR, "base_color")
     | each(COLOUR, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
     | each(NUMBER, "eta diffuse_reflectance_sampling_rate")
 )
-OF_THICK = each(COLOUR, "metallic clearcoat clearcoat_gloss") | each(
+_OF_THICK = each(COLOUR, "metallic clearcoat clearcoat_gloss") | each(
     NUMBER, "specular main_specular_sampling_rate clearcoat_sampling_rate"
 )
-OF_THIN = each(COLOUR, "diff_trans") | each(
+_OF_THIN = each(COLOUR, "diff_trans") | each(
     NUMBER,
     "specular_reflectance_sampling_rate specular_transmittance_sampling_rate"
     " diffuse_transmittance_sampling_rate",
 )
-OF_SKIES = (
+_OF_SKIES = (
     each(
         NUMBER,
         "turbidity latitude longitude timezone hour minute second sun_scale sky_scale sun_aperture",
@@ -136,38 +136,38 @@ OF_SKIES = (
     | each(PLACE, "sun_direction")
     | each(FLAG, "complex_sun")
 )
-OF_MEDIA = (
+_OF_MEDIA = (
     each(VOLUME, "albedo sigma_t")
     | each(NUMBER, "scale")
     | each(FLAG, "sample_emitters has_spectral_extinction")
 )
-OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
-OF_GRIDS = (
+_OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
+_OF_GRIDS = (
     each(GRID, "filename")
     | each(WORD, "filter_type wrap_mode")
     | each(FLAG, "raw accel use_grid_bbox")
 )
 IN_SHAPES, IN_SENSORS = ("bsdf", "emitter", "medium", "texture"), ("film", "sampler", "medium")
-ANY_KIND = (
+_ANY_KIND = (
     "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
 )  # fmt: skip
 
 # Kind -> name -> plugin.
 PLUGINS: dict[str, dict[str, Plugin]] = {
-    "scene": {"scene": Plugin(each(FLAG, "embree_use_robust_intersections"), holds=ANY_KIND)},
+    "scene": {"scene": Plugin(each(FLAG, "embree_use_robust_intersections"), holds=_ANY_KIND)},
     "sensor": {
-        "thinlens": Plugin(OF_THIN_LENSES, holds=IN_SENSORS),
-        "perspective": Plugin(OF_THIN_LENSES, holds=IN_SENSORS),
-        "orthographic": Plugin(OF_SENSORS, holds=IN_SENSORS),
+        "thinlens": Plugin(_OF_THIN_LENSES, holds=IN_SENSORS),
+        "perspective": Plugin(_OF_THIN_LENSES, holds=IN_SENSORS),
+        "orthographic": Plugin(_OF_SENSORS, holds=IN_SENSORS),
     },
     "film": {
-        "hdrfilm": Plugin(OF_FILMS | each(WORD, "file_format pixel_format"), holds=("rfilter",)),
-        "specfilm": Plugin(OF_FILMS, holds=("rfilter", "texture")),
+        "hdrfilm": Plugin(_OF_FILMS | each(WORD, "file_format pixel_format"), holds=("rfilter",)),
+        "specfilm": Plugin(_OF_FILMS, holds=("rfilter", "texture")),
     },
     "sampler": {
-        **dict.fromkeys(("independent", "ldsampler"), Plugin(OF_SAMPLERS)),
-        **dict.fromkeys(("stratified", "multijitter"), Plugin(OF_JITTERED)),
-        "orthogonal": Plugin(OF_JITTERED | each(WHOLE, "strength")),
+        **dict.fromkeys(("independent", "ldsampler"), Plugin(_OF_SAMPLERS)),
+        **dict.fromkeys(("stratified", "multijitter"), Plugin(_OF_JITTERED)),
+        "orthogonal": Plugin(_OF_JITTERED | each(WHOLE, "strength")),
     },
     "rfilter": {
         **dict.fromkeys(("box", "catmullrom"), Plugin()),
@@ -178,64 +178,64 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
     },
     "integrator": {
         **dict.fromkeys(
-            ("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(OF_INTEGRATORS)
+            ("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(_OF_INTEGRATORS)
         ),
         "direct": Plugin(
-            OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")
+            _OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")
         ),
     },
     "emitter": {
         **dict.fromkeys(
-            ("area", "constant", "directionalarea"), Plugin(OF_EMITTERS | each(COLOUR, "radiance"))
+            ("area", "constant", "directionalarea"), Plugin(_OF_EMITTERS | each(COLOUR, "radiance"))
         ),
-        "directional": Plugin(OF_EMITTERS | each(COLOUR, "irradiance") | each(PLACE, "direction")),
-        "point": Plugin(OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
+        "directional": Plugin(_OF_EMITTERS | each(COLOUR, "irradiance") | each(PLACE, "direction")),
+        "point": Plugin(_OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
         "spot": Plugin(
-            OF_EMITTERS
+            _OF_EMITTERS
             | each(COLOUR, "intensity texture")
             | each(NUMBER, "cutoff_angle beam_width")
         ),
         "projector": Plugin(
-            OF_EMITTERS | OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"),
+            _OF_EMITTERS | _OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"),
             holds=("texture",),
         ),
         "envmap": Plugin(
-            OF_EMITTERS
+            _OF_EMITTERS
             | each(PICTURE, "filename")
             | each(NUMBER, "scale")
             | each(FLAG, "mis_compensation")
         ),
-        "sunsky": Plugin(OF_EMITTERS | OF_SKIES),
+        "sunsky": Plugin(_OF_EMITTERS | _OF_SKIES),
     },
     "shape": {
         "sphere": Plugin(
-            OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES
+            _OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES
         ),
         "cylinder": Plugin(
-            OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES
+            _OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES
         ),
-        **dict.fromkeys(("rectangle", "disk"), Plugin(OF_SHAPES, holds=IN_SHAPES)),
-        "cube": Plugin(OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
-        **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, holds=IN_SHAPES)),
-        "serialized": Plugin(OF_MESHES | each(WHOLE, "shape_index"), holds=IN_SHAPES),
+        **dict.fromkeys(("rectangle", "disk"), Plugin(_OF_SHAPES, holds=IN_SHAPES)),
+        "cube": Plugin(_OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
+        **dict.fromkeys(("ply", "obj"), Plugin(_OF_MESHES, holds=IN_SHAPES)),
+        "serialized": Plugin(_OF_MESHES | each(WHOLE, "shape_index"), holds=IN_SHAPES),
         "shapegroup": Plugin(holds=("shape",)),
         "instance": Plugin(each(TRANSFORM, "to_world"), holds=("shape",)),
     },
     "bsdf": {
         "diffuse": Plugin(each(COLOUR, "reflectance")),
-        **dict.fromkeys(("dielectric", "thindielectric"), Plugin(OF_DIELECTRICS)),
-        "roughdielectric": Plugin(OF_DIELECTRICS | OF_ROUGH),
-        "conductor": Plugin(OF_METALS),
-        "roughconductor": Plugin(OF_METALS | OF_ROUGH),
-        "plastic": Plugin(OF_PLASTICS),
-        "roughplastic": Plugin(OF_PLASTICS | OF_ROUGH),
-        "principled": Plugin(OF_PRINCIPLED | OF_THICK),
-        "principledthin": Plugin(OF_PRINCIPLED | OF_THIN),
+        **dict.fromkeys(("dielectric", "thindielectric"), Plugin(_OF_DIELECTRICS)),
+        "roughdielectric": Plugin(_OF_DIELECTRICS | _OF_ROUGH),
+        "conductor": Plugin(_OF_METALS),
+        "roughconductor": Plugin(_OF_METALS | _OF_ROUGH),
+        "plastic": Plugin(_OF_PLASTICS),
+        "roughplastic": Plugin(_OF_PLASTICS | _OF_ROUGH),
+        "principled": Plugin(_OF_PRINCIPLED | _OF_THICK),
+        "principledthin": Plugin(_OF_PRINCIPLED | _OF_THIN),
         "twosided": Plugin(holds=("bsdf",)),
         "mask": Plugin(each(COLOUR, "opacity"), holds=("bsdf",)),
         "blendbsdf": Plugin(each(COLOUR, "weight"), holds=("bsdf",)),
-        "bumpmap": Plugin(OF_MAPS | each(NUMBER, "scale"), holds=("bsdf", "texture")),
-        "normalmap": Plugin(OF_MAPS | each(COLOUR, "normalmap"), holds=("bsdf", "texture")),
+        "bumpmap": Plugin(_OF_MAPS | each(NUMBER, "scale"), holds=("bsdf", "texture")),
+        "normalmap": Plugin(_OF_MAPS | each(COLOUR, "normalmap"), holds=("bsdf", "texture")),
         "null": Plugin(),
     },
     "texture": {
@@ -243,14 +243,14 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "checkerboard": Plugin(each(COLOUR, "color0 color1") | each(TRANSFORM, "to_uv")),
         "mesh_attribute": Plugin(each(WORD, "name") | each(NUMBER, "scale")),
         "volume": Plugin(holds=("volume",)),
-        "uniform": Plugin(OF_TABLES | each(NUMBER, "value")),
-        "regular": Plugin(OF_TABLES | each(WORD, "values range")),
+        "uniform": Plugin(_OF_TABLES | each(NUMBER, "value")),
+        "regular": Plugin(_OF_TABLES | each(WORD, "values range")),
         "irregular": Plugin(each(WORD, "wavelengths values")),
         "d65": Plugin(each(NUMBER, "scale") | each(Allowed(("rgb",)), "color"), holds=("texture",)),
-        "blackbody": Plugin(OF_TABLES | each(NUMBER, "temperature")),
+        "blackbody": Plugin(_OF_TABLES | each(NUMBER, "temperature")),
         "srgb": Plugin(each(Allowed(("rgb",)), "color")),
     },
-    "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(OF_MEDIA, holds=("phase",))),
+    "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(_OF_MEDIA, holds=("phase",))),
     "phase": {
         **dict.fromkeys(("isotropic", "rayleigh"), Plugin()),
         "hg": Plugin(each(NUMBER, "g")),
@@ -258,6 +258,6 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
     },
     "volume": {
         "constvolume": Plugin(each(COLOUR, "value")),
-        "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world")),
+        "gridvolume": Plugin(_OF_GRIDS | each(TRANSFORM, "to_world")),
     },
 }

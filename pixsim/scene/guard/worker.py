@@ -21,11 +21,11 @@ from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba
 
-LACKS_MEMORY = (
+_LACKS_MEMORY = (
     "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser"
     " film"
 )
-JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
+_JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
 Picture = NDArray[np.float32]
@@ -38,7 +38,7 @@ def answer(
     it.
     """
     if "job" in request:
-        job = JOBS.validate_python(request["job"])
+        job = _JOBS.validate_python(request["job"])
         import_mitsuba(job.variant)
         limit_memory(job)
         highest = check_files(job)
@@ -58,7 +58,7 @@ def answer(
     return tracer, {"channels": picture.shape[2]}, picture
 
 
-def end_with_parent(life: int) -> None:
+def _end_with_parent(life: int) -> None:
     """Let the system end this process as soon as the other end of a pipe closes, also while Mitsuba
     is at work.
     """
@@ -82,7 +82,7 @@ def main(requests: int, replies: int, life: int) -> None:
     ):  # they reach the parent too, which kills this process
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGIO, signal.SIG_DFL)
-    end_with_parent(life)
+    _end_with_parent(life)
     warnings.simplefilter("ignore")  # the parent has given them
     tracer: OwnTracer | None = None
     with os.fdopen(requests, "rb") as lines, os.fdopen(replies, "wb") as out:
@@ -91,9 +91,9 @@ def main(requests: int, replies: int, life: int) -> None:
             try:
                 tracer, reply, picture = answer(tracer, json.loads(line))
             except PixsimError as error:
-                reply = {"error": str(error).replace("std::bad_alloc", LACKS_MEMORY)}
+                reply = {"error": str(error).replace("std::bad_alloc", _LACKS_MEMORY)}
             except MemoryError:
-                reply = {"error": LACKS_MEMORY}
+                reply = {"error": _LACKS_MEMORY}
             except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
                 reply = {
                     "error": (

@@ -22,7 +22,7 @@ from pixsim.scene.trial import attempt
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
 DRIVER_VARIABLE, DRIVER = "DRJIT_LIBCUDA_PATH", "libcuda.so.1"
-DRIVER_FILES = Path(
+_DRIVER_FILES = Path(
     "/proc/driver/nvidia"
 )  # its version and its cards, which can be read without starting it
 # Variables that change what the driver shows of its cards, or which driver it is.
@@ -34,7 +34,7 @@ DRIVER_SETTINGS = (
     DRIVER_VARIABLE,
     "DRJIT_LIBOPTIX_PATH",
 )
-PICTURE_S = 90.0  # the first picture on a card compiles everything
+_PICTURE_S = 90.0  # the first picture on a card compiles everything
 KIND = "cards"
 NO_CARD = "no NVIDIA card is here (no /dev/nvidiactl)"
 NEEDS = (
@@ -100,7 +100,7 @@ def verdict(again: bool = False) -> GraphicsTrial:
     settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
     files = [
         machine.text_of(path)
-        for path in (DRIVER_FILES / "version", *sorted(DRIVER_FILES.glob("gpus/*/information")))
+        for path in (_DRIVER_FILES / "version", *sorted(_DRIVER_FILES.glob("gpus/*/information")))
     ]
     key = content_hash([files, settings, cache.version_fingerprint("mitsuba", "drjit")])
     trial = (
@@ -111,7 +111,7 @@ def verdict(again: bool = False) -> GraphicsTrial:
     if trial is not None:
         return trial
 
-    fault = attempt(CUDA, limit_s=PICTURE_S).fault
+    fault = attempt(CUDA, limit_s=_PICTURE_S).fault
     trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})")
     if has_cache:
         cache.store_value(KIND, key, {"fault": trial.fault})

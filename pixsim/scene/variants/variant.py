@@ -30,7 +30,7 @@ OLDEST_LLVM = 17
 LLVM, SCALAR, CUDA = "llvm_ad_spectral", "scalar_spectral", graphics.CUDA
 VARIANTS = (LLVM, SCALAR, CUDA)
 UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` examines LLVM and the graphics card."
-SYSTEM_PATTERNS = (  # of Debian, Fedora and Arch, in /usr
+_SYSTEM_PATTERNS = (  # of Debian, Fedora and Arch, in /usr
     "lib/*-linux-gnu/libLLVM*.so*",
     "lib/llvm-*/lib/libLLVM*.so*",
     "lib64/libLLVM*.so*",
@@ -74,7 +74,7 @@ def llvm_version(path: str) -> int:
     return int(major.value)
 
 
-def cached_version(path: str) -> int:
+def _cached_version(path: str) -> int:
     """Return `llvm_version`, cached for a library's size and time of change: loading it takes 50
     ms, in vain without a render.
 
@@ -96,10 +96,10 @@ def cached_version(path: str) -> int:
     )
 
 
-def library_fault(path: str) -> str | None:
+def _library_fault(path: str) -> str | None:
     """Return why Mitsuba cannot use a libLLVM; None if it can."""
     try:
-        version = cached_version(path)
+        version = _cached_version(path)
     except OSError:
         return (
             "cannot be loaded (no library for this machine)"
@@ -130,7 +130,9 @@ def _newest_first(paths: Iterable[Path]) -> list[str]:
 
 
 def _system_candidates() -> list[str]:
-    return _newest_first(path for pattern in SYSTEM_PATTERNS for path in Path("/usr").glob(pattern))
+    return _newest_first(
+        path for pattern in _SYSTEM_PATTERNS for path in Path("/usr").glob(pattern)
+    )
 
 
 def _wheel_candidates() -> list[str]:
@@ -156,9 +158,9 @@ def find_llvm() -> tuple[str | None, str]:
     if stated in _reasons:
         return stated, _reasons[stated]
     for path, origin in candidates():
-        fault = library_fault(path)
+        fault = _library_fault(path)
         if fault is None:
-            return path, f"{origin}, LLVM {cached_version(path)}"
+            return path, f"{origin}, LLVM {_cached_version(path)}"
         if origin == LLVM_VARIABLE:
             hint = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
             raise invalid(

@@ -21,14 +21,14 @@ import numpy as np
 from pixsim.base.arrays import Array, Finites, NotNegatives
 from pixsim.base.bounds import Bounds
 
-LARGEST_VARIANCE_E2 = 1e18  # beyond which z + σ² has no digits for z
-GaussianVariance = Annotated[float, Bounds(0, LARGEST_VARIANCE_E2)]
-OFFSET_E = 3 / 8
-SERIES_FROM_E = 250.0  # of λ + σ²: from here the series of f about its mean errs by less than 1e-9
-TAIL = 9.0  # standard deviations: all beyond is below 1e-17 of the whole
-GAUSSIAN_STEPS = 400  # of √u: the trapezium rule converges faster than any power of the step
-TABLE_STEP = 0.02  # of f: interpolation between such values errs by less than 1e-5 e-
-TABLE_END = 2e3  # of f, a million electrons: beyond, the correction is constant within 1e-6 e-
+_LARGEST_VARIANCE_E2 = 1e18  # beyond which z + σ² has no digits for z
+GaussianVariance = Annotated[float, Bounds(0, _LARGEST_VARIANCE_E2)]
+_OFFSET_E = 3 / 8
+_SERIES_FROM_E = 250.0  # of λ + σ²: from here the series of f about its mean errs by less than 1e-9
+_TAIL = 9.0  # standard deviations: all beyond is below 1e-17 of the whole
+_GAUSSIAN_STEPS = 400  # of √u: the trapezium rule converges faster than any power of the step
+_TABLE_STEP = 0.02  # of f: interpolation between such values errs by less than 1e-5 e-
+_TABLE_END = 2e3  # of f, a million electrons: beyond, the correction is constant within 1e-6 e-
 
 
 def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
@@ -43,7 +43,7 @@ def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     20.037
     """
     values = np.array(signal_e, float)
-    values += OFFSET_E + gaussian_variance_e2
+    values += _OFFSET_E + gaussian_variance_e2
     np.maximum(values, 0.0, out=values)
     np.sqrt(values, out=values)
     values *= 2
@@ -68,7 +68,7 @@ def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     values = np.asarray(values, float)
     base = values / 2
     base *= base
-    base -= OFFSET_E + gaussian_variance_e2
+    base -= _OFFSET_E + gaussian_variance_e2
     base += np.interp(values, knots, corrections)
     below = values < knots[0]
     return (
@@ -87,7 +87,7 @@ def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tup
     """
     flat = np.ravel(np.asarray(mean_e, float))
     mean, variance = np.empty_like(flat), np.empty_like(flat)
-    few = flat + gaussian_variance_e2 < SERIES_FROM_E
+    few = flat + gaussian_variance_e2 < _SERIES_FROM_E
     mean[few], variance[few] = _summed(flat[few], gaussian_variance_e2)
     mean[~few], variance[~few] = _series(flat[~few], gaussian_variance_e2)
     return mean.reshape(np.shape(mean_e)), variance.reshape(np.shape(mean_e))
@@ -100,21 +100,21 @@ def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     if not mean_e.size:
         return mean_e, mean_e
     largest = float(mean_e.max())
-    counts = np.arange(math.ceil(largest + TAIL * math.sqrt(largest) + TAIL**2 / 2) + 1.0)
+    counts = np.arange(math.ceil(largest + _TAIL * math.sqrt(largest) + _TAIL**2 / 2) + 1.0)
     shares = np.exp(xlogy(counts, mean_e[:, None]) - mean_e[:, None] - gammaln(counts + 1))
-    centres, spread = counts + OFFSET_E + variance_e2, math.sqrt(variance_e2)
+    centres, spread = counts + _OFFSET_E + variance_e2, math.sqrt(variance_e2)
     if spread:
         # E √u over Gaussian u > 0, by r = √u, in which the integrand 2 r² φ is smooth
         ends = np.sqrt(
-            np.maximum(np.stack([centres - TAIL * spread, centres + TAIL * spread]), 0.0)
+            np.maximum(np.stack([centres - _TAIL * spread, centres + _TAIL * spread]), 0.0)
         )
         root = ends[0] + (ends[1] - ends[0]) * (
-            np.arange(GAUSSIAN_STEPS + 1.0)[:, None] / GAUSSIAN_STEPS
+            np.arange(_GAUSSIAN_STEPS + 1.0)[:, None] / _GAUSSIAN_STEPS
         )
         density = np.exp(-(((root**2 - centres) / spread) ** 2) / 2) / (
             spread * math.sqrt(2 * math.pi)
         )
-        roots = (2 * root**2 * density).sum(axis=0) * (ends[1] - ends[0]) / GAUSSIAN_STEPS
+        roots = (2 * root**2 * density).sum(axis=0) * (ends[1] - ends[0]) / _GAUSSIAN_STEPS
         at = centres / spread
         squares = centres * ndtr(at) + spread * np.exp(-(at**2) / 2) / math.sqrt(
             2 * math.pi
@@ -130,7 +130,7 @@ def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
 
 def _series(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     """Return both moments (n,) by the series of 2 √u about the mean of u, to the eighth moment."""
-    total, centre = mean_e + variance_e2, mean_e + variance_e2 + OFFSET_E
+    total, centre = mean_e + variance_e2, mean_e + variance_e2 + _OFFSET_E
     cumulants = {1: 0.0 * total, 2: total} | dict.fromkeys(range(3, 9), mean_e)
     central = {0: 1.0 + 0.0 * total}
     for order in range(1, 9):
@@ -155,11 +155,11 @@ def _binomial(order: int) -> float:
 @lru_cache(maxsize=256)
 def _inverse_table(variance_e2: float) -> tuple[Array, Array, float]:
     """Return expectations of f (n,), λ less f⁻¹ of each (n,), and dλ/df at λ = 0."""
-    first = 2 * math.sqrt(OFFSET_E + variance_e2)
-    near = first + TABLE_STEP * np.arange(2 * math.sqrt(SERIES_FROM_E) / TABLE_STEP)
-    far = np.geomspace(near[-1], max(TABLE_END, 2 * near[-1]), 400)[1:]
-    mean_e = (np.append(near, far) / 2) ** 2 - OFFSET_E - variance_e2
+    first = 2 * math.sqrt(_OFFSET_E + variance_e2)
+    near = first + _TABLE_STEP * np.arange(2 * math.sqrt(_SERIES_FROM_E) / _TABLE_STEP)
+    far = np.geomspace(near[-1], max(_TABLE_END, 2 * near[-1]), 400)[1:]
+    mean_e = (np.append(near, far) / 2) ** 2 - _OFFSET_E - variance_e2
     mean_e[0] = 0.0
     knots, _ = moments(mean_e, variance_e2)
-    corrections = mean_e - ((knots / 2) ** 2 - OFFSET_E - variance_e2)
+    corrections = mean_e - ((knots / 2) ** 2 - _OFFSET_E - variance_e2)
     return knots, corrections, float((mean_e[1] - mean_e[0]) / (knots[1] - knots[0]))

@@ -30,7 +30,7 @@ Denoiser = Callable[
 Named = Literal["nlm", "wavelet"]
 PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
-NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
+_NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
 WAVELET, WAVELET_LEVELS = (
     "db2",
     4,
@@ -38,7 +38,7 @@ WAVELET, WAVELET_LEVELS = (
 LEAST_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 
-def lacks_packages() -> str:
+def _lacks_packages() -> str:
     """Return how to install what the named filters need, or nothing if it is installed."""
     missing = [name for name in PACKAGES if find_spec(name) is None]
     return "scikit-image and PyWavelets: pip install 'pixsim[denoise]'" if missing else ""
@@ -76,7 +76,7 @@ def denoised_plane(
                 f"{least} pixels or more along each axis",
                 "Take smaller pixels or no filter.",
             )
-        if missing := lacks_packages():
+        if missing := _lacks_packages():
             raise PixsimError(f"denoise '{method}' needs {missing}.")
     values = anscombe.forward(raw_e, gaussian_variance_e2)
     filtered = _filter_of(method)(values, strength)
@@ -100,7 +100,7 @@ def non_local_means(plane: Array, sigma: float) -> Array:
         "patch_distance": NLM_DISTANCE,
         "fast_mode": True,
     }
-    return np.asarray(denoise_nl_means(plane, h=NLM_CUT_OFF * sigma, sigma=sigma, **sizes))
+    return np.asarray(denoise_nl_means(plane, h=_NLM_CUT_OFF * sigma, sigma=sigma, **sizes))
 
 
 def wavelet_shrinkage(plane: Array, sigma: float) -> Array:

@@ -22,11 +22,11 @@ from pixsim.base.arrays import Array, dct, inverse_dct
 from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, NotNegative
 from pixsim.base.errors import invalid
 
-Plane = Annotated[Array, FINITE, Axes(2)]
+_Plane = Annotated[Array, FINITE, Axes(2)]
 Power = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 
 
-def signal_power(plane: Plane) -> Array:
+def signal_power(plane: _Plane) -> Array:
     """Return the squares of the orthonormal DCT-II coefficients of a picture without noise, (H, W),
     in its unit squared.
     """
@@ -102,7 +102,7 @@ def mean_square_error(signal: Power, noise: Power) -> float:
     return float((response(signal, noise) * noise).mean())
 
 
-def filtered(plane: Plane, factors: Plane) -> Array:
+def filtered(plane: _Plane, factors: _Plane) -> Array:
     """Return a picture (H, W) whose DCT-II coefficients are multiplied by factors (H, W).
 
     Raises PixsimError if the shapes differ.
@@ -114,8 +114,8 @@ def filtered(plane: Plane, factors: Plane) -> Array:
 
 
 def wiener_plane(
-    raw_e: Plane,
-    expected_e: Plane,
+    raw_e: _Plane,
+    expected_e: _Plane,
     variance_e2: Power,
     *,
     column_variance_e2: NotNegative = 0.0,

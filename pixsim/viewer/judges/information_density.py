@@ -20,14 +20,14 @@ from pixsim.base.arrays import Array, Finites, NotNegatives, Positives, values_o
 from pixsim.base.bounds import FINITE, Axes, Bounds, NotNegative, Positive, check_broadcast
 from pixsim.base.errors import invalid
 
-UM_PER_MM = 1e3
+_UM_PER_MM = 1e3
 WITHIN = 1e-6  # of a cell: places of frequencies
 MAX_ORDERS = 64
 MIN_CELLS = 8
 Axis = Annotated[Array, FINITE, Axes(1)]
 
 
-def axis_weights(frequency: Array) -> Array:
+def _axis_weights(frequency: Array) -> Array:
     """Return the width of the cell of each frequency of an axis (n,), as `information_bits_per_mm2`
     takes them, in their unit.
 
@@ -91,7 +91,7 @@ def information_bits_per_mm2(
     >>> information_bits_per_mm2(square, 3.0, 1.0)
     40000.0
     """
-    weights, count = axis_weights(frequency_cy_per_mm), frequency_cy_per_mm.size
+    weights, count = _axis_weights(frequency_cy_per_mm), frequency_cy_per_mm.size
     for name, values in (("signal", signal), ("noise", noise), ("folded", folded)):
         if np.shape(values) not in ((), (count, count)):
             raise invalid(
@@ -149,7 +149,7 @@ def radial_spectrum(
             f"an array of shape {picture.shape}",
             f"{MIN_CELLS} cells or more along each axis",
         )
-    pitch_mm, largest = pitch_um / UM_PER_MM, float(np.abs(picture).max()) or 1.0
+    pitch_mm, largest = pitch_um / _UM_PER_MM, float(np.abs(picture).max()) or 1.0
     windows = [np.hanning(count + 2)[1:-1] for count in picture.shape]
     weight = windows[0][:, None] * windows[1]
     values = np.asarray(picture, float) / largest
@@ -200,7 +200,7 @@ def folded_spectrum(
     )
     for j, i in product(range(-orders, orders + 1), repeat=2):
         if i or j:
-            shifted = along_y + j * UM_PER_MM / pitch_um, along_x + i * UM_PER_MM / pitch_um
+            shifted = along_y + j * _UM_PER_MM / pitch_um, along_x + i * _UM_PER_MM / pitch_um
             folded += values_of("power", power, folded.shape, *shifted)
     return folded
 

@@ -13,10 +13,10 @@ from pixsim.base.arrays import NotNegativeArray
 from pixsim.base.bounds import SMALLEST, Bounds, Positive
 from pixsim.viewer.judges.sharpness import Frequencies, curve_from_0
 
-M_PER_INCH = 0.0254
-MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3
+_M_PER_INCH = 0.0254
+_MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3
 
-EdgeResponse = Annotated[float, Bounds(SMALLEST, MAX_RER)]
+EdgeResponse = Annotated[float, Bounds(SMALLEST, _MAX_RER)]
 
 
 def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:
@@ -39,7 +39,7 @@ def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:
     """
     sharp = math.log10(rer)
     of_edge = 3.32 * -math.expm1(-1.9 / snr) * sharp - 2 * sharp**4
-    return 9.57 - 3.32 * math.log10(ground_m / M_PER_INCH) + of_edge - 1.8 / snr
+    return 9.57 - 3.32 * math.log10(ground_m / _M_PER_INCH) + of_edge - 1.8 / snr
 
 
 def relative_edge_response(frequency_cy_per_px: Frequencies, mtf: NotNegativeArray) -> float:

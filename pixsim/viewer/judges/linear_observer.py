@@ -36,8 +36,8 @@ from pixsim.base.bounds import (
 )
 from pixsim.base.errors import invalid
 
-STEPS_PER_OFFSET = 4  # of conjugate gradients, at most: in exact arithmetic one would do
-RESIDUAL = 1e-26  # of d′², at which they end; what is lost is of that order
+_STEPS_PER_OFFSET = 4  # of conjugate gradients, at most: in exact arithmetic one would do
+_RESIDUAL = 1e-26  # of d′², at which they end; what is lost is of that order
 
 Difference = Annotated[Array, FINITE, Axes(2)]
 Variance = Annotated[Array, POSITIVE_OR_INFINITE]
@@ -132,8 +132,8 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
         )  # minus half of the gradient at 0
         along = step = rest / diagonal
         size = float((rest * step).sum())
-        enough = RESIDUAL * float((weight * delta**2).sum())
-        for _ in range(STEPS_PER_OFFSET * rows.size):
+        enough = _RESIDUAL * float((weight * delta**2).sum())
+        for _ in range(_STEPS_PER_OFFSET * rows.size):
             if size <= enough:
                 break
             fitted = _columns(_through(along[..., None], gains), weighted, gains, of_columns)

@@ -17,21 +17,21 @@ from pixsim.base.arrays import Array
 from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, Positive
 from pixsim.base.errors import invalid
 
-EYE_POWER = 1.3
-EYE_PEAK_CY_PER_DEG = 4.0
-EYE_DECAY = EYE_POWER / (2 * EYE_PEAK_CY_PER_DEG**2)  # E = f^1.3 e^(-c f²) is highest there
+_EYE_POWER = 1.3
+_EYE_PEAK_CY_PER_DEG = 4.0
+_EYE_DECAY = _EYE_POWER / (2 * _EYE_PEAK_CY_PER_DEG**2)  # E = f^1.3 e^(-c f²) is highest there
 
 Difference = Annotated[Array, FINITE, Axes(2)]
 
 
-def eye_filter(shape: tuple[int, ...], samples_per_deg: float) -> Array:
+def _eye_filter(shape: tuple[int, ...], samples_per_deg: float) -> Array:
     """Return Burgess's eye filter f^1.3 e^(-c f²), relative, at the frequencies of a picture's DFT,
     (H, W).
     """
     along_y, along_x = (np.fft.fftfreq(count, 1 / samples_per_deg) for count in shape)
     frequency = np.hypot(along_y[:, None], along_x)
     with np.errstate(over="ignore", under="ignore"):
-        return np.asarray(frequency**EYE_POWER * np.exp(-EYE_DECAY * frequency**2))
+        return np.asarray(frequency**_EYE_POWER * np.exp(-_EYE_DECAY * frequency**2))
 
 
 def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
@@ -45,7 +45,7 @@ def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
         luminance; it ends at the borders
     samples_per_deg : of the display
     """
-    gain = eye_filter(difference.shape, samples_per_deg) ** 2
+    gain = _eye_filter(difference.shape, samples_per_deg) ** 2
     return np.asarray(np.fft.ifft2(np.fft.fft2(difference) * gain).real)
 
 
@@ -74,7 +74,7 @@ def npwe(
             f"an array of shape {noise_power.shape}",
             f"that of difference, {difference.shape}, or a number",
         )
-    eye = eye_filter(difference.shape, samples_per_deg)
+    eye = _eye_filter(difference.shape, samples_per_deg)
     largest, highest, loudest = (
         float(np.abs(difference).max()),
         float(eye.max()),

@@ -31,7 +31,7 @@ BRADFORD = np.array(
 )
 # (weight, decay, power) of the terms w e^(-d ν^p) of C₁ and C₂, and what they are divided by
 # [BCEP].
-CHROMA = (
+_CHROMA = (
     (((109.1413, 0.00038, 3.4244), (93.5971, 0.00367, 2.1677)), 202.7384),
     (((7.0328, 0.000004, 4.2582), (40.6910, 0.10391, 1.6487)), 40.6910),
 )
@@ -112,7 +112,7 @@ def _filtered(channels: Array, samples_per_deg: float) -> Array:
     )
     frequency = np.hypot(along_y[:, None], along_x)
     gains = [luminance_csf(frequency)]
-    for terms, scale in CHROMA[: count - 1]:
+    for terms, scale in _CHROMA[: count - 1]:
         gains.append(
             sum(
                 (part * np.exp(-decay * frequency**power) for part, decay, power in terms),
