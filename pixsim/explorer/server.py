@@ -45,7 +45,7 @@ _HEADERS = {
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
 }  # fmt: skip
-MOST_BYTES = 1 << 16  # of a message
+MAX_MESSAGE_BYTES = 1 << 16  # of a message
 FIRST_S, RELOAD_S = 10.0, 3.0  # for the token, and for a page that is loaded again
 REFUSED, REPLACED = 4403, 4409  # codes of a WebSocket that is closed
 _REDIRECT = """<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>pixsim explore</title>
@@ -154,7 +154,7 @@ def served(session: Session) -> Iterator[Path]:
         "log_level": "critical",
         "access_log": False,
         "server_header": False,
-        "ws_max_size": MOST_BYTES,
+        "ws_max_size": MAX_MESSAGE_BYTES,
         "lifespan": "off",
     }
     server = uvicorn.Server(

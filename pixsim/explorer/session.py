@@ -40,7 +40,7 @@ from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scal
 from pixsim.show.render import text
 from pixsim.studies.design import metrics_of
 from pixsim.studies.prepare import Job
-from pixsim.studies.run import LIGHT_FILE, LitRun, RunResult, light_run, prepare, score_run
+from pixsim.studies.run import LIGHT_FILE, RenderedRun, RunResult, prepare, render_run, score_run
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
@@ -49,7 +49,7 @@ from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
-MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
+MAX_LIGHTS, MAX_SENSORS = 3, 2  # in memory; side by side
 REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
 CURVE_STEPS, A_DECADE = (
     4,
@@ -86,7 +86,7 @@ class PageRequest(NamedTuple):
             found = cls(
                 int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"])
             )
-            if 1 <= len(sensors) <= MOST_SENSORS and all(name in METRICS for name in found.metrics):
+            if 1 <= len(sensors) <= MAX_SENSORS and all(name in METRICS for name in found.metrics):
                 return found
         except (KeyError, TypeError, ValueError):
             pass  # no request
@@ -115,7 +115,7 @@ class Session:
     def __post_init__(self) -> None:
         self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
         self._asked: PageRequest | None = None
-        self._lights: dict[str, LitRun] = {}  # the last one last
+        self._lights: dict[str, RenderedRun] = {}  # the last one last
         self._scenes, self._points = RecentScenes(), dict[str, list[float]]()
         self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
@@ -191,7 +191,7 @@ class Session:
         lights = []
         for number, (job, first) in enumerate(zip(jobs, found, strict=True)):
             with collected_notes(alone=True):
-                lights.append(self._keep(light_run(job, self._stage(asked))))
+                lights.append(self._keep(render_run(job, self._stage(asked))))
                 result = score_run(lights[-1], self._stage(asked), self._scenes)
                 known = first is not None and np.array_equal(first.score.image, result.score.image)
                 self.send(self._message(asked, number, result, sure=True, known=known))
@@ -265,16 +265,16 @@ class Session:
             ]
         )
 
-    def _kept(self, job: Job[Run]) -> LitRun | None:
+    def _kept(self, job: Job[Run]) -> RenderedRun | None:
         """Return a run for the first picture, by ΔE alone, in light that is known or comes at once;
         None if it must be rendered.
         """
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
-            self._keep(LitRun(job, case.picture))
+            self._keep(RenderedRun(job, case.picture))
         elif key not in self._lights and job.request.plan.samples.exact:
             self._keep(
-                LitRun(
+                RenderedRun(
                     job,
                     job.request.render(job.request.first, job.request.plan)[0],
                     None,
@@ -288,9 +288,9 @@ class Session:
         imaging = case.imaging.changed(metrics=metrics_of(settings))
         case = replace(case, settings=settings, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
         first = replace(job, cases=(case,))
-        return LitRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
+        return RenderedRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
-    def _keep(self, lit: LitRun) -> LitRun:
+    def _keep(self, lit: RenderedRun) -> RenderedRun:
         """Keep the light of a run; if it is the same as one that is kept, return the run in that
         one.
         """
@@ -303,7 +303,7 @@ class Session:
         ):
             old.header = lit.irradiance.header  # with the white
             lit = replace(lit, irradiance=old)
-        while len(self._lights) >= MOST_LIGHTS:
+        while len(self._lights) >= MAX_LIGHTS:
             del self._lights[next(iter(self._lights))]
         self._lights[key] = lit
         self._scenes.drop_all_but([each.irradiance for each in self._lights.values()])
@@ -384,7 +384,7 @@ class Session:
             )
         return shown
 
-    def _curve(self, asked: PageRequest, number: int, lit: LitRun) -> Iterator[list[float]]:
+    def _curve(self, asked: PageRequest, number: int, lit: RenderedRun) -> Iterator[list[float]]:
         """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the
         nearest first, in one light.
         """
@@ -403,7 +403,7 @@ class Session:
                     )
                     if key not in self._points:
                         result = score_run(
-                            LitRun(job, lit.irradiance, None, lit.plan),
+                            RenderedRun(job, lit.irradiance, None, lit.plan),
                             self._stage(asked),
                             self._scenes,
                         )

@@ -137,7 +137,7 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     out : folder that would be written
     """
-    group, first = job.shown, job.shown.first
+    group, first = job.pictured_group, job.pictured_group.first
     scene = first.scene.with_resolution(group.film_width)
     height, across = scene.film_shape(first.camera, scene.for_camera(first.camera))
     types = None if job.types is None else job.types.sample
@@ -175,7 +175,7 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
 def comparison_files(job: ComparisonJob) -> set[str]:
     """Return the names of all files of a comparison but the list of them."""
-    figures = [_SCORES, *[NAME] * job.shown.first.settings.noise_budget]
+    figures = [_SCORES, *[NAME] * job.pictured_group.first.settings.noise_budget]
     names = {PAGE, _JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
         names |= {f"sensors/{sensor}.toml"} | {
@@ -204,7 +204,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
     words += (
         ["--study", SETTINGS_FILE]
         if study
-        else ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
+        else ["--scene", whole_path(job.pictured_group.scene), "--config", SETTINGS_FILE]
     )
     words += ["--match", job.match] if len(job.matches) == 1 else []
     words += ["--repeats", str(job.repeats)]
@@ -219,7 +219,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
         "dots",
         "samples_per_deg",
     } - first.display.model_fields_set  # where both are stated, no other display is shown
-    parameters = scene_table(job.shown.first.scene.path.parent, first.scene)
+    parameters = scene_table(job.pictured_group.first.scene.path.parent, first.scene)
     tables: dict[str, Any] = {name: {} for name in OF_A_SENSOR}
     tables |= {
         "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
@@ -331,7 +331,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its
     first frame.
     """
-    condition, shared = result.shown.first.condition, shared_stages(result.shown)
+    condition, shared = result.pictured_group.first.condition, shared_stages(result.pictured_group)
     unit = metric.unit and f" ({metric.unit})"
     mean = "mean ΔE" if metric.is_delta_e else f"{metric.words}{unit}"
     numbers = ("mean electrons", "full well", "saturated (%)")
@@ -446,7 +446,7 @@ def data(result: Comparison) -> dict[str, Any]:
     """Return compare.json. With conditions the answers are those of the weighted mean, and the rest
     is `shown`.
     """
-    job, group = result.job, result.shown
+    job, group = result.job, result.pictured_group
     stated: dict[str, Any] = {
         "names": list(result.names),
         "match": job.match,
@@ -590,7 +590,7 @@ def _slider(result: Comparison) -> Slider:
         for sensor in result.sensors
     ]
     ideal = Picture(display_codes(reduced(result.sensors[0].score.ideal)), "ideal image")
-    heading = f"Pictures in {result.shown.words}" if result.shown.words else ""
+    heading = f"Pictures in {result.pictured_group.words}" if result.pictured_group.words else ""
     return Slider(
         "slider",
         heading,
@@ -660,7 +660,7 @@ def _detail(result: Comparison, end: float) -> Section:
         )
         for sensor in result.sensors
     ]
-    sizes = size_words(factor_for(first.score.image), result.shown.display.samples_per_deg)
+    sizes = size_words(factor_for(first.score.image), result.pictured_group.display.samples_per_deg)
     return Section("detail", title, (*details, DeltaEScale(scale(end)), sizes), together=True)
 
 
@@ -715,7 +715,7 @@ def _settings(result: Comparison) -> list[Block]:
     """Return the settings of each sensor side by side, then those of all sensors, and what each
     condition sets.
     """
-    group, study = result.shown, result.job.study
+    group, study = result.pictured_group, result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)
     light = result.sensors[0].light.image
     level = LightLevel.of(

@@ -31,7 +31,7 @@ from pixsim.show.document import (
 from pixsim.show.figures import LOOKS, Look, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
-from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.curve import Curve, first_metric_and_ci95
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.regret import metric_regrets
 from pixsim.viewer.metrics import DELTA_E
@@ -162,7 +162,7 @@ def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     intervals.
     """
     colour, best = look.colour, curve.optimum
-    mean, ci95 = shown_mean_and_ci95(curve)
+    mean, ci95 = first_metric_and_ci95(curve)
     low, high, fitted = map(
         curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
     )
@@ -260,7 +260,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return a table with a row for each curve and pitch."""
     table: dict[str, list[float | str]] = {}
     for curve in curves:
-        mean, ci95 = shown_mean_and_ci95(curve)
+        mean, ci95 = first_metric_and_ci95(curve)
         columns = {
             "technology": np.array([curve.label] * mean.size),
             "pitch_um": curve.pitch_um,
@@ -307,12 +307,12 @@ def curve_data(curve: Curve) -> dict[str, Any]:
         "fresnel_number": None if curve.fresnel_number is None else curve.fresnel_number.tolist(),
         "displays": displays,
     }
-    mean, ci95 = shown_mean_and_ci95(curve)
+    mean, ci95 = first_metric_and_ci95(curve)
     return {
         "technology": curve.technology,
         **{name: value for name, value in labels.items() if value},
         "optimum": (
-            curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.of_metric()
+            curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.metric_dict()
         ),
         "no_visible_difference_um": curve.no_difference_um,
         "optimum_fill_factor": curve.optimum_fill_factor,
@@ -340,7 +340,7 @@ def optima_data(curve: Curve) -> list[dict[str, Any]]:
         "condition": curve.condition,
         "alone": curve.alone,
     }
-    return [labels | {"metric": name} | optimum.of_metric() for name, optimum in optima.items()]
+    return [labels | {"metric": name} | optimum.metric_dict() for name, optimum in optima.items()]
 
 
 def _metrics_data(curve: Curve) -> dict[str, Any]:
@@ -356,7 +356,7 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
     }
     regrets = metric_regrets(curve)
     return {
-        "optima": {name: optimum.of_metric() for name, optimum in optima.items()},
+        "optima": {name: optimum.metric_dict() for name, optimum in optima.items()},
         "metrics": means,
         "regrets": regrets and regrets_data(regrets),
     }

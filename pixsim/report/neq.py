@@ -8,7 +8,7 @@ from itertools import cycle
 from pixsim.base.tables import Column
 from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Drawing, figure
-from pixsim.studies.merit import Quanta
+from pixsim.studies.merit import NeqCurve
 
 NEQ = "neq"  # name of the figure
 
@@ -19,7 +19,7 @@ NEQ = "neq"  # name of the figure
     " the same ratio of signal to noise at a frequency, along an axis up to the Nyquist frequency."
     " Mean level and noise are those of the judge information; aliases are not in it.",
 )
-def neq_against_frequency(quanta: Mapping[str, Quanta]) -> Drawing:
+def neq_against_frequency(quanta: Mapping[str, NeqCurve]) -> Drawing:
     """Draw the NEQ of sensors, by their labels, up to their Nyquist frequencies."""
     drawing = new_figure(6.4, 3.6)
     axes = drawing.subplots()

@@ -18,7 +18,7 @@ from pixsim.show.sentences import settings_line
 from pixsim.studies.dry_run import Cost, planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.settings import Study
-from pixsim.studies.uncertainty import MOST_EVALUATIONS
+from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort, Run
 
@@ -113,7 +113,7 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
             (
                 "types",
                 (
-                    f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the"
+                    f"{types} sensor types, each at up to {MAX_TYPE_EVALUATIONS} sensors around the"
                     " optimum"
                 ),
             )

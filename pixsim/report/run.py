@@ -67,7 +67,7 @@ from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scal
 from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
-from pixsim.studies.merit import detail_terms, extent, quanta_of_run
+from pixsim.studies.merit import detail_terms, extent, run_neq
 from pixsim.studies.run import RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
 from pixsim.viewer.causes import SATURATED_SHOWN
@@ -573,7 +573,7 @@ def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
     """
     if judged_by_delta_e(result.settings):
         yield Section("errors", "Where the errors are", _errors(result, delta_e), together=True)
-    quanta = quanta_of_run(result)
+    quanta = run_neq(result)
     yield Section(
         "numbers",
         "Numbers",

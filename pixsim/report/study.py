@@ -85,9 +85,9 @@ from pixsim.studies.merit import (
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
-    quanta_of_study,
     shown_mtf,
     study_mtf_terms,
+    study_neq,
     system_mtf,
 )
 from pixsim.studies.regret import Regrets, metric_regrets
@@ -339,7 +339,7 @@ def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]
         draw.append(lambda: regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
         draw.append(lambda: metrics_against_pitch(first))
-    if quanta := quanta_of_study(result):
+    if quanta := study_neq(result):
         draw.append(lambda: neq_against_frequency(quanta))
     if len({curve.feature_size_um for curve in result.curves} - {None}) > 1:
         draw.append(lambda: optimum_against_technology(result))

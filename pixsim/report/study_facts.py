@@ -11,7 +11,7 @@ from pixsim.report.wording import lens_words, thin_lens_words, unconverged, view
 from pixsim.show.document import Block, Fact
 from pixsim.studies.curve import Curve
 from pixsim.studies.merit import columns_on, moved_view
-from pixsim.studies.optimum import told_pitches
+from pixsim.studies.optimum import fittable_pitches
 from pixsim.studies.regret import metric_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.dark_clip import clip_note, clips_dark
@@ -152,7 +152,7 @@ def _silent_notes(result: StudyResult) -> list[Note]:
     notes = []
     for curve in result.curves:
         for metric in (metric for metric in curve.metrics if metric.has_optimum):
-            silent = ~told_pitches(metric, curve.statistics[metric.columns[0]])
+            silent = ~fittable_pitches(metric, curve.statistics[metric.columns[0]])
             if silent.any():
                 sizes = ", ".join(f"{pitch_um:g}" for pitch_um in curve.pitch_um[silent])
                 reason = next(

@@ -14,7 +14,7 @@ from pixsim.show.figures import literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
 from pixsim.studies.compare import ResultPairs, ResultsComparison
-from pixsim.studies.paired import FEWEST_PAIRS
+from pixsim.studies.paired import MIN_PAIRS
 
 
 def results_document(result: ResultsComparison) -> Document:
@@ -68,7 +68,7 @@ def differences_plate(result: ResultsComparison) -> Drawing:
     axes = drawing.add_subplot()
     draw_differences(axes, pairs, labels)
     axes.set_xlabel(literal(f"{metric.words}: {result.names[1]} − {result.names[0]}"))
-    halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else np.nan for pair in pairs]
+    halves = [pair.half_width if pair.a.size >= MIN_PAIRS else np.nan for pair in pairs]
     return drawing, {
         "place": labels,
         "difference": [pair.difference for pair in pairs],
@@ -79,7 +79,7 @@ def differences_plate(result: ResultsComparison) -> Drawing:
 def _pair_data(pair: ResultPairs) -> dict[str, Any]:
     """Return the numbers for JSON; those that one pair does not tell are None."""
     pairs = pair.pairs
-    is_one = pairs.a.size < FEWEST_PAIRS
+    is_one = pairs.a.size < MIN_PAIRS
     return {
         **pair.place,
         "metric": pairs.metric.name,

@@ -20,7 +20,7 @@ from pixsim.show.figures import literal
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import BASE, Case
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
-from pixsim.studies.paired import FEWEST_PAIRS, Pairs, mean_interval
+from pixsim.studies.paired import MIN_PAIRS, Pairs, mean_interval
 from pixsim.studies.sensors import ComparisonJob, SensorGroup, pixels_of
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.develop_options import developed_words
@@ -55,7 +55,7 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
             " in every pair of frames"
         )
     better, worse = (first, other) if metric.worse_by(pairs.difference) >= 0 else (other, first)
-    if pairs.a.size < FEWEST_PAIRS:
+    if pairs.a.size < MIN_PAIRS:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
     error = pairs.half_width + (film or 0.0)
@@ -83,7 +83,7 @@ def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
     """
     if math.isnan(pairs.difference):
         return UNKNOWN, "", ""
-    if pairs.a.size < FEWEST_PAIRS:
+    if pairs.a.size < MIN_PAIRS:
         return f"{'+' * (pairs.difference > 0)}{rounded(pairs.difference, 4)}", "", ""
     chance = probability(pairs.probability_a_better, pairs.a.size)
     return *difference_cells(pairs.difference, pairs.interval, film or 0.0), chance
@@ -91,7 +91,7 @@ def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
 
 def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) -> None:
     """Draw differences of pairs with their 95 % intervals, one below the other."""
-    halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else 0.0 for pair in pairs]
+    halves = [pair.half_width if pair.a.size >= MIN_PAIRS else 0.0 for pair in pairs]
     axes.errorbar(
         [pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4
     )
@@ -200,7 +200,7 @@ def doubts(result: Comparison) -> list[str]:
     """
     sized: list[tuple[float, str]] = []
     for group in result.groups():
-        for sensor in result.of_group(group).values():
+        for sensor in result.sensors_of_group(group).values():
             where = ", ".join(filter(None, (sensor.name, group.first.condition)))
             sized += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
             errors = noise_error_and_limit(sensor.light.image.header)
@@ -220,7 +220,9 @@ def notes(result: Comparison) -> list[Note]:
     """
     group_notes = {
         group.words: [
-            note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)
+            note
+            for sensor in result.sensors_of_group(group).values()
+            for note in _sensor_notes(sensor)
         ]
         for group in result.all_groups
     }
@@ -274,14 +276,14 @@ def common_words(job: ComparisonJob) -> list[str]:
     """Return what all sensors of a comparison have in common; what conditions change is that of the
     shown one.
     """
-    group = job.shown
+    group = job.pictured_group
     first, camera, display = group.first.sensor, group.first.camera, group.display
     words = []
     if job.study is not None:
         words.append(f"the study {job.study.name}")
     if group.first.condition:
         weights = ", ".join(
-            f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors()
+            f"{group.first.condition} ({group.weight:.3g})" for group in job.condition_groups()
         )
         words.append(f"means over its conditions, with the weights {weights}")
     lens = {

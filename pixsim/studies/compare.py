@@ -545,7 +545,7 @@ def _render_groups(
         def part(name: str, words: tuple[str, ...] = (pair, group.words)) -> Progress:
             return stage(": ".join(filter(None, (*words, name))))
 
-        quiet = without_warnings() if pair or number >= len(job.of_sensors()) else None
+        quiet = without_warnings() if pair or number >= len(job.condition_groups()) else None
         with ExitStack() as stack:
             if quiet is not None:
                 stack.enter_context(quiet)

@@ -179,7 +179,7 @@ class Comparison(Result):
 
         match : of the cameras; None means the one that was asked for
         """
-        return self.job.of_sensors(self.combination, match=match)
+        return self.job.condition_groups(self.combination, match=match)
 
     def groups_of_pair(self, other: str, match: Match | None = None) -> list[SensorGroup]:
         """Return the groups of the first sensor and another one alone; where they see the same as
@@ -190,7 +190,7 @@ class Comparison(Result):
         """
         alone = {
             group.first.condition: group
-            for group in self.job.of_sensors(self.combination, other, match)
+            for group in self.job.condition_groups(self.combination, other, match)
         }
         return [alone.get(group.first.condition, group) for group in self.groups(match)]
 
@@ -222,7 +222,7 @@ class Comparison(Result):
             {group.first.condition: group.weight for group in groups} if len(groups) > 1 else None
         )
 
-    def of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
+    def sensors_of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
         """Return what else is known of the sensors of a group, by their names."""
         return {
             sensor.name: sensor
@@ -233,14 +233,14 @@ class Comparison(Result):
     # --- readings
 
     @property
-    def shown(self) -> SensorGroup:
+    def pictured_group(self) -> SensorGroup:
         """All sensors under the first condition of weight above 0, whose pictures are shown."""
         return next(group for group in self.groups() if group.weight)
 
     @property
     def sensors(self) -> tuple[ComparedSensor, ...]:
-        """The sensors of `shown`, in the order of their files."""
-        return tuple(self.of_group(self.shown).values())
+        """The sensors of `pictured_group`, in the order of their files."""
+        return tuple(self.sensors_of_group(self.pictured_group).values())
 
     def frames(self, name: str, metric: Metric = DELTA_E, condition: str | None = None) -> Array:
         """Return a number of each frame of a sensor on the stated display, (repeats,).
@@ -359,7 +359,7 @@ class Comparison(Result):
                 group.weight if condition is None else float(group.first.condition == condition)
             )
             if weight:
-                sensors = self.of_group(group)
+                sensors = self.sensors_of_group(group)
                 total += weight * sensors[self.names[0]].steps.error_of_difference(
                     sensors[other].steps
                 )
@@ -407,7 +407,7 @@ class Comparison(Result):
         """Largest error of each sensor's mean ΔE that the film may cause; None if it is unknown."""
         totals = dict.fromkeys(self.names, 0.0)
         for group in self.groups():
-            for name, sensor in self.of_group(group).items() if group.weight else ():
+            for name, sensor in self.sensors_of_group(group).items() if group.weight else ():
                 totals[name] += group.weight * sensor.film_delta_e
         return {name: None if math.isnan(total) else total for name, total in totals.items()}
 

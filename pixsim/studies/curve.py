@@ -28,18 +28,18 @@ from pixsim.studies.design import (
     technology_of,
 )
 from pixsim.studies.optimum import (
-    FEWEST_SIZES,
+    MIN_SIZES,
     NO_VISIBLE_DELTA_E,
     FittedCurve,
     Optimum,
     Posterior,
     fit_of_metric,
+    fittable_pitches,
     mean_and_ci95,
     mean_of_sensors,
     noise_scale,
     over_sensors,
     rise_variance,
-    told_pitches,
 )
 from pixsim.studies.settings import Study
 from pixsim.studies.table import DOTS, Table
@@ -256,17 +256,17 @@ class Curve(Result):
         others.
 
         Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that
-        are not `told`.
+        are not `fittable`.
         """
         loss = self.metric.loss(self.statistics[self.metric.columns[0]])
-        return np.where(self.told[:, None], loss, np.nan)
+        return np.where(self.fittable[:, None], loss, np.nan)
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def fittable(self) -> NDArray[np.bool_]:
         """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number,
         or where it is worth nothing.
         """
-        return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
+        return fittable_pitches(self.metric, self.statistics[self.metric.columns[0]])
 
     @property
     def fitted_range_um(self) -> tuple[float, float]:
@@ -279,7 +279,7 @@ class Curve(Result):
         some sensors have 0 or less.
         """
         values = self.statistics[self.metric.columns[0]]
-        dead = np.isfinite(values).any(axis=1) & ~self.told
+        dead = np.isfinite(values).any(axis=1) & ~self.fittable
         pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
         order = np.argsort(pitch_um, kind="stable")
         return (
@@ -415,10 +415,10 @@ def curve_of(
     }
     possible = table.possible
     pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
-    if left_out and pitches.size < FEWEST_SIZES:
+    if left_out and pitches.size < MIN_SIZES:
         got = (
             f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a"
-            f" curve needs {FEWEST_SIZES}"
+            f" curve needs {MIN_SIZES}"
         )
         raise _TooFewSizesError(
             f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}"
@@ -442,14 +442,14 @@ def curve_of(
     }
     fit = fits.pop(metrics[0].name)
     if fit is None:
-        fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
+        fittable = int(fittable_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
         got = (
             f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel"
             f" sizes of {label_of(technology)}"
         )
         hint = "Name another metric first."
         error = invalid(
-            "metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint
+            "metrics", got, f"values above 0 at {MIN_SIZES} neighbouring sizes or more", hint
         )
         raise _TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
     process = technology_of(study, technology)
@@ -469,12 +469,12 @@ def curve_of(
     )
 
 
-def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
+def first_metric_and_ci95(curve: Curve) -> tuple[Array, Array]:
     """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 %
-    interval, NaN where not `told`.
+    interval, NaN where not `fittable`.
     """
     told, shown, ci95 = (
-        curve.told,
+        curve.fittable,
         curve.mean(curve.metric.columns[0]),
         np.full(curve.pitch_um.shape, np.nan),
     )
@@ -664,7 +664,7 @@ def next_round(
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
-        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
+        told = {um: sensors[um] for um in curve.pitch_um[curve.fittable].tolist() if um in sensors}
         sizes, most = (
             len(study_pitches_um(study, curve.technology)),
             max(study.repeats, study.max_repeats),

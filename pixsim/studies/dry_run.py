@@ -22,7 +22,7 @@ from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.lights import LightRequest
 from pixsim.studies.paired import NOISE_SENSORS
 from pixsim.studies.settings import Study
-from pixsim.studies.uncertainty import MOST_EVALUATIONS
+from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def study_cost(
     evaluations, frames_s = 0, 0.0
     for (study, _), of_case in zip(cases, frames, strict=True):
         one_sensor_s = sum(frame.seconds for frame in of_case)
-        of_types = types * MOST_EVALUATIONS * len(study.technologies)
+        of_types = types * MAX_TYPE_EVALUATIONS * len(study.technologies)
         evaluations += study.repeats * len(of_case) + of_types
         frames_s += study.repeats * one_sensor_s + of_types * one_sensor_s / len(of_case)
     evaluations, frames_s = evaluations + checked, frames_s * (1 + checked / evaluations)

@@ -239,7 +239,7 @@ def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> fl
 
 
 @dataclass(frozen=True)
-class Quanta:
+class NeqCurve:
     """The NEQ of a sensor.
 
     pitch_um : of its pixels
@@ -252,32 +252,32 @@ class Quanta:
     neq_per_mm2: Array
 
     @classmethod
-    def of(cls, frame: ExpectedFrame) -> Quanta:
+    def of(cls, frame: ExpectedFrame) -> NeqCurve:
         """Return that of such frames."""
         return cls(frame.readout.physics.pitch_um, *neq_along(frame))
 
 
-def quanta_of_run(result: RunResult) -> dict[str, Quanta]:
+def run_neq(result: RunResult) -> dict[str, NeqCurve]:
     """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
     if INFORMATION.name not in result.settings.metrics:
         return {}
     return {
-        result.settings.pixel.technology: Quanta.of(
+        result.settings.pixel.technology: NeqCurve.of(
             result.chain.expected(result.score.frame.integration_s)
         )
     }
 
 
-def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
+def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
     """Return the NEQ of each sensor of a study, at its best size by information, by its label;
     nothing without that metric.
     """
-    found: dict[str, Quanta] = {}
+    found: dict[str, NeqCurve] = {}
     for curve in result.curves if INFORMATION.name in result.study.metrics else ():
         lit = result.sensors[curve.technology]
         best = curve.optima.get(INFORMATION.name, curve.optimum)
         chain = make_chain(lit.imaging.at(best.pitch_um).registered(0), lit.light())
-        found[curve.label] = Quanta.of(chain.expected(chain.integration_s))
+        found[curve.label] = NeqCurve.of(chain.expected(chain.integration_s))
     return found
 
 

@@ -150,7 +150,7 @@ class Optimum:
         """Return the fields as in summary.json."""
         return {name: value for name, value in asdict(self).items() if name != "is_of_reciprocal"}
 
-    def of_metric(self) -> dict[str, Any]:
+    def metric_dict(self) -> dict[str, Any]:
         """Return what summary.json has of the optimum by a metric."""
         return {
             "pitch_um": self.pitch_um,
@@ -794,7 +794,7 @@ def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
 # --- optima of metrics
 # ----------------------------------------------------------------------------------------------------
 
-FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
+MIN_SIZES = 3  # of a curve, whose smoothest form is a parabola
 
 
 def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
@@ -815,7 +815,7 @@ def mean_of_sensors(values: Array) -> Array:
     return over_sensors(np.nanmean, values)
 
 
-def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
+def fittable_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
     """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or
     less of what more is better.
 
@@ -838,16 +838,16 @@ def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
 def fit_of_metric(
     metric: Metric, pitch_um: Array, values: Array, width_um: Widths
 ) -> FittedCurve | None:
-    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best
+    """Return the fitted curve of a metric's loss at its `fittable_pitches`; None if it tells no best
     size, or not of these values.
 
     values : (pitches, sensors)
     """
-    told = told_pitches(metric, values)
+    told = fittable_pitches(metric, values)
     loss = metric.loss(values)[told]
     if (
         not metric.has_optimum
-        or told.sum() < FEWEST_SIZES
+        or told.sum() < MIN_SIZES
         or np.isfinite(loss).sum() == told.sum()
         or not np.nanmin(loss) >= 0
     ):

@@ -17,7 +17,7 @@ from pixsim.studies.table import Table
 from pixsim.viewer.metrics import DELTA_E, Metric
 
 CONFIDENCE = 0.95
-FEWEST_PAIRS = 2  # that have a scatter
+MIN_PAIRS = 2  # that have a scatter
 NORMAL_95 = 1.96
 NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
 _NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
@@ -73,7 +73,7 @@ class Pairs:
 
         Also 0 where the number is not defined in a frame.
         """
-        is_sure = self.a.size >= FEWEST_PAIRS and abs(self.difference) > self.half_width + error
+        is_sure = self.a.size >= MIN_PAIRS and abs(self.difference) > self.half_width + error
         return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0
 
 
@@ -182,7 +182,7 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
         size = 1 << digit
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
         error /= 2**_NET_ORDER
-        if blocks.size >= FEWEST_PAIRS:
+        if blocks.size >= MIN_PAIRS:
             error = max(error, NORMAL_95 * float(blocks.std(ddof=1)))
         if values.size & size:
             square += (error * size / values.size) ** 2
@@ -212,7 +212,7 @@ def probability_above_zero(differences: Array) -> float:
 
 def _mean_and_error(values: Array) -> tuple[float, float]:
     """Return the mean of values (n,) and its standard error."""
-    if values.ndim != 1 or values.size < FEWEST_PAIRS:
+    if values.ndim != 1 or values.size < MIN_PAIRS:
         raise invalid("values", f"an array of shape {values.shape}", "a list of at least 2 numbers")
     mean = float(values.mean())
     return mean, float(values.std(ddof=1)) / math.sqrt(values.size)

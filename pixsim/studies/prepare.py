@@ -67,9 +67,9 @@ from pixsim.studies.files import spreads_of_study
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.settings import PitchRange, Study, paths_of
 from pixsim.studies.uncertainty import (
-    LEAST_DRAWS,
-    MOST_DRAWS,
-    MOST_EVALUATIONS,
+    MAX_DRAWS,
+    MAX_TYPE_EVALUATIONS,
+    MIN_DRAWS,
     Sample,
     Unknown,
     drawn_metrics,
@@ -210,11 +210,11 @@ class Asked:
     uncertainty: Uncertainty = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:
+        if not MIN_DRAWS <= self.draws <= MAX_DRAWS:
             raise invalid(
                 setting("sobol" if self.total else "uncertainty"),
                 self.draws,
-                f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types",
+                f"{MIN_DRAWS} to {MAX_DRAWS} sensor types",
             )
 
     def sample(self, study: Study) -> Sample:
@@ -308,7 +308,7 @@ def check_types(
     types = len(asked.sample(cases[0]).quantiles)
     evaluations = (
         types
-        * MOST_EVALUATIONS
+        * MAX_TYPE_EVALUATIONS
         * sum(len(case.technologies) * len(drawn_metrics(case)) for case in cases)
     )
     check_number(types, evaluations, agreed)

@@ -114,7 +114,7 @@ def metric_regrets(curve: Curve) -> Regrets | None:
     )
 
 
-LEAST_PITCHES = 5  # that a curve is fitted to
+MIN_PITCHES = 5  # that a curve is fitted to
 _WEIGHTED = "weighted mean"
 
 
@@ -179,7 +179,7 @@ def weighted_fit(
     pitches_um, values = weighted_mean(
         [(curve, weight) for curve in curves if (weight := weights[curve.condition])]
     )
-    if pitches_um.size < LEAST_PITCHES:
+    if pitches_um.size < MIN_PITCHES:
         return None
     return fit_of_metric(
         first.metric, pitches_um, values, partial(photodiode_widths_um, study, first.technology)

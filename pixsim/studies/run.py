@@ -83,13 +83,13 @@ _WIDEST_STEP = math.log(8.0)  # of a value's logarithm, on the way to the thresh
 # of the logarithm of a value, that of d′ is half or more: it grows at least as the root of the
 # light
 _SLOWEST = 2.2
-MAX_STEPS, MOST_RENDERS = (
+MAX_STEPS, MAX_RENDERS = (
     9,
     24,
 )  # on the way to a value on the other side of the threshold; of the whole search
 # from the last value that is seen, up to 512 times as much: beyond it a target may be too bright
 _UPWARD_STEPS = 3
-LEAST = 1e-6  # in place of a d′ of 0
+_MIN_D_PRIME = 1e-6  # in place of a d′ of 0
 
 
 @dataclass(frozen=True)
@@ -198,11 +198,11 @@ def _threshold_of(
         image, _ = request.render(scene, request.plan_of(scene))
         background = without_target(replace(request, scene=scene), across)
         if progress:
-            progress(min(next(number) / MOST_RENDERS, 1.0))
+            progress(min(next(number) / MAX_RENDERS, 1.0))
         return logarithm(_d_prime_in(SceneLight(image, background)))
 
     def logarithm(d_prime: float) -> float:
-        return math.log(max(d_prime, LEAST) / options.threshold)
+        return math.log(max(d_prime, _MIN_D_PRIME) / options.threshold)
 
     with without_warnings():
         search = Search(excess, {0.0: logarithm(d_prime)})
@@ -420,7 +420,7 @@ def prepare(
 
 
 @dataclass(frozen=True)
-class LitRun:
+class RenderedRun:
     """A run whose light is known. The fields are those of `RunResult`."""
 
     prepared: Job[Run] = field(repr=False)
@@ -431,7 +431,7 @@ class LitRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunResult(LitRun, Result):
+class RunResult(RenderedRun, Result):
     """A scene as one sensor sees it, with its score.
 
     prepared : what was run: source, settings and camera
@@ -684,10 +684,10 @@ def run_prepared(prepared: Job[Run], *, progress: Stage | None = None) -> RunRes
     progress : returns a callback for each named stage
     """
     stage = progress or no_stage
-    return score_run(light_run(prepared, stage), stage)
+    return score_run(render_run(prepared, stage), stage)
 
 
-def light_run(prepared: Job[Run], stage: Stage) -> LitRun:
+def render_run(prepared: Job[Run], stage: Stage) -> RenderedRun:
     """Return a run with its light, with the white that it is shown with."""
     with collected_notes() as notes:
         image, rendered, plan = prepared.cases[0].picture, None, None
@@ -695,11 +695,11 @@ def light_run(prepared: Job[Run], stage: Stage) -> LitRun:
             rendered, plan = rendered_light(prepared.request, stage("render"))
             image = rendered.image
         image.header |= white_header([(Imaging.of(prepared.settings, prepared.camera), image)])
-    return LitRun(prepared, image, rendered, plan, tuple(notes))
+    return RenderedRun(prepared, image, rendered, plan, tuple(notes))
 
 
 def score_run(
-    rendered_run: LitRun,
+    rendered_run: RenderedRun,
     stage: Stage,
     prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene,
 ) -> RunResult:

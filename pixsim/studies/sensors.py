@@ -42,7 +42,7 @@ from pixsim.studies.design import (
 )
 from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, study_of
 from pixsim.studies.lights import LightRequest, light_request
-from pixsim.studies.paired import FEWEST_PAIRS
+from pixsim.studies.paired import MIN_PAIRS
 from pixsim.studies.prepare import (
     Job,
     Types,
@@ -82,7 +82,7 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
 
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
-REPEATS, USUAL_REPEATS = (FEWEST_PAIRS, 10_000), 8
+REPEATS, USUAL_REPEATS = (MIN_PAIRS, 10_000), 8
 OF_A_SENSOR = (
     "camera",
     "lens",
@@ -652,7 +652,9 @@ class ComparisonJob(Job[Run]):
     def evaluations(self) -> int:
         """Number of evaluations of the sensors, and of their types."""
         types = 0 if self.types is None else len(self.types.sample.quantiles)
-        return super().evaluations + FEW_SENSORS * types * len(self.names) * len(self.of_sensors())
+        return super().evaluations + FEW_SENSORS * types * len(self.names) * len(
+            self.condition_groups()
+        )
 
     @property
     def combinations(self) -> tuple[Case[Run], ...]:
@@ -662,7 +664,7 @@ class ComparisonJob(Job[Run]):
             firsts.setdefault(repr((group.first.at, group.first.alone)), group.first)
         return tuple(firsts.values())
 
-    def of_sensors(
+    def condition_groups(
         self, combination: int = 0, other: str = "", match: Match | None = None
     ) -> list[SensorGroup]:
         """Return the groups of all sensors under each condition; or of the first and another one.
@@ -687,9 +689,9 @@ class ComparisonJob(Job[Run]):
         return tuple(dict.fromkeys(group.match for group in self.groups))
 
     @property
-    def shown(self) -> SensorGroup:
+    def pictured_group(self) -> SensorGroup:
         """All sensors under the first condition of weight above 0, whose pictures are shown."""
-        return next(group for group in self.of_sensors() if group.weight)
+        return next(group for group in self.condition_groups() if group.weight)
 
 
 def prepare(

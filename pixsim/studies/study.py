@@ -79,7 +79,7 @@ from pixsim.studies.settings import Study
 from pixsim.studies.table import DOTS, Label, Table, check_replaceable_results
 from pixsim.studies.uncertainty import (
     FEW_SENSORS,
-    MOST_EVALUATIONS,
+    MAX_TYPE_EVALUATIONS,
     UncertaintyResult,
     drawn_metrics,
     few_pitches_um,
@@ -465,7 +465,7 @@ def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
         ends_um.append(curve.pitch_um[[0, -1]])
     range_um = float(max(low for low, _ in ends_um)), float(min(high for _, high in ends_um))
     optimum_um = float(np.clip(curve.optimum.pitch_um, *range_um))
-    return few_pitches_um(optimum_um, curve.optimum.interval_um, range_um, MOST_EVALUATIONS)
+    return few_pitches_um(optimum_um, curve.optimum.interval_um, range_um, MAX_TYPE_EVALUATIONS)
 
 
 def _results_of_types(

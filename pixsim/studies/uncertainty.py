@@ -164,7 +164,7 @@ _CENTRAL_90 = float(
     ndtri(0.95)
 )  # half of the central 90 % of a normal distribution, in standard deviations
 NORMAL_95 = float(ndtri(0.975))
-_LEAST_KEPT = 0.5  # of a distribution, within the bounds of its number
+_MIN_SHARE_IN_BOUNDS = 0.5  # of a distribution, within the bounds of its number
 # Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets
 # large, or our knowledge of them poor, does so in all of its processes.
 SHARED = (
@@ -180,8 +180,8 @@ _ORDERED = (
     ("voltage_swing_v", "reset_voltage_v"),
     ("fill_factor_inset_features", "fill_factor_zero_pitch_features"),
 )
-LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
-MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
+MIN_DRAWS, MAX_DRAWS = 8, 1 << 16
+MAX_TYPE_EVALUATIONS = 24  # of a sensor type, for each technology and case
 _HALF_CELL = (
     2.0**-31
 )  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
@@ -219,14 +219,17 @@ class Unknown:
                 self.name, f"a lognormal distribution of {self.value:g}", "a number above 0"
             )
         low, high = self.cut
-        if high - low < _LEAST_KEPT:
+        if high - low < _MIN_SHARE_IN_BOUNDS:
             bounds = f"{self.allowed[0]:g} to {self.allowed[1]:g}"
             got = (
                 f"a {self.spread.kind} distribution of which {percent(high - low)} are within"
                 f" {bounds}"
             )
             raise invalid(
-                self.name, got, f"at least {percent(_LEAST_KEPT)}", "Give a narrower spread."
+                self.name,
+                got,
+                f"at least {percent(_MIN_SHARE_IN_BOUNDS)}",
+                "Give a narrower spread.",
             )
 
     @property
@@ -764,7 +767,7 @@ def _plain_shares(
 
 _FEW_EVALUATIONS = 24
 FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
-LEAST_PITCHES = 5  # of a curve that can be fitted
+MIN_PITCHES = 5  # of a curve that can be fitted
 # Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
 # 1 % (5 % on a flat curve), as their intervals say, also if it lies a quarter beside the base's.
 REACH = (
@@ -805,9 +808,9 @@ def few_pitches_um(
         for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
     ]
     few = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
-    if len(few) < LEAST_PITCHES:
+    if len(few) < MIN_PITCHES:
         raise invalid(
-            "range_um", f"{low:g} to {high:g}", f"a range of {LEAST_PITCHES} different pitches"
+            "range_um", f"{low:g} to {high:g}", f"a range of {MIN_PITCHES} different pitches"
         )
     return few
 

@@ -16,7 +16,7 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.explorer.controls import Control, controls_of, presets_of
-from pixsim.explorer.session import MOST_LIGHTS, PageRequest, Session
+from pixsim.explorer.session import MAX_LIGHTS, PageRequest, Session
 from pixsim.show.pictures import display_codes
 from pixsim.studies.run import run
 from pixsim.viewer.setting import Run
@@ -138,7 +138,7 @@ def test_light_and_ideal_that_are_kept_change_no_bit(answered):
         answers(
             session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",))
         )
-        assert len(session._lights) <= MOST_LIGHTS
+        assert len(session._lights) <= MAX_LIGHTS
     again = next(
         message
         for message in answers(session, PageRequest(3, ((0, TURNED),)))

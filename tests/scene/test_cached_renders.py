@@ -27,7 +27,7 @@ from pixsim.scene.renderer import CachedRenders, Renderer
 from pixsim.studies import prepare as preparation
 from pixsim.studies.files import load_study
 from pixsim.studies.lights import render_for
-from pixsim.studies.run import light_run, prepare
+from pixsim.studies.run import prepare, render_run
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
@@ -94,7 +94,7 @@ def lit(path: str | Path = "csf", full: bool = False, **more: Any) -> tuple[byte
     settings = Run.model_validate(merge(TABLES, more))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        light = light_run(
+        light = render_run(
             prepare(str(path), settings, full=full, variant=VARIANT), no_stage
         ).irradiance
     return light.planes.tobytes(), repr(light.header)

@@ -29,15 +29,15 @@ from pixsim.report.study_facts import contrast_words, study_notes
 from pixsim.show.document import DocumentTable
 from pixsim.show.render import text
 from pixsim.studies import sensors
-from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.curve import Curve, first_metric_and_ci95
 from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study, settings_text
-from pixsim.studies.merit import quanta_of_study
-from pixsim.studies.optimum import fit_curve, fit_of_metric, told_pitches
+from pixsim.studies.merit import study_neq
+from pixsim.studies.optimum import fit_curve, fit_of_metric, fittable_pitches
 from pixsim.studies.prepare import prepare
 from pixsim.studies.regret import condition_regrets, metric_regrets, share_of_best
 from pixsim.studies.result import StudyResult
-from pixsim.studies.run import MOST_RENDERS, Search, Threshold
+from pixsim.studies.run import MAX_RENDERS, Search, Threshold
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E
@@ -153,7 +153,7 @@ def test_study_says_the_best_sizes_by_information_at_other_contrasts(
         fit = fit_of_metric(METRICS["information"], own.pitch_um, own.statistics[name], widths)
         assert fit is not None
         assert own.fits[name].optimum == fit.optimum
-        assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.of_metric()
+        assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.metric_dict()
         sizes.append(fit.optimum)
     (line,) = contrast_words(result, own)
     stated_um = [float(number) for number in re.findall(r"([0-9.]+) µm", line)]
@@ -187,7 +187,7 @@ def test_noise_equivalent_quanta_are_those_of_the_best_size_by_information(
 ) -> None:
     """Up to its Nyquist frequency."""
     own = judged[0].curves[0]
-    (quanta,) = quanta_of_study(judged[0]).items()
+    (quanta,) = study_neq(judged[0]).items()
     assert quanta[0] == own.label
     assert quanta[1].frequency_cy_per_mm[-1] == pytest.approx(
         500 / own.optima["information"].pitch_um, rel=1e-6
@@ -231,7 +231,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     result = pixsim.study(tiny(metrics=["information", "acutance", "mtf50"]), tmp_path, jobs=1)
     own = result.curves[0]
     assert not own.has_delta_e
-    assert own.as_dict()["optimum"] == own.optimum.of_metric(), "no number of ΔE"
+    assert own.as_dict()["optimum"] == own.optimum.metric_dict(), "no number of ΔE"
     assert own.optimum.value == pytest.approx(own.mean("information").max(), rel=0.05)
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -367,7 +367,7 @@ def test_search_finds_both_ends_of_the_light_in_which_a_target_is_seen(start: fl
     assert high is not None
     assert start * math.exp(low) == pytest.approx(12.0, rel=2e-3)
     assert start * math.exp(high) == pytest.approx(upper, rel=2e-3)
-    assert len(calls) <= MOST_RENDERS
+    assert len(calls) <= MAX_RENDERS
 
 
 @pytest.mark.parametrize("start", [1.0, 100.0, 1400.0, 1e5])
@@ -536,7 +536,7 @@ def test_size_worth_nothing_or_without_a_number_is_a_point_that_the_curve_does_w
     values[1] = np.nan
     metric = METRICS["information"]
     np.testing.assert_array_equal(
-        told_pitches(metric, values), [True, False, True, True, True, False, False]
+        fittable_pitches(metric, values), [True, False, True, True, True, False, False]
     )
     fit = fit_of_metric(metric, PITCH_UM, values, np.asarray)
     assert fit is not None
@@ -544,10 +544,10 @@ def test_size_worth_nothing_or_without_a_number_is_a_point_that_the_curve_does_w
     alone = fit_curve(PITCH_UM[kept], metric.loss(values[kept]))
     assert fit.optimum.pitch_um == alone.optimum.pitch_um
     own = curve(parabola(3.0), values)
-    assert own.told.all()
+    assert own.fittable.all()
     by_information = own.judged_by("information")
     assert np.isnan(by_information.delta_e[[1, 5, 6]]).all()
-    shown, half = shown_mean_and_ci95(by_information)
+    shown, half = first_metric_and_ci95(by_information)
     np.testing.assert_allclose(shown[[0, 5]], values[[0, 5]].mean(axis=1), rtol=1e-3)
     assert np.isnan(half[[1, 5, 6]]).all()
     assert own.judged_by("information").judged_by("delta_e").optimum is own.optimum
@@ -593,7 +593,7 @@ def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
     asked = tiny(metrics=["detectability", "delta_e"], scene=scene, **over)
     result = pixsim.study(asked, tmp_path, jobs=1)
     own = result.curves[0]
-    assert own.pitch_um[~own.told].tolist() == silent
+    assert own.pitch_um[~own.fittable].tolist() == silent
     assert own.sensors.tolist() == [2] * own.pitch_um.size
     assert own.optima["delta_e"].pitch_um
     assert any(re.search(reason, note) for note in study_notes(result))

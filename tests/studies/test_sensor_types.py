@@ -24,7 +24,7 @@ from pixsim.studies.files import load_study, uncertainty_of
 from pixsim.studies.prepare import Asked, check_axes, unknowns_of_study
 from pixsim.studies.settings import Study
 from pixsim.studies.study import draw_types
-from pixsim.studies.uncertainty import MOST_EVALUATIONS, TYPES_FILE, sample_of, settings_of
+from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS, TYPES_FILE, sample_of, settings_of
 from pixsim.viewer.merging import merge
 
 SMALL = TINY | {
@@ -71,7 +71,7 @@ def test_draw_types_rows_are_those_of_a_study_with_its_numbers(
         row for row in rows(folder / file) if (row["draw"], row["technology"]) == ("3", "0.25um")
     ]
     pitches = sorted({float(row["pitch_um"]) for row in drawn})
-    assert 5 <= len(drawn) <= MOST_EVALUATIONS
+    assert 5 <= len(drawn) <= MAX_TYPE_EVALUATIONS
     own = {"pitch": {"values_um": [*pitches, 15.0]}, "technologies": ["0.25um"], "metrics": metrics}
     settings = settings_of(result.study, unknowns, sample.draws[3])
     table = merge(merge(SMALL, settings), own) | {

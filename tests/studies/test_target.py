@@ -240,7 +240,7 @@ def test_only_ranges_without_a_target_are_refined(fit: FittedCurve, evaluations:
     """
     tried_um = np.array(list(START))
     curve = SimpleNamespace(
-        technology="0.35um", fit=fit, optimum=fit.optimum, pitch_um=tried_um, told=tried_um > 0
+        technology="0.35um", fit=fit, optimum=fit.optimum, pitch_um=tried_um, fittable=tried_um > 0
     )
     own = {"repeats": 2, "technologies": ("0.35um",), "target_ci_um": None}
 

@@ -13,7 +13,7 @@ from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import Irradiance, RunFiles, run_document, run_page
 from pixsim.show.document import Document
 from pixsim.show.render import write
-from pixsim.studies.run import check_raw, light_run, prepare, score_run
+from pixsim.studies.run import check_raw, prepare, render_run, score_run
 from pixsim.viewer.setting import Run
 
 
@@ -51,7 +51,7 @@ def run_files(
         return outline_document("run", run_outline(prepared), folder), None
 
     with output_folder(folder):
-        rendered = light_run(prepared, progress)
+        rendered = render_run(prepared, progress)
         result = score_run(rendered, progress)
         page = write(run_page(result, files, progress("write")), folder, {"seconds": seconds})
     return run_document(result, warned=result.warned), page
