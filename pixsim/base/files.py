@@ -655,6 +655,8 @@ def reason(error: Exception) -> str:
     """
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
+    if isinstance(error, MemoryError):
+        return "its arrays need more memory than there is"
     return f"damaged, or of another format: {type(error).__name__} of its decoder"
 
 

@@ -103,7 +103,8 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
             f"{message.rpartition(' ')[0]}"
             f" {bound if isinstance(bound, int) else format(bound, 'g')}"
         )
-        wrong = float(wrong)  # a text on a command line
+        if isinstance(wrong, str):  # on a command line
+            wrong = float(wrong)
     hint = _hint(title, path, wrong)
     return (
         f"{where}: got {text}; allowed:"

@@ -92,7 +92,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metrics import DELTA_E as DELTA_E_METRIC, Metric
 from pixsim.viewer.screen import LightLevel
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, stage_words
 
 _JSON_FILE = "compare.json"
 _SCORES = "scores"
@@ -338,7 +338,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     rows = []
     for sensor in result.sensors:
         statistics = sensor.score.statistics()
-        stages = [stage for stage in sensor.case.settings.stage_words if stage not in shared]
+        stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
         exposed = ", ".join([exposure_time(statistics["integration_s"]), *stages])
         electrons = (rounded(statistics[name], 3) for name in ("mean_electrons_e", "full_well_e"))
         saturated = rounded(100 * statistics["saturated_fraction"], 2)

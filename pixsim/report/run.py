@@ -78,6 +78,7 @@ from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
 from pixsim.viewer.screen import LightLevel
+from pixsim.viewer.setting import stage_words
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -517,7 +518,7 @@ def _setup_words(result: RunResult) -> list[str]:
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
     exposed = [
         f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}",
-        *settings.stage_words,
+        *stage_words(settings),
     ]
 
     view = view_words(

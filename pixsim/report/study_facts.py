@@ -16,6 +16,7 @@ from pixsim.studies.regret import metric_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.raw_metrics import INFORMATION
+from pixsim.viewer.setting import stage_words
 
 _MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has all
 
@@ -58,7 +59,7 @@ def study_light_words(result: StudyResult) -> list[str]:
         assumption = part.study.camera.assumption(camera).partition(":")[0]
         lines.append(
             "; ".join(
-                filter(None, (lens, assumption, str(part.light_level), *part.study.stage_words))
+                filter(None, (lens, assumption, str(part.light_level), *stage_words(part.study)))
             )
         )
     return lines[:1] if len(set(lines)) == 1 else []

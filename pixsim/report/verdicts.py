@@ -27,7 +27,7 @@ from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import exceeded, noise_error_and_limit
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, stage_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -267,8 +267,8 @@ def sensor_words(sensor: Case[Run]) -> str:
 
 
 def shared_stages(group: SensorGroup) -> list[str]:
-    """Return what `Setting.stage_words` say of every sensor."""
-    first, *others = [case.settings.stage_words for case in group.cases]
+    """Return what `stage_words` say of every sensor."""
+    first, *others = [stage_words(case.settings) for case in group.cases]
     return [words for words in first if all(words in other for other in others)]
 
 

@@ -248,8 +248,9 @@ class ResultsComparison(Result):
         return None if math.isnan(error) else error
 
     def film_error_of(self, metric: Metric) -> float | None:
-        """Return `film_delta_e` for ΔE, and 0 for other metrics, whose error by the film is not
-        measured.
+        """Return the error of the film in the difference of a metric, None if it is unknown.
+
+        metric : ΔE, or another, whose error by the film is not measured and taken as 0
         """
         return self.film_delta_e if metric.is_delta_e else 0.0
 

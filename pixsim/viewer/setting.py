@@ -122,38 +122,38 @@ class Setting(Effort):
         ),
     )
 
-    @property
-    def stage_words(self) -> list[str]:
-        """What is on between the light on the sensor and the frame, in words for headlines, in the
-        order of the light.
-        """
-        exposure, veil = self.exposure, self.lens.veiling_glare
-        words = []
-        if veil:
-            words.append(
-                f"veiling glare {100 * veil:.3g} %"
-                if isinstance(veil, float)
-                else "veiling glare by wavelength"
-            )
-        if self.motion.is_on:
-            words.append(motion_words(self.motion))
-        if exposure.line_time_s:
-            words.append(f"rolling shutter, {exposure.line_time_us:g} µs a row")
-        if exposure.flickers:
-            words.append(
-                f"light flickers at {exposure.flicker_hz:g} Hz by"
-                f" {100 * (exposure.flicker_depth or 0.0):.3g} %"
-            )
-        if exposure.frames > 1:
-            words.append(f"each frame the sum of {exposure.frames} exposures")
-        return words
-
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
         """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take
         precedence.
         """
         return merged(layers)
+
+
+def stage_words(setting: Setting) -> list[str]:
+    """What is on between the light on the sensor and the frame, in words for headlines, in the
+    order of the light.
+    """
+    exposure, veil = setting.exposure, setting.lens.veiling_glare
+    words = []
+    if veil:
+        words.append(
+            f"veiling glare {100 * veil:.3g} %"
+            if isinstance(veil, float)
+            else "veiling glare by wavelength"
+        )
+    if setting.motion.is_on:
+        words.append(motion_words(setting.motion))
+    if exposure.line_time_s:
+        words.append(f"rolling shutter, {exposure.line_time_us:g} µs a row")
+    if exposure.flickers:
+        words.append(
+            f"light flickers at {exposure.flicker_hz:g} Hz by"
+            f" {100 * (exposure.flicker_depth or 0.0):.3g} %"
+        )
+    if exposure.frames > 1:
+        words.append(f"each frame the sum of {exposure.frames} exposures")
+    return words
 
 
 class Run(Setting):

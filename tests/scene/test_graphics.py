@@ -27,8 +27,8 @@ from helpers.tiny import lit_sensors, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.scene import renderer
 from pixsim.scene.convergence import render_until
-from pixsim.scene.guard import tracer
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import TraceJob
@@ -342,7 +342,7 @@ class Card:
 def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Give children a card that works for so many traces."""
     return lambda works: monkeypatch.setattr(
-        tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works)
+        renderer, "ChildTracer", lambda job, ends_at_s: Card(job, works)
     )
 
 

@@ -21,7 +21,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.noise_budget import FLICKER, noise_budget
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, stage_words
 
 ROWS, HZ, DEPTH = 400, 100.0, 0.6
 CAMERA = Camera(die_mm=0.1, die_height_mm=1.0, object_distance_m=0.5, focal_length_mm=4.0)
@@ -162,7 +162,7 @@ def test_settings_of_flicker() -> None:
         match="flicker_hz without flicker_depth; allowed: with the modulation of the lamp",
     ):
         Exposure(flicker_hz=100.0)
-    assert Run(exposure=Exposure(flicker_hz=100.0, flicker_depth=0.4)).stage_words == [
+    assert stage_words(Run(exposure=Exposure(flicker_hz=100.0, flicker_depth=0.4))) == [
         "light flickers at 100 Hz by 40 %"
     ]
     for exposure in (

@@ -35,7 +35,7 @@ from pixsim.studies.settings import Study
 from pixsim.studies.sweep import sweep
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import evaluate
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, stage_words
 
 
 def moved(
@@ -446,7 +446,7 @@ def test_contradictions_are_refused() -> None:
 
 
 def test_stages_say_what_they_do() -> None:
-    assert Run().stage_words == []
+    assert stage_words(Run()) == []
     run = Run(
         motion=Motion(velocity_mm_per_s=(2000.0, 0.0)),
         exposure=Exposure(frames=8, shutter="rolling", line_time_us=10.0),
@@ -456,7 +456,7 @@ def test_stages_say_what_they_do() -> None:
         "rolling shutter, 10 µs a row",
         "each frame the sum of 8 exposures",
     )
-    assert run.stage_words == list(words)
+    assert stage_words(run) == list(words)
     assert moving_in((3.0, -2.0), 0.5, run.exposure).path_um == (-1.0, 1.5)
     assert moving_in((3.0, -2.0), 0.5, run.exposure).row_um == pytest.approx(
         (-2e-5, 3e-5), rel=1e-12

@@ -90,7 +90,7 @@ def test_study_command_writes_files_and_prints_optimum(
         *("results.csv", "settings.toml", "summary.json", "report.html", "pixsim.json", "figures")
     }
     figures = {path.name for path in (out / "figures").iterdir()}
-    assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
+    assert {"delta_e_against_pitch.svg", "contact_sheet_0.35um.png"} <= figures
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {
         "contact_sheet_0.35um.png"
     }

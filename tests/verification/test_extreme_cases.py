@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from helpers import closed_forms as exact
 
-from pixsim import optics
 from pixsim.light.spectral import SpectralImage, photons_per_joule, photopic_efficiency
+from pixsim.optics.diffraction import diffract, diffraction_otf
 from pixsim.optics.stack import stack_collection
+from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
     electrons_per_joule,
     integrate_pixels,
@@ -246,7 +247,7 @@ def test_numbers_of_the_table_are_those_of_closed_forms(name: str) -> None:
 
 def padded(picture, pitch_um, nm, weight, f_number):
     """Diffraction with black padding."""
-    return optics.diffract(np.pad(picture, 8), pitch_um, nm, weight, f_number)[8:-8, 8:-8]
+    return diffract(np.pad(picture, 8), pitch_um, nm, weight, f_number)[8:-8, 8:-8]
 
 
 def sampled(rate, sample_um, pitch_um, side_um):
@@ -280,18 +281,15 @@ WRONG = {
         *LENS,
         lambda n, t, m: np.pi / (4 * np.square(n * (1 + np.abs(m))) * (1 + np.square(t)) ** 2),
     ),
-    "1/N² of the engraved f-number": (*LENS, lambda n, t, m: optics.irradiance_factor(n, t, 0 * m)),
-    "E/L in single precision": (
-        *LENS,
-        lambda n, t, m: np.float32(optics.irradiance_factor(n, t, m)),
-    ),
-    "an error of 5e-15": (*LENS, lambda n, t, m: optics.irradiance_factor(n, t, m) * (1 + 5e-15)),
+    "1/N² of the engraved f-number": (*LENS, lambda n, t, m: irradiance_factor(n, t, 0 * m)),
+    "E/L in single precision": (*LENS, lambda n, t, m: np.float32(irradiance_factor(n, t, m))),
+    "an error of 5e-15": (*LENS, lambda n, t, m: irradiance_factor(n, t, m) * (1 + 5e-15)),
     "a linear OTF": (*OTF, lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0)),
     "an OTF above 0 beyond the cut-off": (
         *OTF,
-        lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300),
+        lambda f, nm, n: np.maximum(diffraction_otf(f, nm, n), 1e-300),
     ),
-    "0.01 % in N": (*OTF, lambda f, nm, n: optics.diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
+    "0.01 % in N": (*OTF, lambda f, nm, n: diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
     "black padding": ("optics", "diffract", padded),
     "rates in single precision": (
         *PIXELS,

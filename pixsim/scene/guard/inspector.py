@@ -49,7 +49,7 @@ MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part o
 _LINE_OF_TEXT = re.compile(
     r"(?:\b[Aa]t|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)"
 )
-_QUOTED = re.compile(r'"([^"]*)"')
+_QUOTED = re.compile(r'"([^"]*)(?:"|$)')  # a long message ends within a quotation
 
 
 @dataclass(frozen=True)
