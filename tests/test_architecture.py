@@ -419,7 +419,7 @@ DOORS = {
     "scene.guard.files": {"ASSETS"},
     "scene.guard.inspector": {"open_scene", "SceneText", "REASONS"},
     "scene.guard.child": {"ChildTracer"},
-    "scene.guard.own_tracer": {"OwnTracer"},
+    "scene.guard.in_process": {"InProcessTracer"},
 }
 
 

@@ -36,8 +36,8 @@ from pixsim.scene.guard import child, inspector
 from pixsim.scene.guard.assets import metals
 from pixsim.scene.guard.child import ChildTracer, end_child
 from pixsim.scene.guard.inspector import open_scene
-from pixsim.scene.guard.loaded import BYTES_PER_BYTE, LEAST_BYTES, check_files
-from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.guard.loaded import BYTES_PER_BYTE, MIN_BYTES, check_files
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.guard.plugins import PLUGINS
 from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
@@ -409,7 +409,7 @@ def test_allowed_plugins_are_built(kind, assets):
         inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
         lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
         text = open_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
-        assert OwnTracer(
+        assert InProcessTracer(
             TraceJob(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())
         ).loaded, name
 
@@ -694,7 +694,7 @@ def test_computed_normals_repeat_bit_for_bit(tmp_path):
 
     def normals() -> np.ndarray:
         with speaking_mitsuba("llvm_ad_spectral") as mi:
-            tracer = OwnTracer(TraceJob("llvm_ad_spectral", text, (None,), 0, {}, None, ()))
+            tracer = InProcessTracer(TraceJob("llvm_ad_spectral", text, (None,), 0, {}, None, ()))
             parameters = mi.traverse(tracer._build(mi, None))
             return np.array(
                 next(
@@ -835,7 +835,7 @@ def film_of(side: int = SIDE) -> dict:
 @pytest.mark.parametrize("variant", [VARIANT, pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM)])
 def test_child_traces_as_this_process(variant, tmp_path):
     job = job_of(tmp_path, variant)
-    own, other = OwnTracer(job), ChildTracer(job)
+    own, other = InProcessTracer(job), ChildTracer(job)
     assert other.sample_count("multijitter", 7) == own.sample_count("multijitter", 7) >= 7
     one, two = (tracer.trace(0, film_of(), "multijitter", 16, 5) for tracer in (own, other))
     assert np.array_equal(one, two)
@@ -895,7 +895,7 @@ def test_memory_of_the_child_is_bounded(tmp_path):
     ChildTracer(mesh_job(tmp_path / "a.ply")).sample_count("independent", 4)
     limits = Path(f"/proc/{child._child.process.pid}/limits").read_text()
     limit_bytes = int(re.search(r"Max address space +(\d+) ", limits)[1])
-    room_bytes = LEAST_BYTES + BYTES_PER_BYTE * len(PLY)
+    room_bytes = MIN_BYTES + BYTES_PER_BYTE * len(PLY)
     assert (
         min(room_bytes, memory().total) < limit_bytes < room_bytes + (2 << 30)
     )  # Mitsuba and LLVM map less than 1 GiB

@@ -46,17 +46,18 @@ def band_edges_nm(span: Span) -> Array:
 
 
 @dataclass(frozen=True)
-class Witness:
-    """A spectral response whose signal the bands must reproduce, with an error of up to `slack`
-    times the tolerance.
+class Detector:
+    """A spectral response whose signal the bands must reproduce.
 
-    The error is relative to the signal, or to `least` times that of a neutral surface if this is
-    larger.
+    response : of a channel of a sensor, or of an observer
+    tolerance_factor : the error may be this many times the tolerance
+    min_share_of_neutral : the error is relative to the signal, or to this share of the signal of a
+        neutral surface where that is larger
     """
 
     response: Response
-    slack: float = 1.0
-    least: float = 0.0
+    tolerance_factor: float = 1.0
+    min_share_of_neutral: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class Fit:
 def place_bands(
     lamps: list[Spectrum],
     surfaces: Array,
-    witnesses: list[Witness],
+    detectors: list[Detector],
     tolerance: float,
     span: Span = VISIBLE,
 ) -> Bands:
@@ -161,7 +162,7 @@ def place_bands(
     lights = [resolved(lamp, surfaces, span) for lamp in lamps]
     while True:
         bands = _shaped(edges, lamps)
-        errors = [band_errors(bands, light, witnesses) for light in lights]
+        errors = [band_errors(bands, light, detectors) for light in lights]
         worst = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
         if worst <= tolerance or edges.size > MAX_BANDS:
             return bands
@@ -173,23 +174,25 @@ def place_bands(
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
-def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[Witness]) -> Array:
-    """Return each band's contribution to the error of each witness's signal, (witnesses, 1 + n
+def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], detectors: list[Detector]) -> Array:
+    """Return each band's contribution to the error of each detector's signal, (detectors, 1 + n
     surfaces, B).
 
-    It is relative to the whole signal and to the witness's slack. `lamp` is `resolved`.
+    It is relative to the whole signal and to the detector's slack. `lamp` is `resolved`.
     """
     light, at, families = lamp
     first = np.searchsorted(at, bands.edges_nm[:-1])
     energy = np.add.reduceat(families * light, first, axis=1)
     errors = []
-    for witness in witnesses:
-        truth = np.add.reduceat(families * (light * witness.response(at)), first, axis=1)
+    for detector in detectors:
+        truth = np.add.reduceat(families * (light * detector.response(at)), first, axis=1)
         total = truth.sum(axis=1, keepdims=True)
-        total = np.maximum(total, witness.least * total[:1])
-        wrong = bands.mean(witness.response) * energy - truth
+        total = np.maximum(total, detector.min_share_of_neutral * total[:1])
+        wrong = bands.mean(detector.response) * energy - truth
         errors.append(
-            np.divide(wrong, total * witness.slack, out=np.zeros_like(wrong), where=total > 0)
+            np.divide(
+                wrong, total * detector.tolerance_factor, out=np.zeros_like(wrong), where=total > 0
+            )
         )
     return np.array(errors)
 
@@ -292,7 +295,7 @@ def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
         band: window_pulse(lamp, edges[band], edges[band + 1], **options)
         for band in np.flatnonzero(mean).tolist()
     }
-    lit, pulses = (
+    bright_bands, pulses = (
         [band for band, pulse in band_pulse.items() if pulse],
         tuple(pulse for pulse in band_pulse.values() if pulse),
     )
@@ -308,7 +311,7 @@ def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     )
     return Fit(
         pulses,
-        np.diag(mean)[lit],
+        np.diag(mean)[bright_bands],
         fours if are_disjoint else [[index] for index in range(len(pulses))],
     )
 
@@ -331,7 +334,7 @@ def fit(
     lamp: Spectrum,
     bands: Bands,
     surfaces: Array,
-    witnesses: list[Witness],
+    detectors: list[Detector],
     tolerance: float,
     stiffness: float = STIFFNESS,
 ) -> Fit | None:
@@ -344,25 +347,25 @@ def fit(
     """
     step, span = lamp.step_nm, bands.span
     whole, grid, light = grid_nm(span=span), grid_nm(step, span), lamp.on_grid(step, span)
-    lit = grid[light > 0]
-    if lit.size == 0:
+    bright_nm = grid[light > 0]
+    if bright_nm.size == 0:
         return None
     families = np.array(
         [np.interp(grid, whole, surface) for surface in (np.ones(whole.size), *surfaces)]
     )
     fine_light, at, fine = resolved(lamp, surfaces, span)
     truth = np.array(
-        [(fine * (fine_light * witness.response(at))).sum(axis=1) for witness in witnesses]
+        [(fine * (fine_light * detector.response(at))).sum(axis=1) for detector in detectors]
     )
     first = np.searchsorted(at, bands.edges_nm[:-1])
     band_means = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
-    signals = np.array([bands.mean(witness.response) * bands.width_nm for witness in witnesses])
-    slack = np.array([[witness.slack] for witness in witnesses])
+    signals = np.array([bands.mean(detector.response) * bands.width_nm for detector in detectors])
+    tolerance_factor = np.array([[detector.tolerance_factor] for detector in detectors])
     reference = np.maximum(
-        truth, np.array([[witness.least] for witness in witnesses]) * truth[:, :1]
+        truth, np.array([[detector.min_share_of_neutral] for detector in detectors]) * truth[:, :1]
     )
     for count in _PULSE_COUNTS:
-        cuts = np.linspace(lit[0], lit[-1], count + 1)
+        cuts = np.linspace(bright_nm[0], bright_nm[-1], count + 1)
         pulses = [window_pulse(lamp, a, b, inside=count > 1, span=span) for a, b in pairwise(cuts)]
         pulses_lit = [pulse for pulse in pulses if pulse is not None]
         if not pulses_lit:  # the windows are narrower than their flanks
@@ -373,7 +376,9 @@ def fit(
         measured = np.stack([pulse.mean(families, step, span) for pulse in pulses_lit], axis=1)
         fitted = measured @ spectra
         wrong = np.abs(signals @ fitted.T - truth)
-        errors = np.divide(wrong, reference * slack, out=np.zeros_like(wrong), where=reference > 0)
+        errors = np.divide(
+            wrong, reference * tolerance_factor, out=np.zeros_like(wrong), where=reference > 0
+        )
         shape = np.abs(fitted - band_means).max(axis=1) / np.maximum(
             band_means.max(axis=1), np.finfo(float).tiny
         )

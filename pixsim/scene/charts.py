@@ -202,7 +202,7 @@ def target(
     Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels`
     does.
     """
-    drawn = Target.of_parameters(fields, {"size_um": _TARGET_UM})
+    drawn = Target.from_parameters(fields, {"size_um": _TARGET_UM})
     if drawn.shape != "edge" and drawn.size_um is None:
         raise invalid(
             "target",

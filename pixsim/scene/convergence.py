@@ -292,7 +292,7 @@ def _halves_delta_e(
     weight : samples of each half
     """
     if delta_e_between is None or not all(
-        any(job.lit(picture) for picture in half) for half in halves
+        any(job.has_light(picture) for picture in half) for half in halves
     ):
         return None
     first, second = (job.image(_means(half, weight), 0) for half in halves)
@@ -355,23 +355,23 @@ ROUNDING = 1e-5  # of the noise in an image's header
 Settings = TypeVar("Settings", bound=Effort)
 
 
-def without_clock(asked: Settings, image: SpectralImage) -> Settings:
+def without_clock(settings: Settings, image: SpectralImage) -> Settings:
     """Return the settings that make the same picture again, whatever the clock says; those asked
     for if they have no time limit.
 
     A time limit may have ended the render, whose noise is then the target, and may have chosen the
     film.
 
-    asked : with `max_seconds` as the user gave it
+    settings : with `max_seconds` as the user gave it
     image : of a render with these settings
     """
-    if asked.max_seconds is None:
-        return asked
+    if settings.max_seconds is None:
+        return settings
     noise = image.header["render_noise"]
     no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S, "resolution": image.shape[1]}
     if noise["ended_by"] == "max_seconds":
         no_limit |= {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
-    return asked.model_copy(update=no_limit)
+    return settings.model_copy(update=no_limit)
 
 
 def noise_of(

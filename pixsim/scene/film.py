@@ -45,12 +45,12 @@ def details_across(
     aperture_side_um: float,
     display: Display,
     pitch_um: float,
-    of_chart: float | None = None,
+    chart_details: float | None = None,
 ) -> tuple[float, str]:
     """Return how many of the finest details that matter fit across the die, and what they are.
 
     aperture_side_um, pitch_um : of the smallest pixel
-    of_chart : details of a chart that fills the film; None if the scene may have any
+    chart_details : details of a chart that fills the film; None if the scene may have any
     """
     die_um = 1e3 * camera.die_mm
     dots = dots_across(camera, display, pitch_um)
@@ -65,8 +65,8 @@ def details_across(
     details, name = (finer[name], name) if finer[name] > dots else (dots, "dots of the display")
     return (
         (details, name)
-        if of_chart is None or of_chart >= details
-        else (of_chart, "details of the chart")
+        if chart_details is None or chart_details >= details
+        else (chart_details, "details of the chart")
     )
 
 
@@ -102,19 +102,21 @@ def largest_film(height_over_width: float, planes: int, cells_in_time: float = m
     return min(MAX_ACROSS, math.isqrt(int(cells / height_over_width)) // BLOCK * BLOCK)
 
 
-def fitting_width(height_over_width: float, width: float, most: int) -> int:
-    """Return the width, at least `width` if `most` allows it, whose whole cells end closest beyond
-    the lower edge of the die.
+def fitting_width(height_over_width: float, width: float, max_width: int) -> int:
+    """Return the film width in cells that fits the die's height best.
 
-    On a square die that is the next multiple of `BLOCK`.
+    The last row of cells ends closest beyond the lower edge of the die. On a square die the width
+    is the next multiple of `BLOCK`.
+
+    width : the film is at least as wide, if `max_width` allows it
     """
     if height_over_width == 1:
-        return min(math.ceil(width / BLOCK) * BLOCK, most)
-    last = min(math.ceil(width * (1 + _WIDENED)), most)
-    first = min(math.ceil(width), math.ceil(last / (1 + _WIDENED)))
+        return min(math.ceil(width / BLOCK) * BLOCK, max_width)
+    widest = min(math.ceil(width * (1 + _WIDENED)), max_width)
+    narrowest = min(math.ceil(width), math.ceil(widest / (1 + _WIDENED)))
 
-    def beyond(across: int) -> float:
-        height = across * height_over_width
+    def height_excess(width_cells: int) -> float:
+        height = width_cells * height_over_width
         return math.ceil(height - FILM_ROUNDING) - height
 
-    return min(range(first, last + 1), key=beyond)
+    return min(range(narrowest, widest + 1), key=height_excess)

@@ -203,13 +203,13 @@ def _light_that_ends(inspection: Inspection) -> list[str]:
         if nodes[-1] - nodes[0] < _LINE_NM:
             continue
 
-        lit = _ENDS_LIT * values.max()
-        held = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
+        min_value = _ENDS_LIT * values.max()
+        held_light = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
         for word, end_nm, value, beyond in (
             ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
             ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
         ):
-            if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
+            if value > min_value and (part := share(held_light, beyond)) > SHOWN_SHARE:
                 warnings.append(
                     f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken"
                     f" as 0 beyond; if it stayed so, {percent(part)} of the electrons would come"

@@ -140,7 +140,7 @@ class TraceJob:
     files: tuple[AssetFile, ...] = ()
 
     @property
-    def of_scenes(self) -> tuple[object, ...]:
+    def scenes_key(self) -> tuple[object, ...]:
         """What Mitsuba's scenes and integrators depend on."""
         return self.variant, self.text, self.files, self.lamps, self.integrator, self.tables
 

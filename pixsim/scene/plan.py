@@ -32,7 +32,7 @@ from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
-from pixsim.scene.bands import Bands, Fit, Witness
+from pixsim.scene.bands import Bands, Detector, Fit
 from pixsim.scene.contents import Lamp, Surfaces
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.inspection import Inspection, inspect_scene
@@ -279,7 +279,7 @@ class Plan:
         """
         if self.samples.exact:
             return math.inf
-        fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
+        fewest = rules.MIN_PATH_SPP if self.film.chart is None else rules.MIN_CHART_SPP
         fewest = self.samples.spp if self.samples.given_spp else fewest
         return self.most_samples / (fewest * self.light.passes * _MIN_RENDERS)
 
@@ -562,7 +562,7 @@ def _without_samples(plan: Plan) -> Plan:
     return replace(plan, samples=replace(plan.samples, spp=0, exact=True), decisions=decisions)
 
 
-def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
+def _detectors(derived: Sequence[PixelPhysics]) -> list[Detector]:
     """Return the responses that the bands must reproduce: electrons per joule of the pixels, and
     the luminance.
 
@@ -577,16 +577,20 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
 
     responses = [response(channel) for physics in derived for channel in physics.channels]
     if not any(physics.layout for physics in derived):
-        return [*map(Witness, responses), Witness(photopic_efficiency, _LUMINANCE_SLACK)]
+        return [*map(Detector, responses), Detector(photopic_efficiency, _LUMINANCE_SLACK)]
 
     # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and
     # lines.
     channels = [
-        Witness(channel, slack=_COLOUR_SLACK, least=_MIN_SHARE_OF_WHITE) for channel in responses
+        Detector(channel, tolerance_factor=_COLOUR_SLACK, min_share_of_neutral=_MIN_SHARE_OF_WHITE)
+        for channel in responses
     ]
     return [
         *channels,
-        *(Witness(observer(number), least=_MIN_SHARE_OF_WHITE) for number in range(3)),
+        *(
+            Detector(observer(number), min_share_of_neutral=_MIN_SHARE_OF_WHITE)
+            for number in range(3)
+        ),
     ]
 
 
@@ -597,11 +601,11 @@ def _lights(
     and the reasons.
     """
     lamps, surfaces = inspection.lamps, inspection.surfaces
-    witnesses = _witnesses(inspection.pixels)
+    detectors = _detectors(inspection.pixels)
     products = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     bands = spectral_bands.place_bands(
-        spectra, products, witnesses, tolerance_e * BANDS_SHARE, surfaces.span
+        spectra, products, detectors, tolerance_e * BANDS_SHARE, surfaces.span
     )
 
     has_spectra = surfaces.spectra is not None or bounces == 0
@@ -614,7 +618,7 @@ def _lights(
         fitted: Fit | None = None
         if lamp.spectrum:
             errors = spectral_bands.band_errors(
-                bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), witnesses
+                bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), detectors
             )
             bands_error = max(bands_error, float(np.abs(errors.sum(axis=2)).max()))
             if has_spectra and not full:
@@ -622,7 +626,7 @@ def _lights(
                     lamp.spectrum,
                     bands,
                     products,
-                    witnesses,
+                    detectors,
                     tolerance_e * SPECTRUM_SHARE,
                     stiffness,
                 )

@@ -43,7 +43,7 @@ from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import asset_files, warnings_of_skies
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import Lamps, OutOfTimeError, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
 from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
@@ -365,7 +365,7 @@ class Renderer:
         )
 
     @cached_property
-    def tracer(self) -> OwnTracer | ChildTracer:
+    def tracer(self) -> InProcessTracer | ChildTracer:
         """What traces the job: this process if the scene is packaged and has all the time.
 
         Else it is a child, which can be killed, and which a failing card may end too.
@@ -374,7 +374,7 @@ class Renderer:
             self.packaged and self.source.choice.processors is None and self.ends_at_s is None
         )
         return (
-            OwnTracer(self.job)
+            InProcessTracer(self.job)
             if in_this_process
             else ChildTracer(self.job, lambda: self.ends_at_s)
         )
@@ -466,10 +466,10 @@ class Renderer:
         """Render each strip as an average of renders in float64, with consecutive seeds."""
         if self.plan.samples.exact:
             return self._exact(), 0
-        asked = self.plan.samples.spp * LEVEL_FACTOR**level
+        spp = self.plan.samples.spp * LEVEL_FACTOR**level
         if level:
-            asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
-        works = [self._work(scene, asked) for scene in range(len(self.plan.light.lamps))]
+            spp = next((count for count in SAMPLE_COUNTS if count >= spp), spp)
+        works = [self._work(scene, spp) for scene in range(len(self.plan.light.lamps))]
         count, number = sum(work.renders * len(work.parts) for work in works), 0
         first = self.seed * _SEED_STRIDE + level * _LEVEL_STRIDE + index * count
         pictures = []
@@ -488,15 +488,16 @@ class Renderer:
             pictures.append(planes)
         return pictures, works[0].spp
 
-    def _work(self, scene: int, asked: int) -> Work:
+    def _work(self, scene: int, requested_spp: int) -> Work:
         """Divide the traces of a light: its passes together, or a pass at a time; strips; averages
         of shorter renders.
 
-        asked : samples per film cell and pass; most samplers round the number up, to stratify them
+        requested_spp : samples per film cell and pass; most samplers round the number up, to
+            stratify them
         """
         light, sampler = self.plan.light.lamps[scene], self.plan.samples.sampler
-        renders = -(-asked // _SPP_PER_RENDER)
-        spp = self.tracer.sample_count(sampler, -(-asked // renders))
+        renders = -(-requested_spp // _SPP_PER_RENDER)
+        spp = self.tracer.sample_count(sampler, -(-requested_spp // renders))
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
         samples, samples_per_kernel = (
@@ -554,7 +555,7 @@ class Renderer:
         """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into
         the header.
         """
-        if not any(self.lit(picture) for picture in pictures):
+        if not any(self.has_light(picture) for picture in pictures):
             dark_skies = warnings_of_skies(
                 parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading
             )
@@ -624,7 +625,7 @@ class Renderer:
             }
         }
 
-    def lit(self, picture: Picture) -> bool:
+    def has_light(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
         for rows in strips(*self.field):
             if picture[rows].any():

@@ -274,9 +274,9 @@ _AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
 _UNLIMITED = -1
 # On a film finer than the scene's: of a chart, stratified, with an eighth of the noise of one; of a
 # path, independent.
-FEWEST_OF_A_CHART, FEWEST_OF_A_PATH = 2, 4
+MIN_CHART_SPP, MIN_PATH_SPP = 2, 4
 # samples; with 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
-_MIN_OF_A_PATH = 16
+_MIN_MULTIJITTER_SPP = 16
 # of a chart's half width: where files round its size or the camera's angle, it still ends with the
 # film
 ENDS = 1e-4
@@ -315,15 +315,15 @@ def decide_bounces(
         _UNLIMITED,
     )
     allowed = "any number" if max_depth < 0 else f"{max(max_depth - 1, 0)}"
-    met = _UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
+    max_surfaces = _UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
     if full:
-        return None, met, Decision("bounces", True, f"as set in the scene: {allowed}")
+        return None, max_surfaces, Decision("bounces", True, f"as set in the scene: {allowed}")
     paths = [node for _, node in nodes_of(state, "Integrator")]
     names = [node.plugin for node in paths] or ["path"]
     if names != ["path"] or max_depth in (0, 1) or nodes_of(state, "Medium"):
         return (
             None,
-            1 if names == ["direct"] else met,
+            1 if names == ["direct"] else max_surfaces,
             Decision("bounces", True, f"the scene's integrator, '{names[0]}'"),
         )
     hidden = {"hide_emitters": True} if paths and paths[0].get("hide_emitters", False) else {}
@@ -359,7 +359,7 @@ def decide_bounces(
         return direct, 1, Decision("bounces", False, reason, f"all but 1 of {allowed}")
     return (
         None,
-        met,
+        max_surfaces,
         Decision("bounces", True, f"surfaces may light each other; as set in the scene: {allowed}"),
     )
 
@@ -528,47 +528,56 @@ def ends_with_film(
 
 
 def decide_samples(
-    chart: Chart | None, most: int, passes: int, full: bool, explicit: bool, finer: float = 1.0
+    chart: Chart | None,
+    scene_spp: int,
+    passes: int,
+    full: bool,
+    is_stated: bool,
+    finer: float = 1.0,
 ) -> tuple[int, str, Decision]:
     """Return the samples per film cell and pass, the sampler, and the decision.
 
     A film finer than the scene's divides the same samples among more cells: what counts is the
     noise of a pixel or a dot.
 
-    most : samples in the scene
+    scene_spp : samples in the scene
     finer : film cells for each cell of the scene's own film
     """
-    if full or explicit:
-        spp = most
+    if full or is_stated:
+        spp = scene_spp
         reason = f"as set in the {'scene' if full else 'options'}"
     elif chart is None:
         # Passes have different seeds, and the sum over bands averages their noise. More are added
         # where the noise asks for them.
-        fewest = _MIN_OF_A_PATH if finer <= 1 else FEWEST_OF_A_PATH
-        wanted = max(most / passes, fewest) if finer <= 1 else fewest
+        lowest_spp = _MIN_MULTIJITTER_SPP if finer <= 1 else MIN_PATH_SPP
+        min_spp = max(scene_spp / passes, lowest_spp) if finer <= 1 else lowest_spp
         spp = (
-            min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most)
-            if wanted < most
-            else max(most, fewest)
+            min(next((count for count in SAMPLE_COUNTS if count >= min_spp), scene_spp), scene_spp)
+            if min_spp < scene_spp
+            else max(scene_spp, lowest_spp)
         )
         reason = "the scene's edges and depth are unknown before rendering"
     elif finer > 1:
-        wanted = min(most / finer / _ROUNDED_DOWN, most)
-        spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= wanted)
+        min_spp = min(scene_spp / finer / _ROUNDED_DOWN, scene_spp)
+        spp = next(
+            count for count in (MIN_CHART_SPP, *SAMPLE_COUNTS, scene_spp) if count >= min_spp
+        )
         reason = f"those of the scene are shared by the {finer:.3g} cells of this finer film"
     else:
-        spp = min(SAMPLE_COUNTS[0], most) if chart.uniform else most
+        spp = min(SAMPLE_COUNTS[0], scene_spp) if chart.uniform else scene_spp
         reason = "the chart is uniform" if chart.uniform else "as set in the scene"
 
     sampler = "multijitter"
-    if chart is None and not full and spp < _MIN_OF_A_PATH and spp <= most:
+    if chart is None and not full and spp < _MIN_MULTIJITTER_SPP and spp <= scene_spp:
         sampler = "independent"
         reason += "; of so few, multijitter would be biased"
-    saved = f"{spp} of {most} samples per pass" if spp < most else ""
+    saved = f"{spp} of {scene_spp} samples per pass" if spp < scene_spp else ""
     return (
         spp,
         sampler,
-        Decision("texture samples", spp >= most, f"{spp} per film cell and pass: {reason}", saved),
+        Decision(
+            "texture samples", spp >= scene_spp, f"{spp} per film cell and pass: {reason}", saved
+        ),
     )
 
 

@@ -273,7 +273,7 @@ class Scene:
                 f"the chart of '{self.path.name}', which is another",
                 f"a scene whose chart is {TARGET_FILE}",
             )
-        return Target.of_parameters(self.parameters, self.text().defaults)
+        return Target.from_parameters(self.parameters, self.text().defaults)
 
     def film_shape(self, camera: Camera, state: Tree) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
@@ -649,14 +649,14 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     white = scene.white_cd_per_m2
     if white is not None and not keeps_white:
         white *= value / stated
-    lit = replace(
+    scaled = replace(
         scene,
         strength=factor,
         white_cd_per_m2=white,
         parameters={**scene.parameters, ILLUMINANCE: str(lux)},
     )
-    lit.text()  # raises for lamps without a number to scale
-    return lit
+    scaled.text()  # raises for lamps without a number to scale
+    return scaled
 
 
 # Luminances in cd/m² and illuminances in lux: below a photon a year on a pixel, to a million suns.

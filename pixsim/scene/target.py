@@ -67,7 +67,9 @@ class Target(Record):
         return self
 
     @classmethod
-    def of_parameters(cls, stated: Mapping[str, object], defaults: Mapping[str, object]) -> Target:
+    def from_parameters(
+        cls, stated: Mapping[str, object], defaults: Mapping[str, object]
+    ) -> Target:
         """Return the target that the user gave, from parameters of a scene and their defaults.
 
         A given size takes the place of the default, in whatever unit that is. A shape may lack what

@@ -26,7 +26,7 @@ from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffraction_ot
 from pixsim.optics.pupil import disc_pupil
 from pixsim.optics.stack import Stack, collected_shares, stack_collection
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.scene.bands import Bands, Witness, fit, place_bands
+from pixsim.scene.bands import Bands, Detector, fit, place_bands
 from pixsim.sensor import photodiode as diodes
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate
@@ -227,14 +227,14 @@ def spectra() -> list[Row]:
     def electrons(nm: Array) -> Array:
         return physics.quantum_efficiency(nm) * photons_per_joule(nm)
 
-    witnesses = [Witness(electrons), Witness(photopic_efficiency)]
+    detectors = [Detector(electrons), Detector(photopic_efficiency)]
     nm, watts, electrons_e, lux = zip(*LINES, strict=True)
     lamps = [line(centre_nm) for centre_nm in nm]
-    bands = [place_bands([lamp], SURFACES, witnesses, _BANDS_TOLERANCE) for lamp in lamps]
+    bands = [place_bands([lamp], SURFACES, detectors, _BANDS_TOLERANCE) for lamp in lamps]
     images = [image_of(lamp, placed) for lamp, placed in zip(lamps, bands, strict=True)]
 
     def power_of_pulse(lamp: Spectrum, placed: Bands) -> float:
-        pulses = fit(lamp, placed, SURFACES, witnesses, _BANDS_TOLERANCE)
+        pulses = fit(lamp, placed, SURFACES, detectors, _BANDS_TOLERANCE)
         return (
             math.nan
             if pulses is None
@@ -300,7 +300,7 @@ def spectra() -> list[Row]:
         (
             "shares of light in the bands of a lamp that is off",
             lambda: place_bands(
-                [line(555.0) * 0.0], SURFACES, witnesses, _BANDS_TOLERANCE
+                [line(555.0) * 0.0], SURFACES, detectors, _BANDS_TOLERANCE
             ).shares.sum(axis=1),
             1.0,
             1e-15,

@@ -24,7 +24,7 @@ from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart
-from pixsim.scene.guard.plugins import PLUGINS, Allowed
+from pixsim.scene.guard.plugins import PLUGINS, PropertyRule
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
@@ -269,7 +269,7 @@ def _element(draw: st.DrawFn, kind: str, name: str = "", deep: int = 0) -> str:
 
 
 @st.composite
-def _property(draw: st.DrawFn, rule: Allowed, name: str, deep: int) -> str:
+def _property(draw: st.DrawFn, rule: PropertyRule, name: str, deep: int) -> str:
     if rule.kinds and deep < 4 and draw(st.booleans()):
         return str(draw(_element(draw(st.sampled_from(rule.kinds)), name, deep + 1)))
     right = draw(st.integers(0, 19)) > 0

@@ -25,7 +25,7 @@ from pixsim.scene.bands import (
     SHAPE_TOLERANCE,
     Bands,
     Pulse,
-    Witness,
+    Detector,
     band_edges_nm,
     every_band,
     fit,
@@ -77,7 +77,7 @@ RESPONSES = {
     "ramp": lambda nm: 0.2 + (nm - 360) / 470,
     "red": lambda nm: 0.05 + 1 / (1 + np.exp((600 - nm) / 5)),
 }
-WITNESSES = [Witness(response) for response in RESPONSES.values()]
+DETECTORS = [Detector(response) for response in RESPONSES.values()]
 # The response of every one of these is above zero at all wavelengths, so that no line is invisible.
 SEEING = {
     "ramp": RESPONSES["ramp"],
@@ -185,7 +185,7 @@ SMOOTH = {
 
 @pytest.mark.parametrize("name", SMOOTH)
 def test_place_bands_smooth_lamp_is_uniform(name):
-    result = place_bands([SMOOTH[name]], NONE, WITNESSES, TOLERANCE)
+    result = place_bands([SMOOTH[name]], NONE, DETECTORS, TOLERANCE)
     np.testing.assert_array_equal(result.edges_nm, [360, *range(365, 826, 10), 830])
     np.testing.assert_array_equal(result.wavelength_nm, [362.5, *range(370, 821, 10), 827.5])
     np.testing.assert_array_equal(result.width_nm, [5, *[10] * 46, 5])
@@ -195,7 +195,7 @@ def test_place_bands_smooth_lamp_is_uniform(name):
 def test_place_bands_shares_follow_light(seed):
     rng = np.random.default_rng(seed)
     lamp = spectrum(np.arange(360, 831), rng.uniform(0, 1, 471) ** 8)
-    result = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
+    result = place_bands([lamp], NONE, DETECTORS, TOLERANCE)
     np.testing.assert_allclose(result.shares.sum(axis=1), 1, rtol=1e-13)
     assert np.all(
         (result.nodes_nm >= result.edges_nm[:-1, None])
@@ -281,7 +281,7 @@ def assert_seen(
 @pytest.mark.parametrize("centre_nm", LINES_NM)
 def test_place_bands_lines_are_conserved(centre_nm, width_nm):
     lamp = line(centre_nm, width_nm)
-    result = place_bands([lamp], NONE, list(map(Witness, SEEING.values())), TOLERANCE)
+    result = place_bands([lamp], NONE, list(map(Detector, SEEING.values())), TOLERANCE)
     energy, total, at_nm = band_energies(lamp, result)
     # Its nodes are rounded to 1e-13 nm.
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12 / width_nm)
@@ -296,7 +296,7 @@ def test_place_bands_lines_are_conserved(centre_nm, width_nm):
 @pytest.mark.parametrize("name", ["fl11", "led_b3", "laser_532nm", "d65", "a"])
 def test_place_bands_packaged_lamp_energies(name):
     lamp = shipped(name)
-    result = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
+    result = place_bands([lamp], NONE, DETECTORS, TOLERANCE)
     energy, total, at_nm = band_energies(lamp, result)
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12)
     assert_seen(lamp, result, energy)
@@ -312,7 +312,7 @@ def test_place_bands_packaged_lamp_energies(name):
 )
 def test_place_bands_two_line_lamps_are_split(one_nm, other_nm):
     lamps = [line(one_nm), line(other_nm, 0.5)]
-    result = place_bands(lamps, NONE, WITNESSES, TOLERANCE)
+    result = place_bands(lamps, NONE, DETECTORS, TOLERANCE)
     assert result.width_nm.min() < 10  # bands of 10 nm do not separate them
     assert np.array_equal(result.edges_nm[[0, -1]], [360, 830])
     assert np.all(result.width_nm >= 1)
@@ -325,7 +325,7 @@ def test_place_bands_two_line_lamps_are_split(one_nm, other_nm):
 def test_place_bands_lamps_have_equal_weight():
     # However bright each is: a dim lamp's lines count as much.
     result = place_bands(
-        [line(541), line(544) * 1000.0, spectrum([900, 1000], [1, 1])], NONE, WITNESSES, 10.0
+        [line(541), line(544) * 1000.0, spectrum([900, 1000], [1, 1])], NONE, DETECTORS, 10.0
     )
     band = int(np.searchsorted(result.edges_nm, 541)) - 1
     assert result.width_nm[band] == 10
@@ -339,7 +339,7 @@ def test_place_bands_lamps_have_equal_weight():
 def test_place_bands_narrow_at_steep_response():
     edge = 1 / (1 + np.exp((600 - grid_nm()) / 2))
     lamp = SMOOTH["d65"]
-    result = place_bands([lamp], edge[None], [Witness(RESPONSES["red"])], TOLERANCE)
+    result = place_bands([lamp], edge[None], [Detector(RESPONSES["red"])], TOLERANCE)
     assert np.all(result.width_nm[np.abs(result.wavelength_nm - 480) < 80] == 10)
     assert result.width_nm[np.abs(result.wavelength_nm - 600) < 10].max() < 10
     first = np.searchsorted(FINE_NM, result.edges_nm[:-1])
@@ -350,17 +350,19 @@ def test_place_bands_narrow_at_steep_response():
         truth, rel=1.05 * TOLERANCE
     )
     # 10 nm bands would err by more: the halving is needed.
-    coarse = place_bands([lamp], edge[None], [Witness(RESPONSES["red"])], 1.0)
+    coarse = place_bands([lamp], edge[None], [Detector(RESPONSES["red"])], 1.0)
     energy = np.add.reduceat(light, np.searchsorted(FINE_NM, coarse.edges_nm[:-1]))
     assert abs((energy * coarse.mean(RESPONSES["red"])).sum() / truth - 1) > 2 * TOLERANCE
 
 
 def test_place_bands_slack_allows_larger_error():
     edge = 1 / (1 + np.exp((600 - grid_nm()) / 2))
-    witnesses = [Witness(RESPONSES["red"], slack) for slack in (0.2, 1.0, 5.0, 100.0)]
+    detectors = [
+        Detector(RESPONSES["red"], tolerance_factor) for tolerance_factor in (0.2, 1.0, 5.0, 100.0)
+    ]
     counts = [
-        place_bands([SMOOTH["d65"]], edge[None], [witness], TOLERANCE).width_nm.size
-        for witness in witnesses
+        place_bands([SMOOTH["d65"]], edge[None], [detector], TOLERANCE).width_nm.size
+        for detector in detectors
     ]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1] == 48
@@ -393,7 +395,7 @@ def apart(pulses: list[Pulse]) -> bool:
 def test_every_band_passes_are_disjoint(lit):
     edges = [366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)]
     lamp = spectrum(edges, [0, 1, 1, 0])
-    result = place_bands([lamp], NONE, WITNESSES, 1.0)
+    result = place_bands([lamp], NONE, DETECTORS, 1.0)
     every = every_band(lamp, result)
     assert len(every.pulses) == lit
     assert all(is_sound(pulse) for pulse in every.pulses)
@@ -423,15 +425,15 @@ def test_every_band_narrow_bands_are_disjoint(count):
 
 def test_every_band_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
-    every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+    every = every_band(lamp, place_bands([lamp], NONE, DETECTORS, TOLERANCE))
     assert (len(every.pulses), every.passes) == (1, [[0]])
     dark = spectrum([900, 1000], [1, 1])
-    every = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
+    every = every_band(dark, place_bands([dark], NONE, DETECTORS, TOLERANCE))
     assert (every.pulses, every.passes) == ((), [])
 
 
 def test_every_band_without_lamp_is_flat():
-    result = place_bands([], NONE, WITNESSES, TOLERANCE)
+    result = place_bands([], NONE, DETECTORS, TOLERANCE)
     every = every_band(None, result)
     np.testing.assert_array_equal(every.spectra, np.eye(48))
     assert all(is_sound(pulse) for pulse in every.pulses)
@@ -453,7 +455,7 @@ def test_every_band_pulses_add_up_to_lamp(lamp):
     """
     nm = np.arange(361.0, 829.001, 1 / 8)  # between the folded ends of the range
     light = None if lamp is None else Spectrum(np.array([360.0, 830.0]), np.array([1.0, 5.0]))
-    result = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
+    result = place_bands([light] if light else [], NONE, DETECTORS, TOLERANCE)
     every = every_band(light, result)
     mean = np.ones(48) if light is None else light.cell_means(result.edges_nm)
     total = sum(
@@ -516,19 +518,20 @@ def answers(
 
 
 def errors_of(fitted: Any, placed: Bands, lamp: Spectrum, factors: np.ndarray) -> np.ndarray:
-    """Return relative errors (witnesses, n) against integrals in steps of 0.01 nm."""
+    """Return relative errors (detectors, n) against integrals in steps of 0.01 nm."""
     result = []
-    for witness in WITNESSES:
-        truth = factors @ (fine(lamp) * witness.response(FINE_NM)) * FINE_STEP_NM
+    for detector in DETECTORS:
+        truth = factors @ (fine(lamp) * detector.response(FINE_NM)) * FINE_STEP_NM
         result.append(
-            (answers(fitted, placed, witness.response, factors) / truth - 1) / witness.slack
+            (answers(fitted, placed, detector.response, factors) / truth - 1)
+            / detector.tolerance_factor
         )
     return np.array(result)
 
 
 def made(lamp: Spectrum, surfaces: np.ndarray, tolerance: float) -> tuple[Any, Bands]:
-    placed = place_bands([lamp], surfaces, WITNESSES, tolerance / 4)
-    return fit(lamp, placed, surfaces, WITNESSES, tolerance * 0.8), placed
+    placed = place_bands([lamp], surfaces, DETECTORS, tolerance / 4)
+    return fit(lamp, placed, surfaces, DETECTORS, tolerance * 0.8), placed
 
 
 @pytest.mark.parametrize("name", ["fl11", "led_b3", "laser_532nm", "d65", "a"])
@@ -583,9 +586,9 @@ def test_fit_mixtures_are_within_bound(name, family, seed):
 @pytest.mark.parametrize(("name", "family"), FITS)
 def test_fit_tighter_tolerance_needs_more_pulses(name, family):
     lamp, surfaces = shipped(name), FAMILIES[family]
-    placed = place_bands([lamp], surfaces, WITNESSES, 1e-4)
+    placed = place_bands([lamp], surfaces, DETECTORS, 1e-4)
     fits = [
-        fit(lamp, placed, surfaces, WITNESSES, tolerance)
+        fit(lamp, placed, surfaces, DETECTORS, tolerance)
         for tolerance in (0.3, 0.03, 0.01, 3e-3, 1e-3, 3e-4)
     ]
     counts = [len(item.pulses) for item in fits if item]
@@ -620,7 +623,7 @@ def test_fit_bands_are_right_with_negative_weights(name, family):
 def test_fit_bands_are_within_shape_tolerance():
     # A response that is the same at all wavelengths needs one pulse of the shape of the lamp, which
     # does not determine the bands.
-    even, lamp = [Witness(np.ones_like)], shipped("fl11")
+    even, lamp = [Detector(np.ones_like)], shipped("fl11")
     placed = place_bands([lamp], SURFACES, even, 1e-3)
     result = fit(lamp, placed, SURFACES, even, 1e-3)
     assert len(result.pulses) > 1
@@ -632,8 +635,8 @@ def test_fit_bands_are_within_shape_tolerance():
 def test_fit_laser_needs_one_pulse(centre_nm, tolerance):
     lamp = line(centre_nm, 0.1 if centre_nm % 1 else 1.0)
     surfaces = np.vstack([SURFACES, macbeth()])
-    placed = place_bands([lamp], surfaces, [Witness(SEEING["ramp"])], tolerance / 4)
-    result = fit(lamp, placed, surfaces, [Witness(SEEING["ramp"])], tolerance)
+    placed = place_bands([lamp], surfaces, [Detector(SEEING["ramp"])], tolerance / 4)
+    result = fit(lamp, placed, surfaces, [Detector(SEEING["ramp"])], tolerance)
     assert len(result.pulses) == 1
     # A common part of 0.1 nm and 1/32 nm: tables and pulses are straight within each cell.
     nm = np.arange(360 + 1 / 1280, 830, 1 / 640)
@@ -658,18 +661,18 @@ def test_fit_packaged_laser_needs_one_pulse(tolerance):
 
 def test_fit_too_few_pulses_returns_none():
     dark = spectrum([360, 830], [0, 0])
-    placed = place_bands([dark], SURFACES, WITNESSES, TOLERANCE)
+    placed = place_bands([dark], SURFACES, DETECTORS, TOLERANCE)
     assert placed.width_nm.size == 48
-    assert fit(dark, placed, SURFACES, WITNESSES, 1e-3) is None
+    assert fit(dark, placed, SURFACES, DETECTORS, 1e-3) is None
     # A filter's edge within a narrow lamp, too narrow for several pulses.
     narrow = spectrum([500, 502, 506, 508], [0, 1, 1, 0])
     edges = np.array([np.where(grid_nm() < 504, 1, 0.01), np.where(grid_nm() < 504, 0.01, 1)])
-    placed = place_bands([narrow], edges, WITNESSES, 1e-4)
-    assert fit(narrow, placed, edges, WITNESSES, 1e-4) is None
+    placed = place_bands([narrow], edges, DETECTORS, 1e-4)
+    assert fit(narrow, placed, edges, DETECTORS, 1e-4) is None
     # Interference fringes every 3 nm.
     fringes = np.array([0.5 + 0.5 * np.sin(2 * grid_nm() + phase) for phase in (0, 1, 2, 3)])
-    placed = place_bands([SMOOTH["d65"]], fringes, WITNESSES, TOLERANCE)
-    assert fit(SMOOTH["d65"], placed, fringes, WITNESSES, 1e-4) is None
+    placed = place_bands([SMOOTH["d65"]], fringes, DETECTORS, TOLERANCE)
+    assert fit(SMOOTH["d65"], placed, fringes, DETECTORS, 1e-4) is None
 
 
 # --- In Mitsuba ---
@@ -708,13 +711,13 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
         lamp = spectrum(
             [366, 367, 443 + 10, 444 + 10], [0, 1, 1, 0]
         )  # nine bands: the last pass has three
-        every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+        every = every_band(lamp, place_bands([lamp], NONE, DETECTORS, TOLERANCE))
         assert len(set(every.passes[-1])) == 3
         pulses = [every.pulses[index] for index in every.passes[-1]]
     elif name == "fine lines":
         lamps = [line(centre, 0.1) for centre in (435.83, 546.07, 579.07, 632.8)]
         pulses = [
-            every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE)).pulses[0]
+            every_band(lamp, place_bands([lamp], NONE, DETECTORS, TOLERANCE)).pulses[0]
             for lamp in lamps
         ]
     else:
@@ -732,7 +735,7 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
 
 @VARIANTS
 def test_render_adjoining_pulses_add_noise(variant):
-    every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
+    every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, DETECTORS, TOLERANCE))
     with speaking_mitsuba(variant) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])
     assert seen.std(axis=(0, 1)).max() > 1e-2  # so the gate above means something

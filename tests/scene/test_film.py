@@ -134,7 +134,7 @@ def test_details_across_is_what_limits():
         2 * 2.4 / (550e-6 * 16.0), rel=0.01
     )  # two samples for each period of 1/(λN)
     assert name == "half periods of the lens's cut-off"
-    assert details_across(camera, 0.5, display, 0.5, of_chart=90.0) == (
+    assert details_across(camera, 0.5, display, 0.5, chart_details=90.0) == (
         90.0,
         "details of the chart",
     )

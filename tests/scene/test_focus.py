@@ -27,7 +27,7 @@ from pixsim.optics.lens_defocus import (
 )
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.infrared import focus_notes
@@ -78,7 +78,9 @@ def test_depths_of_a_tilted_plane_are_those_of_its_equation(tmp_path: Path) -> N
     """A ray of slope t along x meets a plane that is turned by θ about the vertical at 0.3 m / (1 ±
     t tan θ).
     """
-    depths_m = OwnTracer(renderer_of(scene_file(tmp_path), degrees=30.0).job).depths(8)[:, :, 0]
+    depths_m = InProcessTracer(renderer_of(scene_file(tmp_path), degrees=30.0).job).depths(8)[
+        :, :, 0
+    ]
     slopes = math.tan(math.radians(10.0)) * (2 * (np.arange(8) + 0.5) / 8 - 1)
     expected_m = 0.3 / (1 + slopes * math.tan(math.radians(30.0)))
     turned = expected_m if depths_m[0, 0] > depths_m[0, -1] else expected_m[::-1]
@@ -96,7 +98,7 @@ def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(
     renderer = renderer_of(
         scene_file(tmp_path, GLASS.replace("0.02", str(half_m / 3))), variant, half_width=half_m
     )
-    for tracer in (OwnTracer(renderer.job), ChildTracer(renderer.job)):
+    for tracer in (InProcessTracer(renderer.job), ChildTracer(renderer.job)):
         row = tracer.depths(8)[4, :, 0]
         assert np.isinf(row[[0, 1, 6, 7]]).all()
         np.testing.assert_allclose(row[[2, 5]], 0.3, rtol=1e-6)

@@ -30,7 +30,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.scene import renderer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
@@ -326,7 +326,7 @@ class Card:
 
     def __init__(self, job: TraceJob, works: int) -> None:
         assert job.variant == "cuda_ad_spectral"
-        self.own, self.works = OwnTracer(replace(job, variant=VARIANT)), works
+        self.own, self.works = InProcessTracer(replace(job, variant=VARIANT)), works
 
     def sample_count(self, *arguments: Any) -> int:
         return self.own.sample_count(*arguments)

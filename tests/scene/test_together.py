@@ -20,7 +20,7 @@ from pixsim.light.spectral import Spectrum, grid_nm
 from pixsim.scene import renderer
 from pixsim.scene.bands import Fit, passes, window_pulse
 from pixsim.scene.guard.child import ChildTracer
-from pixsim.scene.guard.own_tracer import OwnTracer
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba, parse
 from pixsim.scene.plan import make_render_plan
@@ -40,7 +40,7 @@ def job_of(scene: Path | str, seed: int = 0, spp: int = 4, **parameters: Any) ->
     job = Renderer(
         loaded, loaded.camera(), replace(plan, samples=replace(plan.samples, spp=spp)), seed
     )
-    job.tracer = OwnTracer(job.job)  # a child has kernels of its own
+    job.tracer = InProcessTracer(job.job)  # a child has kernels of its own
     return job
 
 
@@ -103,7 +103,7 @@ def test_strips_of_a_film_share_a_kernel(import_first, monkeypatch):
 @cache
 def tracer_of(
     scale: float, offset: float, sizes: tuple[int, int], plugin: str = "path"
-) -> tuple[OwnTracer, Fit]:
+) -> tuple[InProcessTracer, Fit]:
     """Radiance offset + scale · (λ - 360 nm) everywhere, seen through pulses of a lamp with a line
     and a slope.
     """
@@ -120,7 +120,7 @@ def tracer_of(
     )
     lens, integrator = {"type": "perspective", "fov": 20.0}, {"type": plugin, "max_depth": 2}
     return (
-        OwnTracer(
+        InProcessTracer(
             TraceJob(LLVM, text, (None,), sensor, lens, integrator, (), sizes, (passes_of(fit),))
         ),
         fit,
@@ -156,7 +156,7 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
     mi = import_mitsuba(LLVM)
     import drjit as dr
 
-    from pixsim.scene.guard.own_tracer import _spread
+    from pixsim.scene.guard.in_process import _spread
 
     for spp, count in ((4, 12), (16, 5), (15, 3), (7, 2)):
         number, group = (

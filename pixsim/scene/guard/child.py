@@ -252,7 +252,7 @@ _starting = threading.Lock()
 
 
 class ChildTracer:
-    """An `OwnTracer` whose work the child does; it loads the job again after a job of another
+    """An `InProcessTracer` whose work the child does; it loads the job again after a job of another
     renderer.
 
     ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an

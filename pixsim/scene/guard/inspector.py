@@ -16,7 +16,7 @@ from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.scene.guard.assets import check_asset, metals, spectrum_value
 from pixsim.scene.guard.files import SceneElement, SceneFiles, read_scene, written
 from pixsim.scene.guard.plate import with_plate
-from pixsim.scene.guard.plugins import PLUGINS, Allowed, Plugin
+from pixsim.scene.guard.plugins import PLUGINS, Plugin, PropertyRule
 from pixsim.scene.guard.strength import with_strength
 
 VALUES = (
@@ -217,7 +217,7 @@ class _Inspector:
             return node
         return self.value(_without_children(node), rule, f"{parent}.{name}")
 
-    def value(self, node: SceneElement, rule: Allowed, what: str) -> SceneElement:
+    def value(self, node: SceneElement, rule: PropertyRule, what: str) -> SceneElement:
         """Return a property with the absolute path of its file, or with the table of its file of a
         spectrum.
         """

@@ -23,7 +23,7 @@ from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
-LEAST_BYTES = 4 << 30
+MIN_BYTES = 4 << 30
 # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
 BYTES_PER_BYTE = 16
 # A corner of an OBJ's face that names no texture coordinates, or no normal.
@@ -55,7 +55,7 @@ def limit_memory(job: TraceJob) -> None:
     machine = memory()
     room_bytes = min(
         size
-        for size in (LEAST_BYTES + BYTES_PER_BYTE * files_bytes, machine.total, machine.limit)
+        for size in (MIN_BYTES + BYTES_PER_BYTE * files_bytes, machine.total, machine.limit)
         if size is not None
     )
     limit_bytes = int(pages[0]) * os.sysconf("SC_PAGE_SIZE") + room_bytes

@@ -16,7 +16,7 @@ _COLOUR_TAGS = (*_NUMBER_TAGS, "spectrum", "rgb")
 
 
 @dataclass(frozen=True)
-class Allowed:
+class PropertyRule:
     """What a property may be.
 
     tags : elements that state it
@@ -36,228 +36,258 @@ class Allowed:
 class Plugin:
     """The properties of a plugin, and the kinds of plugins that it may hold under any name."""
 
-    properties: dict[str, Allowed] = field(default_factory=dict)
+    properties: dict[str, PropertyRule] = field(default_factory=dict)
     holds: tuple[str, ...] = ()
 
 
-NUMBER, WHOLE, FLAG, WORD = (
-    Allowed(_NUMBER_TAGS),
-    Allowed(("integer",)),
-    Allowed(("boolean",)),
-    Allowed(("string",)),
+NUMBER, WHOLE, FLAG, TEXT = (
+    PropertyRule(_NUMBER_TAGS),
+    PropertyRule(("integer",)),
+    PropertyRule(("boolean",)),
+    PropertyRule(("string",)),
 )
-TRANSFORM, PLACE = Allowed(("transform",)), Allowed(("point", "vector"))
-COLOUR = Allowed(_COLOUR_TAGS, kinds=("texture",))
+TRANSFORM, POINT = PropertyRule(("transform",)), PropertyRule(("point", "vector"))
+COLOUR = PropertyRule(_COLOUR_TAGS, kinds=("texture",))
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
-INDEX = Allowed(("string", *_COLOUR_TAGS), kinds=("texture",))
-_INDEX_OF_METAL = replace(COLOUR, tags=(*_NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
-VOLUME = Allowed(_COLOUR_TAGS, kinds=("volume",))
-PICTURE, MESH, GRID, METAL = (
-    Allowed(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal")
+INDEX = PropertyRule(("string", *_COLOUR_TAGS), kinds=("texture",))
+_METAL_INDEX = replace(COLOUR, tags=(*_NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
+VOLUME = PropertyRule(_COLOUR_TAGS, kinds=("volume",))
+PICTURE_FILE, MESH_FILE, GRID_FILE, METAL_NAME = (
+    PropertyRule(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal")
 )
 
 
-def each(rule: Allowed, names: str) -> dict[str, Allowed]:
+def _properties(rule: PropertyRule, names: str) -> dict[str, PropertyRule]:
     """Return properties that may all be the same, by their names."""
     return dict.fromkeys(names.split(), rule)
 
 
-_OF_EMITTERS = each(NUMBER, "sampling_weight") | each(TRANSFORM, "to_world")
-_OF_SHAPES = (
-    each(TRANSFORM, "to_world")
-    | each(FLAG, "flip_normals")
-    | each(NUMBER, "silhouette_sampling_weight")
+_EMITTER = _properties(NUMBER, "sampling_weight") | _properties(TRANSFORM, "to_world")
+_SHAPE = (
+    _properties(TRANSFORM, "to_world")
+    | _properties(FLAG, "flip_normals")
+    | _properties(NUMBER, "silhouette_sampling_weight")
 )
-_OF_MESHES = _OF_SHAPES | each(MESH, "filename") | each(FLAG, "face_normals flip_tex_coords")
-_OF_INTEGRATORS = (
-    each(WHOLE, "max_depth rr_depth block_size samples_per_pass")
-    | each(FLAG, "hide_emitters")
-    | each(NUMBER, "timeout")
+_MESH_SHAPE = (
+    _SHAPE | _properties(MESH_FILE, "filename") | _properties(FLAG, "face_normals flip_tex_coords")
 )
-_OF_SENSORS = each(TRANSFORM, "to_world") | each(
+_INTEGRATOR = (
+    _properties(WHOLE, "max_depth rr_depth block_size samples_per_pass")
+    | _properties(FLAG, "hide_emitters")
+    | _properties(NUMBER, "timeout")
+)
+_SENSOR = _properties(TRANSFORM, "to_world") | _properties(
     NUMBER, "near_clip far_clip shutter_open shutter_close"
 )
-_OF_LENSES = (
-    _OF_SENSORS
-    | each(WORD, "fov_axis focal_length")
-    | each(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
+_PERSPECTIVE = (
+    _SENSOR
+    | _properties(TEXT, "fov_axis focal_length")
+    | _properties(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
 )
-_OF_THIN_LENSES = _OF_LENSES | each(NUMBER, "aperture_radius focus_distance")
-_OF_SAMPLERS = each(WHOLE, "sample_count seed")
-_OF_JITTERED = _OF_SAMPLERS | each(FLAG, "jitter")
-_OF_FILMS = (
-    each(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
-    | each(FLAG, "sample_border compensate banner")
-    | each(WORD, "component_format")
+_THIN_LENS = _PERSPECTIVE | _properties(NUMBER, "aperture_radius focus_distance")
+_SAMPLER = _properties(WHOLE, "sample_count seed")
+_JITTERED_SAMPLER = _SAMPLER | _properties(FLAG, "jitter")
+_FILM = (
+    _properties(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
+    | _properties(FLAG, "sample_border compensate banner")
+    | _properties(TEXT, "component_format")
 )
-OF_PICTURES = (
-    each(PICTURE, "filename")
-    | each(WORD, "filter_type wrap_mode format")
-    | each(FLAG, "raw accel")
-    | each(TRANSFORM, "to_uv")
+_BITMAP = (
+    _properties(PICTURE_FILE, "filename")
+    | _properties(TEXT, "filter_type wrap_mode format")
+    | _properties(FLAG, "raw accel")
+    | _properties(TRANSFORM, "to_uv")
 )
-_OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
-_OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(
+_SPECTRUM_TABLE = _properties(NUMBER, "wavelength_min wavelength_max")
+_DIELECTRIC = _properties(INDEX, "int_ior ext_ior") | _properties(
     COLOUR, "specular_reflectance specular_transmittance"
 )
-_OF_ROUGH = (
-    each(COLOUR, "alpha alpha_u alpha_v")
-    | each(WORD, "distribution")
-    | each(FLAG, "sample_visible")
+_ROUGHNESS = (
+    _properties(COLOUR, "alpha alpha_u alpha_v")
+    | _properties(TEXT, "distribution")
+    | _properties(FLAG, "sample_visible")
 )
-_OF_METALS = (
-    each(METAL, "material") | each(_INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
+_CONDUCTOR = (
+    _properties(METAL_NAME, "material")
+    | _properties(_METAL_INDEX, "eta k")
+    | _properties(COLOUR, "specular_reflectance")
 )
-_OF_PLASTICS = (
-    each(COLOUR, "diffuse_reflectance specular_reflectance")
-    | each(INDEX, "int_ior ext_ior")
-    | each(FLAG, "nonlinear")
+_PLASTIC = (
+    _properties(COLOUR, "diffuse_reflectance specular_reflectance")
+    | _properties(INDEX, "int_ior ext_ior")
+    | _properties(FLAG, "nonlinear")
 )
-_OF_PRINCIPLED = (
-    each(COLOUR, "base_color")
-    | each(COLOUR, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
-    | each(NUMBER, "eta diffuse_reflectance_sampling_rate")
+_PRINCIPLED = (
+    _properties(COLOUR, "base_color")
+    | _properties(COLOUR, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
+    | _properties(NUMBER, "eta diffuse_reflectance_sampling_rate")
 )
-_OF_THICK = each(COLOUR, "metallic clearcoat clearcoat_gloss") | each(
+_PRINCIPLED_THICK = _properties(COLOUR, "metallic clearcoat clearcoat_gloss") | _properties(
     NUMBER, "specular main_specular_sampling_rate clearcoat_sampling_rate"
 )
-_OF_THIN = each(COLOUR, "diff_trans") | each(
+_PRINCIPLED_THIN = _properties(COLOUR, "diff_trans") | _properties(
     NUMBER,
     "specular_reflectance_sampling_rate specular_transmittance_sampling_rate"
     " diffuse_transmittance_sampling_rate",
 )
-_OF_SKIES = (
-    each(
+_SKY = (
+    _properties(
         NUMBER,
         "turbidity latitude longitude timezone hour minute second sun_scale sky_scale sun_aperture",
     )
-    | each(WHOLE, "year month day")
-    | each(COLOUR, "albedo")
-    | each(PLACE, "sun_direction")
-    | each(FLAG, "complex_sun")
+    | _properties(WHOLE, "year month day")
+    | _properties(COLOUR, "albedo")
+    | _properties(POINT, "sun_direction")
+    | _properties(FLAG, "complex_sun")
 )
-_OF_MEDIA = (
-    each(VOLUME, "albedo sigma_t")
-    | each(NUMBER, "scale")
-    | each(FLAG, "sample_emitters has_spectral_extinction")
+_MEDIUM = (
+    _properties(VOLUME, "albedo sigma_t")
+    | _properties(NUMBER, "scale")
+    | _properties(FLAG, "sample_emitters has_spectral_extinction")
 )
-_OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
-_OF_GRIDS = (
-    each(GRID, "filename")
-    | each(WORD, "filter_type wrap_mode")
-    | each(FLAG, "raw accel use_grid_bbox")
+_NORMAL_MAP = _properties(FLAG, "use_shadowing_function flip_invalid_normals")
+_GRID_VOLUME = (
+    _properties(GRID_FILE, "filename")
+    | _properties(TEXT, "filter_type wrap_mode")
+    | _properties(FLAG, "raw accel use_grid_bbox")
 )
-IN_SHAPES, IN_SENSORS = ("bsdf", "emitter", "medium", "texture"), ("film", "sampler", "medium")
-_ANY_KIND = (
+_SHAPE_CHILDREN, _SENSOR_CHILDREN = (
+    ("bsdf", "emitter", "medium", "texture"),
+    ("film", "sampler", "medium"),
+)
+_SCENE_CHILDREN = (
     "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
 )  # fmt: skip
 
 # Kind -> name -> plugin.
 PLUGINS: dict[str, dict[str, Plugin]] = {
-    "scene": {"scene": Plugin(each(FLAG, "embree_use_robust_intersections"), holds=_ANY_KIND)},
+    "scene": {
+        "scene": Plugin(_properties(FLAG, "embree_use_robust_intersections"), holds=_SCENE_CHILDREN)
+    },
     "sensor": {
-        "thinlens": Plugin(_OF_THIN_LENSES, holds=IN_SENSORS),
-        "perspective": Plugin(_OF_THIN_LENSES, holds=IN_SENSORS),
-        "orthographic": Plugin(_OF_SENSORS, holds=IN_SENSORS),
+        "thinlens": Plugin(_THIN_LENS, holds=_SENSOR_CHILDREN),
+        "perspective": Plugin(_THIN_LENS, holds=_SENSOR_CHILDREN),
+        "orthographic": Plugin(_SENSOR, holds=_SENSOR_CHILDREN),
     },
     "film": {
-        "hdrfilm": Plugin(_OF_FILMS | each(WORD, "file_format pixel_format"), holds=("rfilter",)),
-        "specfilm": Plugin(_OF_FILMS, holds=("rfilter", "texture")),
+        "hdrfilm": Plugin(
+            _FILM | _properties(TEXT, "file_format pixel_format"), holds=("rfilter",)
+        ),
+        "specfilm": Plugin(_FILM, holds=("rfilter", "texture")),
     },
     "sampler": {
-        **dict.fromkeys(("independent", "ldsampler"), Plugin(_OF_SAMPLERS)),
-        **dict.fromkeys(("stratified", "multijitter"), Plugin(_OF_JITTERED)),
-        "orthogonal": Plugin(_OF_JITTERED | each(WHOLE, "strength")),
+        **dict.fromkeys(("independent", "ldsampler"), Plugin(_SAMPLER)),
+        **dict.fromkeys(("stratified", "multijitter"), Plugin(_JITTERED_SAMPLER)),
+        "orthogonal": Plugin(_JITTERED_SAMPLER | _properties(WHOLE, "strength")),
     },
     "rfilter": {
         **dict.fromkeys(("box", "catmullrom"), Plugin()),
-        "tent": Plugin(each(NUMBER, "radius")),
-        "gaussian": Plugin(each(NUMBER, "stddev")),
-        "mitchell": Plugin(each(NUMBER, "A B C")),
-        "lanczos": Plugin(each(WHOLE, "lobes")),
+        "tent": Plugin(_properties(NUMBER, "radius")),
+        "gaussian": Plugin(_properties(NUMBER, "stddev")),
+        "mitchell": Plugin(_properties(NUMBER, "A B C")),
+        "lanczos": Plugin(_properties(WHOLE, "lobes")),
     },
     "integrator": {
         **dict.fromkeys(
-            ("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(_OF_INTEGRATORS)
+            ("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(_INTEGRATOR)
         ),
         "direct": Plugin(
-            _OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")
+            _INTEGRATOR | _properties(WHOLE, "shading_samples emitter_samples bsdf_samples")
         ),
     },
     "emitter": {
         **dict.fromkeys(
-            ("area", "constant", "directionalarea"), Plugin(_OF_EMITTERS | each(COLOUR, "radiance"))
+            ("area", "constant", "directionalarea"),
+            Plugin(_EMITTER | _properties(COLOUR, "radiance")),
         ),
-        "directional": Plugin(_OF_EMITTERS | each(COLOUR, "irradiance") | each(PLACE, "direction")),
-        "point": Plugin(_OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
+        "directional": Plugin(
+            _EMITTER | _properties(COLOUR, "irradiance") | _properties(POINT, "direction")
+        ),
+        "point": Plugin(
+            _EMITTER | _properties(COLOUR, "intensity") | _properties(POINT, "position")
+        ),
         "spot": Plugin(
-            _OF_EMITTERS
-            | each(COLOUR, "intensity texture")
-            | each(NUMBER, "cutoff_angle beam_width")
+            _EMITTER
+            | _properties(COLOUR, "intensity texture")
+            | _properties(NUMBER, "cutoff_angle beam_width")
         ),
         "projector": Plugin(
-            _OF_EMITTERS | _OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"),
+            _EMITTER
+            | _PERSPECTIVE
+            | _properties(COLOUR, "irradiance")
+            | _properties(NUMBER, "scale"),
             holds=("texture",),
         ),
         "envmap": Plugin(
-            _OF_EMITTERS
-            | each(PICTURE, "filename")
-            | each(NUMBER, "scale")
-            | each(FLAG, "mis_compensation")
+            _EMITTER
+            | _properties(PICTURE_FILE, "filename")
+            | _properties(NUMBER, "scale")
+            | _properties(FLAG, "mis_compensation")
         ),
-        "sunsky": Plugin(_OF_EMITTERS | _OF_SKIES),
+        "sunsky": Plugin(_EMITTER | _SKY),
     },
     "shape": {
         "sphere": Plugin(
-            _OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES
+            _SHAPE | _properties(POINT, "center") | _properties(NUMBER, "radius"),
+            holds=_SHAPE_CHILDREN,
         ),
         "cylinder": Plugin(
-            _OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES
+            _SHAPE | _properties(POINT, "p0 p1") | _properties(NUMBER, "radius"),
+            holds=_SHAPE_CHILDREN,
         ),
-        **dict.fromkeys(("rectangle", "disk"), Plugin(_OF_SHAPES, holds=IN_SHAPES)),
-        "cube": Plugin(_OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
-        **dict.fromkeys(("ply", "obj"), Plugin(_OF_MESHES, holds=IN_SHAPES)),
-        "serialized": Plugin(_OF_MESHES | each(WHOLE, "shape_index"), holds=IN_SHAPES),
+        **dict.fromkeys(("rectangle", "disk"), Plugin(_SHAPE, holds=_SHAPE_CHILDREN)),
+        "cube": Plugin(_SHAPE | _properties(FLAG, "face_normals"), holds=_SHAPE_CHILDREN),
+        **dict.fromkeys(("ply", "obj"), Plugin(_MESH_SHAPE, holds=_SHAPE_CHILDREN)),
+        "serialized": Plugin(
+            _MESH_SHAPE | _properties(WHOLE, "shape_index"), holds=_SHAPE_CHILDREN
+        ),
         "shapegroup": Plugin(holds=("shape",)),
-        "instance": Plugin(each(TRANSFORM, "to_world"), holds=("shape",)),
+        "instance": Plugin(_properties(TRANSFORM, "to_world"), holds=("shape",)),
     },
     "bsdf": {
-        "diffuse": Plugin(each(COLOUR, "reflectance")),
-        **dict.fromkeys(("dielectric", "thindielectric"), Plugin(_OF_DIELECTRICS)),
-        "roughdielectric": Plugin(_OF_DIELECTRICS | _OF_ROUGH),
-        "conductor": Plugin(_OF_METALS),
-        "roughconductor": Plugin(_OF_METALS | _OF_ROUGH),
-        "plastic": Plugin(_OF_PLASTICS),
-        "roughplastic": Plugin(_OF_PLASTICS | _OF_ROUGH),
-        "principled": Plugin(_OF_PRINCIPLED | _OF_THICK),
-        "principledthin": Plugin(_OF_PRINCIPLED | _OF_THIN),
+        "diffuse": Plugin(_properties(COLOUR, "reflectance")),
+        **dict.fromkeys(("dielectric", "thindielectric"), Plugin(_DIELECTRIC)),
+        "roughdielectric": Plugin(_DIELECTRIC | _ROUGHNESS),
+        "conductor": Plugin(_CONDUCTOR),
+        "roughconductor": Plugin(_CONDUCTOR | _ROUGHNESS),
+        "plastic": Plugin(_PLASTIC),
+        "roughplastic": Plugin(_PLASTIC | _ROUGHNESS),
+        "principled": Plugin(_PRINCIPLED | _PRINCIPLED_THICK),
+        "principledthin": Plugin(_PRINCIPLED | _PRINCIPLED_THIN),
         "twosided": Plugin(holds=("bsdf",)),
-        "mask": Plugin(each(COLOUR, "opacity"), holds=("bsdf",)),
-        "blendbsdf": Plugin(each(COLOUR, "weight"), holds=("bsdf",)),
-        "bumpmap": Plugin(_OF_MAPS | each(NUMBER, "scale"), holds=("bsdf", "texture")),
-        "normalmap": Plugin(_OF_MAPS | each(COLOUR, "normalmap"), holds=("bsdf", "texture")),
+        "mask": Plugin(_properties(COLOUR, "opacity"), holds=("bsdf",)),
+        "blendbsdf": Plugin(_properties(COLOUR, "weight"), holds=("bsdf",)),
+        "bumpmap": Plugin(_NORMAL_MAP | _properties(NUMBER, "scale"), holds=("bsdf", "texture")),
+        "normalmap": Plugin(
+            _NORMAL_MAP | _properties(COLOUR, "normalmap"), holds=("bsdf", "texture")
+        ),
         "null": Plugin(),
     },
     "texture": {
-        "bitmap": Plugin(OF_PICTURES),
-        "checkerboard": Plugin(each(COLOUR, "color0 color1") | each(TRANSFORM, "to_uv")),
-        "mesh_attribute": Plugin(each(WORD, "name") | each(NUMBER, "scale")),
+        "bitmap": Plugin(_BITMAP),
+        "checkerboard": Plugin(
+            _properties(COLOUR, "color0 color1") | _properties(TRANSFORM, "to_uv")
+        ),
+        "mesh_attribute": Plugin(_properties(TEXT, "name") | _properties(NUMBER, "scale")),
         "volume": Plugin(holds=("volume",)),
-        "uniform": Plugin(_OF_TABLES | each(NUMBER, "value")),
-        "regular": Plugin(_OF_TABLES | each(WORD, "values range")),
-        "irregular": Plugin(each(WORD, "wavelengths values")),
-        "d65": Plugin(each(NUMBER, "scale") | each(Allowed(("rgb",)), "color"), holds=("texture",)),
-        "blackbody": Plugin(_OF_TABLES | each(NUMBER, "temperature")),
-        "srgb": Plugin(each(Allowed(("rgb",)), "color")),
+        "uniform": Plugin(_SPECTRUM_TABLE | _properties(NUMBER, "value")),
+        "regular": Plugin(_SPECTRUM_TABLE | _properties(TEXT, "values range")),
+        "irregular": Plugin(_properties(TEXT, "wavelengths values")),
+        "d65": Plugin(
+            _properties(NUMBER, "scale") | _properties(PropertyRule(("rgb",)), "color"),
+            holds=("texture",),
+        ),
+        "blackbody": Plugin(_SPECTRUM_TABLE | _properties(NUMBER, "temperature")),
+        "srgb": Plugin(_properties(PropertyRule(("rgb",)), "color")),
     },
-    "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(_OF_MEDIA, holds=("phase",))),
+    "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(_MEDIUM, holds=("phase",))),
     "phase": {
         **dict.fromkeys(("isotropic", "rayleigh"), Plugin()),
-        "hg": Plugin(each(NUMBER, "g")),
-        "blendphase": Plugin(each(VOLUME, "weight"), holds=("phase", "volume")),
+        "hg": Plugin(_properties(NUMBER, "g")),
+        "blendphase": Plugin(_properties(VOLUME, "weight"), holds=("phase", "volume")),
     },
     "volume": {
-        "constvolume": Plugin(each(COLOUR, "value")),
-        "gridvolume": Plugin(_OF_GRIDS | each(TRANSFORM, "to_world")),
+        "constvolume": Plugin(_properties(COLOUR, "value")),
+        "gridvolume": Plugin(_GRID_VOLUME | _properties(TRANSFORM, "to_world")),
     },
 }

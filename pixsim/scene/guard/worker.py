@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from pixsim.base.errors import PixsimError
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.guard.loaded import check_files, limit_memory
-from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba
 
@@ -32,8 +32,8 @@ Picture = NDArray[np.float32]
 
 
 def answer(
-    tracer: OwnTracer | None, request: dict[str, Any]
-) -> tuple[OwnTracer, dict[str, Any], Picture | None]:
+    tracer: InProcessTracer | None, request: dict[str, Any]
+) -> tuple[InProcessTracer, dict[str, Any], Picture | None]:
     """Return the tracer of the current job, the reply to a request, and the picture that follows
     it.
     """
@@ -42,7 +42,7 @@ def answer(
         import_mitsuba(job.variant)
         limit_memory(job)
         highest = check_files(job)
-        tracer = OwnTracer(job)
+        tracer = InProcessTracer(job)
         return tracer, {"scenes": len(tracer.loaded), "highest": highest}, None
     assert tracer is not None
     if "sampler" in request and "seed" not in request:
@@ -84,7 +84,7 @@ def main(requests: int, replies: int, life: int) -> None:
     signal.signal(signal.SIGIO, signal.SIG_DFL)
     _end_with_parent(life)
     warnings.simplefilter("ignore")  # the parent has given them
-    tracer: OwnTracer | None = None
+    tracer: InProcessTracer | None = None
     with os.fdopen(requests, "rb") as lines, os.fdopen(replies, "wb") as out:
         for line in lines:
             picture: Picture | None = None

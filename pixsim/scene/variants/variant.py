@@ -113,8 +113,8 @@ def candidates() -> Iterator[tuple[str, str]]:
     """Iterate over path and origin of libLLVM candidates in the order of preference, without
     loading them.
     """
-    if asked := os.environ.get(LLVM_VARIABLE):
-        yield asked, LLVM_VARIABLE
+    if stated := os.environ.get(LLVM_VARIABLE):
+        yield stated, LLVM_VARIABLE
     yield from ((path, SYSTEM) for path in _system_candidates())
     yield from ((path, LLVM_WHEEL) for path in _wheel_candidates())
 
@@ -170,7 +170,7 @@ def find_llvm() -> tuple[str | None, str]:
 
 
 @lru_cache
-def choose(asked: str | None = None) -> ChosenVariant:
+def choose(requested: str | None = None) -> ChosenVariant:
     """Choose a variant, or check the requested one, and prepare its LLVM library; call before
     Mitsuba is imported.
 
@@ -178,30 +178,32 @@ def choose(asked: str | None = None) -> ChosenVariant:
     with a warning. Raises PixsimError for an unknown variant, for an LLVM variant without a usable
     LLVM, and for a CUDA variant without a driver.
     """
-    if asked is not None and asked not in VARIANTS:
-        raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS), did_you_mean(asked, VARIANTS))
-    if asked == SCALAR:
-        return ChosenVariant(SCALAR, None, "requested")
-    if asked == CUDA and (fault := graphics.absent()):
+    if requested is not None and requested not in VARIANTS:
         raise invalid(
-            "variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT
+            "variant", f"'{requested}'", ", ".join(VARIANTS), did_you_mean(requested, VARIANTS)
         )
-    processors, lacks = _for_processors(asked)
-    if asked == CUDA:
+    if requested == SCALAR:
+        return ChosenVariant(SCALAR, None, "requested")
+    if requested == CUDA and (fault := graphics.absent()):
+        raise invalid(
+            "variant", f"'{requested}', but {fault}", "a variant that runs here", UNUSABLE_HINT
+        )
+    processors, llvm_fault = _for_processors(requested)
+    if requested == CUDA:
         return ChosenVariant(CUDA, processors.llvm_path, "requested", processors)
-    if asked is not None:
+    if requested is not None:
         return processors
-    card = graphics.verdict()
-    if card.fault is None:
+    trial = graphics.verdict()
+    if trial.fault is None:
         return ChosenVariant(
             CUDA, processors.llvm_path, "the graphics card passed its trial", processors
         )
-    if lacks:
-        warn(Note("machine", words=f"rendering with {SCALAR}, since {lacks}"))
-    return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
+    if llvm_fault:
+        warn(Note("machine", words=f"rendering with {SCALAR}, since {llvm_fault}"))
+    return replace(processors, reason=f"{processors.reason}; no graphics card: {trial.fault}")
 
 
-def _for_processors(asked: str | None) -> tuple[ChosenVariant, str]:
+def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
     """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # It is too late to choose a library, and scalar_spectral needs none.
@@ -214,10 +216,10 @@ def _for_processors(asked: str | None) -> tuple[ChosenVariant, str]:
         os.environ[LLVM_VARIABLE] = path
         _reasons[path] = reason
         return ChosenVariant(LLVM, path, reason), ""
-    if asked == LLVM:
+    if requested == LLVM:
         raise invalid(
             "variant",
-            f"'{asked}', but {reason}",
+            f"'{requested}', but {reason}",
             f"LLVM {OLDEST_LLVM} or newer",
             f"To mend it, {hint}.",
         )

@@ -48,7 +48,7 @@ _loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | Non
 )
 
 
-class OwnTracer:
+class InProcessTracer:
     """Traces in this process."""
 
     def __init__(self, job: TraceJob) -> None:
@@ -71,12 +71,12 @@ class OwnTracer:
         it larger and another one.
         """
         global _loaded
-        if _loaded is None or _loaded[0] != self.job.of_scenes:
+        if _loaded is None or _loaded[0] != self.job.scenes_key:
             _loaded = None
             with speaking_mitsuba(self.job.variant) as mi:
                 built = [self._build(mi, lamps) for lamps in self.job.lamps]
                 _loaded = (
-                    self.job.of_scenes,
+                    self.job.scenes_key,
                     [(scene, self._integrator(mi, scene)) for scene in built],
                 )
         return _loaded[1]
@@ -290,7 +290,7 @@ def _read_exrs(mi: ModuleType, state: ParserState) -> None:
 
 
 def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
-    """Return the depth at places of the film, 0 to 1, as `OwnTracer.depths` has it."""
+    """Return the depth at places of the film, 0 to 1, as `InProcessTracer.depths` has it."""
     dr = drjit()
     ray, _ = sensor.sample_ray(
         mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5)
