@@ -27,9 +27,8 @@ from pixsim.light.tables import (
     unit_hint,
 )
 
-EfficiencyCurve = tuple[
-    tuple[float, float], ...
-]  # (wavelength in nm, electrons per photon), wavelengths increasing
+# (wavelength in nm, electrons per photon), wavelengths increasing
+EfficiencyCurve = tuple[tuple[float, float], ...]
 _ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
 MAX_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
@@ -92,7 +91,7 @@ def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
     """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a
     responsivity makes it more than 1.
     """
-    nm = [float(each) for each in table.nm]
+    nm = [float(value_nm) for value_nm in table.nm]
     for column in table.columns:
         highest = max(quantum_efficiency_of(column, table.nm), default=0.0)
         if column.unit == A_PER_W and highest > 1:
@@ -116,7 +115,8 @@ def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
     below `SMALLEST` are 0.
     """
     pairs = tuple((nm, 0.0 if abs(value) < SMALLEST else value) for nm, value in pairs)
-    return pairs[::-1] if all(one > other for (one, _), (other, _) in pairwise(pairs)) else pairs
+    falls = all(nm > following for (nm, _), (following, _) in pairwise(pairs))
+    return pairs[::-1] if falls else pairs
 
 
 def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
@@ -160,8 +160,8 @@ def as_share(value: object) -> object:
                 Path(str(value)), "share", _ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM
             )
             columns = [
-                zip(map(float, table.nm), map(float, each.values), strict=True)
-                for each in table.columns
+                zip(map(float, table.nm), map(float, column.values), strict=True)
+                for column in table.columns
             ]
             return _check_shares(tuple(columns[0]) if columns else (), f"'{value}'")
     if isinstance(value, int | float):
@@ -184,7 +184,7 @@ def as_share(value: object) -> object:
 
 def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     pairs = _rising(pairs)
-    rises = all(one < other for (one, _), (other, _) in pairwise(pairs))
+    rises = all(nm < following for (nm, _), (following, _) in pairwise(pairs))
     if len(pairs) < 2 or not (
         rises and ALLOWED_NM[0] <= pairs[0][0] and pairs[-1][0] <= ALLOWED_NM[1]
     ):
@@ -200,7 +200,7 @@ def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     return pairs
 
 
-_LARGEST_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
+_MAX_RELATIVE = 1e12  # of a response of which only ratios count, such as digital numbers
 Curves = dict[str, EfficiencyCurve]  # letter of a channel -> its curve
 _COLOUR_WORDS = {
     "red": "R",
@@ -212,11 +212,9 @@ _COLOUR_WORDS = {
     "magenta": "M",
     "yellow": "Y",
 }
-_SURELY_SEEN_NM = (
-    400.0,
-    700.0,
-)  # that curves of channels must cover: what lies outside is taken as 0
-_LARGEST_STEP_NM = 20.0  # between their points there
+# What curves of channels must cover; they are 0 outside of their points.
+_COVERED_NM = (400.0, 700.0)
+_MAX_STEP_NM = 20.0  # between their points there
 _ALLOWED_CURVES = (
     "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as"
     " title"
@@ -227,8 +225,8 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
     """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV
     file. ValueError if it is neither.
 
-    kind : what the values are, for messages
-    highest : that a value may be
+    kind : quantity of the values, for messages
+    highest : largest allowed value
     """
 
     def validate(value: object) -> object:
@@ -242,8 +240,8 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
             return _read_curves(Path(value), kind, highest)
         if not isinstance(value, Mapping) or not value:
             raise ValueError(
-                f"got {brief(value)}; allowed: {_ALLOWED_CURVES}, or a table, as {{ R = [[400, 0.1],"
-                " [700, 0.5]] }"
+                f"got {brief(value)}; allowed: {_ALLOWED_CURVES}, or a table, as"
+                " { R = [[400, 0.1], [700, 0.5]] }"
             )
         curves = {}
         for name, pairs in value.items():
@@ -261,8 +259,9 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
 
 
 def _read_curves(path: Path, kind: str, highest: float) -> Curves:
-    """Curves of channels from the columns of a table: in A/W those of quantum efficiencies are
-    converted, sensitivities not.
+    """Curves of channels from the columns of a table.
+
+    Quantum efficiencies in A/W are converted, sensitivities are not.
     """
     table = read_table(path, kind, _ALLOWED_CURVES, 2, MAX_FILE_BYTES, ALLOWED_NM)
     titles = [
@@ -276,8 +275,9 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
             f"got '{path}' with {named} and {count} values; allowed: {_ALLOWED_CURVES}, as"
             " wavelength_nm,R,G,B"
         )
-    if twice := [letter for place, letter in enumerate(letters) if letter in letters[:place]]:
-        raise ValueError(f"got '{path}' with two channels {twice[0]}; allowed: each letter once")
+    repeated = [letter for index, letter in enumerate(letters) if letter in letters[:index]]
+    if repeated:
+        raise ValueError(f"got '{path}' with two channels {repeated[0]}; allowed: each letter once")
     if len({column.unit == A_PER_W for column in table.columns}) > 1 or (
         kind == "transmittances" and table.columns[0].unit == A_PER_W
     ):
@@ -313,11 +313,10 @@ def _letter(name: str) -> str:
 def _check_channel(
     curve: EfficiencyCurve, kind: str, highest: float, source: str
 ) -> EfficiencyCurve:
-    """The curve of a channel. ValueError if it has gaps, or values that are out of range or all
-    zero.
+    """Return the curve of a channel, wavelengths increasing. ValueError if it has gaps, or values
+    that are out of range or all zero.
     """
-    values = f"0 to {highest:g}"
-    allowed = f"{kind} of {values}, wavelengths in nm that increase"
+    allowed = f"{kind} of 0 to {highest:g}, wavelengths in nm that increase"
     curve = _rising(curve)
     unit = unit_hint([nm for nm, _ in curve], ALLOWED_NM)
     for (nm, value), (following, _) in pairwise([*curve, (math.inf, 0.0)]):
@@ -327,26 +326,26 @@ def _check_channel(
                 + (f" {unit}." if unit else "")
             )
         if not 0 <= value <= highest:
-            hint = f" {_IN_PER_CENT}." if 1 < value <= 100 else ""
-            hint = (
-                " Set negative values, as noise of a measurement leaves them, to 0."
-                if value < 0
-                else hint
-            )
+            hint = ""
+            if value < 0:
+                hint = " Set negative values, as noise of a measurement leaves them, to 0."
+            elif 1 < value <= 100:
+                hint = f" {_IN_PER_CENT}."
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")
-    low, high = _SURELY_SEEN_NM
-    seen = [nm for nm, _ in curve]
-    if not seen or seen[0] > low or seen[-1] < high:
-        covered = f"{seen[0]:g} to {seen[-1]:g} nm" if seen else "no values"
+
+    low, high = _COVERED_NM
+    curve_nm = [nm for nm, _ in curve]
+    if not curve_nm or curve_nm[0] > low or curve_nm[-1] < high:
+        covered = f"{curve_nm[0]:g} to {curve_nm[-1]:g} nm" if curve_nm else "no values"
         raise ValueError(
             f"got {source} for {covered}; allowed: at least {low:g} to {high:g} nm. Give 0 where"
             " there is no response."
         )
-    for nm, following in pairwise(seen):
-        if following - nm > _LARGEST_STEP_NM and following > low and nm < high:
+    for nm, following in pairwise(curve_nm):
+        if following - nm > _MAX_STEP_NM and following > low and nm < high:
             gap = f"a gap from {nm:g} to {following:g} nm"
             raise ValueError(
-                f"got {source} with {gap}; allowed: steps of at most {_LARGEST_STEP_NM:g} nm from"
+                f"got {source} with {gap}; allowed: steps of at most {_MAX_STEP_NM:g} nm from"
                 f" {low:g} to {high:g} nm"
             )
     if not any(value >= MIN_FRACTION for _, value in curve):
@@ -356,27 +355,32 @@ def _check_channel(
     return curve
 
 
-# The three words for the responses of channels, with their validators.
+# Settings for the responses of channels, with their validators.
 AS_CURVES: dict[str, Callable[[Any], Any]] = {
-    "sensitivities": as_curves("sensitivities", _LARGEST_RELATIVE),
+    "sensitivities": as_curves("sensitivities", _MAX_RELATIVE),
     "quantum_efficiencies": as_curves("quantum efficiencies", 1.0),
     "transmittances": as_curves("transmittances", 1.0),
 }
 
 
-# Words of [pixel.colour] that state the same quantity.
+# Settings of [pixel.colour] that state the same quantity.
 RESPONSES = tuple(AS_CURVES)
 
 
-def rows_schema(file: str, *others: dict[str, Any], most: int = 2) -> WithJsonSchema:
+def rows_schema(file: str, *others: dict[str, Any], max_numbers: int = 2) -> WithJsonSchema:
     """Return the JSON schema of a field that takes a CSV file, its rows, or what `others` describe.
 
-    file : what it holds
-    most : numbers of a row, which has at least two
+    file : content of the file
+    max_numbers : largest count of numbers in a row, which has at least two
     """
     rows = {
         "type": "array",
-        "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": most},
+        "items": {
+            "type": "array",
+            "items": {"type": "number"},
+            "minItems": 2,
+            "maxItems": max_numbers,
+        },
     }
     return WithJsonSchema(
         {

@@ -43,13 +43,13 @@ _MAX_TILE_BYTES = 1 << 28
 ALLOWED = "a readable OpenEXR file"
 
 
-def _judge_exr(path: Path) -> None:
+def _check_exr(path: Path) -> None:
     """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares
     implausible sizes or counts.
     """
     with opened(path, "EXR file", ALLOWED) as file:
         try:
-            _judge(path, file)
+            _check_header(path, file)
         except PixsimError:
             raise
         except (struct.error, ValueError, EOFError):
@@ -60,7 +60,7 @@ def _damaged(path: Path, got: str) -> PixsimError:
     return invalid("EXR file", f"'{path}' with {got}", ALLOWED)
 
 
-def _judge(path: Path, file: IO[bytes]) -> None:
+def _check_header(path: Path, file: IO[bytes]) -> None:
     magic, version = struct.unpack("<2I", file.read(8))
     if magic != _MAGIC or version & 0xFF != 2:
         raise invalid("EXR file", f"'{path}', which does not start like an EXR file", ALLOWED)
@@ -133,18 +133,20 @@ def _channel_count(content: bytes) -> int:
     """Count the channels of a list: each is a name and 16 bytes of type and sampling; a zero byte
     ends the list.
     """
-    count, at = 0, 0
-    while content[at : at + 1] not in (b"", b"\0"):
-        end = content.index(b"\0", at)
-        content[at:end].decode("utf-8")
+    count = 0
+    start = 0
+    while content[start : start + 1] not in (b"", b"\0"):
+        end = content.index(b"\0", start)
+        content[start:end].decode("utf-8")
         kind, _, x, y = struct.unpack_from("<iIii", content, end + 1)
         if not (0 <= kind <= 2 and x >= 1 and y >= 1):
             raise EOFError
-        count, at = count + 1, end + 17
+        count += 1
+        start = end + 17
     return count
 
 
-def _checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
+def _checked_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
     """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has
     another type or value.
     """
@@ -175,18 +177,16 @@ def _checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     return metadata
 
 
-def _check_diffuser(stated: dict[str, Any], bands: int) -> None:
+def _check_diffuser(plate: dict[str, Any], bands: int) -> None:
     """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another
     type or value.
     """
-    if not isinstance(stated, dict):
+    if not isinstance(plate, dict):
         raise TypeError(f"{DIFFUSER} must be a table")
-    per_nm, numbers = (
-        np.array(each, float)
-        for each in (stated.get(DIFFUSER_W, []), [stated.get("distance_m", 1.0)])
-    )
-    others = [value for name, value in stated.items() if name not in (DIFFUSER_W, "distance_m")]
-    values = np.array([*per_nm, *numbers, *others], float)
+    per_nm = np.array(plate.get(DIFFUSER_W, []), float)
+    distance_m = plate.get("distance_m", 1.0)
+    others = [value for name, value in plate.items() if name not in (DIFFUSER_W, "distance_m")]
+    values = np.array([*per_nm, distance_m, *others], float)
     if per_nm.size not in (0, bands) or not np.isfinite(values).all() or values.min() < 0:
         raise ValueError(
             f"{DIFFUSER} must be a table of numbers of 0 or more, one for each band where it has"
@@ -246,7 +246,7 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     """Open an EXR file. Raises PixsimError if it is missing, damaged, not an EXR, or declares an
     implausible size.
     """
-    _judge_exr(Path(path))
+    _check_exr(Path(path))
     import OpenEXR
 
     try:
@@ -257,9 +257,9 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     except PixsimError:
         raise
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
-        reason = (
-            "its pixels are damaged or truncated" if "part index" in str(error) else error
-        )  # OpenEXR drops a damaged part
+        # OpenEXR drops a damaged part.
+        is_damaged = "part index" in str(error)
+        reason = "its pixels are damaged or truncated" if is_damaged else error
         raise invalid("EXR file", f"'{path}' ({reason})", ALLOWED) from None
 
 
@@ -313,10 +313,8 @@ def write_rows(
         for top in range(0, height, step):
             rows = slice(top, min(top + step, height))
             block = np.empty(rows.stop - top, line)
-            block["row"], block["bytes"] = (
-                np.arange(top, rows.stop) - margin,
-                4 * len(names) * width,
-            )
+            block["row"] = np.arange(top, rows.stop) - margin
+            block["bytes"] = 4 * len(names) * width
             for index, name in enumerate(names):
                 block["values"][:, index] = channels[name](rows)
             file.write(block.data)
@@ -326,16 +324,16 @@ def _header(
     names: list[str], shape: tuple[int, int], texts: Mapping[str, str], margin: int
 ) -> bytes:
     right, bottom = (count - margin - 1 for count in (shape[1], shape[0]))
-    window = struct.pack("<4i", -margin, -margin, right, bottom)
-    shown = struct.pack("<4i", 0, 0, right - margin, bottom - margin)
+    data_window = struct.pack("<4i", -margin, -margin, right, bottom)
+    display_window = struct.pack("<4i", 0, 0, right - margin, bottom - margin)
     channels = (
         b"".join(_name(name) + struct.pack("<iB3xii", FLOAT, 0, 1, 1) for name in names) + b"\0"
     )
     attributes = [
         ("channels", "chlist", channels),
         ("compression", "compression", b"\0"),
-        ("dataWindow", "box2i", window),
-        ("displayWindow", "box2i", shown),
+        ("dataWindow", "box2i", data_window),
+        ("displayWindow", "box2i", display_window),
         ("lineOrder", "lineOrder", b"\0"),
         ("pixelAspectRatio", "float", struct.pack("<f", 1)),
         ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
@@ -361,12 +359,10 @@ def shortest(value: float) -> float:
     return float(np.format_float_scientific(np.float32(value), unique=True))
 
 
-MAX_BAND_BYTES = (
-    1 << 30
-)  # of the band channels of a factored image; above it, one illuminance channel replaces them
-_CHANNEL_WIDTH_NM = (
-    10.0  # of the band channels of a factored image; its finer bands are in the header
-)
+# Of the band channels of a factored image; above it, one illuminance channel replaces them.
+MAX_BAND_BYTES = 1 << 30
+# Of the band channels of a factored image; its finer bands are in the header.
+_CHANNEL_WIDTH_NM = 10.0
 
 
 def _band_channel(wavelength_nm: float) -> str:
@@ -375,7 +371,9 @@ def _band_channel(wavelength_nm: float) -> str:
 
 
 MAX_REDUCED_COLUMNS, MAX_REDUCED_BYTES = 1024, 60_000_000
-NEAR = 8  # among the most columns and an eighth less, some divide a usual height to 2 % of a sample
+# Of the largest number of columns, by which it may be lowered: some number in between divides a
+# usual height to 2 % of a sample.
+NEAR = 8
 _MAX_CUT = 0.01  # of the height
 
 
@@ -388,24 +386,25 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
     one would cut more than 1 %, stays as it is.
     """
     height, width = image.shape
-    channels = (
-        len(_merged(image).wavelength_nm) + len(image.factors[0])
-        if image.factors
-        else len(image.wavelength_nm)
-    )
-    fitting = int(math.sqrt(MAX_REDUCED_BYTES / (4 * channels) * width / height))
-    most = min(width, MAX_REDUCED_COLUMNS, max(fitting, 1))
-    if most == width:
+    channels = len(image.wavelength_nm)
+    if image.factors:
+        channels = len(_merged(image).wavelength_nm) + len(image.factors[0])
+
+    fitting_columns = int(math.sqrt(MAX_REDUCED_BYTES / (4 * channels) * width / height))
+    max_columns = min(width, MAX_REDUCED_COLUMNS, max(fitting_columns, 1))
+    if max_columns == width:
         return image
-    for columns in range(most, most // 2, -1):
+
+    for columns in range(max_columns, max_columns // 2, -1):
         if width % columns == 0 and height % (width // columns) == 0:
             return image.box_reduced(columns)
 
-    def cut(columns: int) -> float:  # off the height, in larger samples
+    def cut_height(columns: int) -> float:  # off the height, in larger samples
         return (height * columns / width + EDGE) % 1
 
-    best = min(range(most, most - most // NEAR - 1, -1), key=cut)
-    return image.box_reduced(best) if cut(best) * width / best <= _MAX_CUT * height else image
+    best = min(range(max_columns, max_columns - max_columns // NEAR - 1, -1), key=cut_height)
+    fits = cut_height(best) * width / best <= _MAX_CUT * height
+    return image.box_reduced(best) if fits else image
 
 
 def write_exr(
@@ -427,34 +426,46 @@ def write_exr(
 
     Raises PixsimError if `path` cannot be written.
     """
-    margin, image = image.margin, image.whole
-    shown = _merged(image) if image.factors else image
+    margin = image.margin
+    image = image.whole
+    channel_image = _merged(image) if image.factors else image
+
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
     channels: dict[str, Rows] = {}
     if image.factors and factors_only:
         pass
-    elif image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MAX_BAND_BYTES:
+    elif (
+        image.factors
+        and 4 * channel_image.wavelength_nm.size * math.prod(image.shape) > MAX_BAND_BYTES
+    ):
         weight = image.luminous_weight()
         channels = {"Y": lambda rows: image.weighted_part(weight, (rows, WHOLE)).astype(np.float32)}
         header["illuminanceUnits"] = "lx"
     else:
         channels = {
-            _band_channel(nm): partial(shown.band, band)
-            for band, nm in enumerate(shown.wavelength_nm)
+            _band_channel(nm): partial(channel_image.band, band)
+            for band, nm in enumerate(channel_image.wavelength_nm)
         }
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
         channels |= {
             f"factor.{r}": partial(_released, picture) for r, picture in enumerate(image.factors[1])
         }
-    tables = {"wavelength_nm": image.wavelength_nm, "band_width_nm": image.band_width_nm}
-    tables |= {"within_nm": image.within[0], "within_shares": image.within[1]}
-    tables |= {"spectra_w_per_m2_nm": image.factors[0]} if image.factors else {}
-    metadata = {name: table.tolist() for name, table in tables.items()} | {
-        "pitch_um": image.pitch_um,
-        "header": image.header,
+
+    tables = {
+        "wavelength_nm": image.wavelength_nm,
+        "band_width_nm": image.band_width_nm,
+        "within_nm": image.within[0],
+        "within_shares": image.within[1],
     }
-    metadata |= {"margin": margin} if margin else {}
+    if image.factors:
+        tables["spectra_w_per_m2_nm"] = image.factors[0]
+
+    metadata: dict[str, Any] = {name: table.tolist() for name, table in tables.items()}
+    metadata["pitch_um"] = image.pitch_um
+    metadata["header"] = image.header
+    if margin:
+        metadata["margin"] = margin
     header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
         write_rows(unfinished, channels, image.shape, header, margin)
@@ -481,23 +492,16 @@ def _merged(image: SpectralImage) -> SpectralImage:
         else:
             groups.append([band])
             width = band_nm
-    widths = np.array([image.band_width_nm[group].sum() for group in groups])
-    mean = (
-        np.array(
-            [(image.band_width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]
-        )
-        / widths
-    )
-    spectra = (
-        np.array(
-            [
-                (image.factors[0][:, group] * image.band_width_nm[group]).sum(axis=1)
-                for group in groups
-            ]
-        ).T
-        / widths
-    )
-    return SpectralImage(mean, widths, image.pitch_um, factors=(spectra, image.factors[1]))
+
+    # Means over each group, weighted by the widths of its bands.
+    width_nm = image.band_width_nm
+    spectra, pictures = image.factors
+    widths = np.array([width_nm[group].sum() for group in groups])
+    centre_sums = [(width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]
+    centres = np.array(centre_sums) / widths
+    spectrum_sums = [(spectra[:, group] * width_nm[group]).sum(axis=1) for group in groups]
+    means = np.array(spectrum_sums).T / widths
+    return SpectralImage(centres, widths, image.pitch_um, factors=(means, pictures))
 
 
 def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
@@ -523,18 +527,20 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
             hint,
         )
     try:
-        metadata = _checked_own(json.loads(header["pixsim"]))
+        metadata = _checked_metadata(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
-        within = (
-            (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None
-        )
-        more = {"header": metadata["header"], "within": within, "margin": metadata.get("margin", 0)}
+        options: dict[str, Any] = {
+            "header": metadata["header"],
+            "margin": metadata.get("margin", 0),
+        }
+        if "within_nm" in metadata:
+            options["within"] = metadata["within_nm"], metadata["within_shares"]
         if "spectra_w_per_m2_nm" in metadata:
             spectra = np.array(metadata["spectra_w_per_m2_nm"])
             pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
-            return SpectralImage(*bands, factors=(spectra, pictures), **more)
+            return SpectralImage(*bands, factors=(spectra, pictures), **options)
         data = np.stack([channels[_band_channel(nm)] for nm in metadata["wavelength_nm"]], axis=2)
-        return SpectralImage(*bands, data=data, **more)
+        return SpectralImage(*bands, data=data, **options)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
         raise invalid(
             "irradiance file",

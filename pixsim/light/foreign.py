@@ -115,7 +115,7 @@ def _factor(tokens: list[str]) -> Powers:
     return powers
 
 
-_SHOWN_NAMES = 12
+_MAX_LISTED_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({_PREFIX})?(m|Hz)")
 # Mitsuba 0.6 and its kin: 400.00-420.00nm, the edges of a band; others: 550nm, or a word and a dot
@@ -180,9 +180,11 @@ class Cube:
     per_nm: bool = False
 
 
-def shortened(items: Sequence[object]) -> str:
-    """Format a list for a message, with at most `_SHOWN_NAMES` items."""
-    return ", ".join(map(str, items[:_SHOWN_NAMES])) + (" …" if len(items) > _SHOWN_NAMES else "")
+def shortened(values: Sequence[object]) -> str:
+    """Format a list for a message, with at most `_MAX_LISTED_NAMES` items."""
+    return ", ".join(map(str, values[:_MAX_LISTED_NAMES])) + (
+        " …" if len(values) > _MAX_LISTED_NAMES else ""
+    )
 
 
 def read_cube(path: Path) -> Cube:
@@ -358,17 +360,23 @@ def _read_npz(path: Path) -> Cube:
 
     expected = "a readable file from numpy.savez without pickled objects"
     arrays: dict[str, Any] = read_arrays(path, "npz file", expected, choose, check)
-    data, nm = arrays.pop("data"), arrays.pop("wavelength_nm")
-    if nm.ndim != 1 or nm.dtype.kind not in "iuf":
-        raise invalid(f"arrays in '{path}'", f"wavelength_nm {nm.dtype} {nm.shape}", _NPZ_SHAPES)
-    if data.shape[2] != nm.size and (hint := bands_last_hint(data.shape, nm.size)):
+    data, wavelength_nm = arrays.pop("data"), arrays.pop("wavelength_nm")
+    if wavelength_nm.ndim != 1 or wavelength_nm.dtype.kind not in "iuf":
+        raise invalid(
+            f"arrays in '{path}'",
+            f"wavelength_nm {wavelength_nm.dtype} {wavelength_nm.shape}",
+            _NPZ_SHAPES,
+        )
+    if data.shape[2] != wavelength_nm.size and (
+        hint := bands_last_hint(data.shape, wavelength_nm.size)
+    ):
         raise invalid(
             f"data in '{path}'",
-            f"{data.shape} for {nm.size} wavelengths",
+            f"{data.shape} for {wavelength_nm.size} wavelengths",
             "(rows, columns, bands)",
             hint,
         )
-    return Cube(data, nm.astype(float), str(arrays.pop("units", "")), **arrays)
+    return Cube(data, wavelength_nm.astype(float), str(arrays.pop("units", "")), **arrays)
 
 
 def _read_envi(path: Path) -> Cube:

@@ -40,21 +40,20 @@ LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
 STRIP_VALUES = 1 << 18  # of all bands of a strip: 1 MiB in float32
 MAX_VALUE = float(np.finfo(np.float32).max)
-# entry of a header: of light that was given, whose other entries need not say what it is
+# Entry of a header: hash of light from outside, whose other entries need not identify it.
 DIGEST = "digest"
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it
 # together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
-WHITE_RADIANCE = (  # entry of a header: radiance of white, of light without luminance
-    "white_w_per_m2_sr"
-)
+# Entry of a header: radiance of white, of light without luminance.
+WHITE_RADIANCE = "white_w_per_m2_sr"
 # Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for
 # `display.white = "diffuser"`.
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
 WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_words`
 # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
-LEAST_LM_PER_W = 0.1
+MIN_LM_PER_W = 0.1
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -158,7 +157,10 @@ class SpectralImage:
     the margin leaves no picture.
 
     >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
-    >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
+
+    683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹:
+
+    >>> light.illuminance_lx()[0].round(2).tolist()
     [6.8, 6.8, 6.8]
     """
 
@@ -191,13 +193,12 @@ class SpectralImage:
         self.header = dict(header or {})
         if (data is None) == (factors is None):
             raise PixsimError("SpectralImage: give either data or factors, not both or neither")
+
         self.factors: tuple[Array, NDArray[np.float32]] | None = None
         if factors is not None:
-            self.factors = (
-                np.atleast_2d(np.asarray(factors[0], float)),
-                np.asarray(factors[1], np.float32),
-            )
-            spectra, pictures = self.factors
+            spectra = np.atleast_2d(np.asarray(factors[0], float))
+            pictures = np.asarray(factors[1], np.float32)
+            self.factors = spectra, pictures
             if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
                 raise invalid(
                     "factors",
@@ -215,20 +216,20 @@ class SpectralImage:
                     f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})",
                     hint,
                 )
+
         self.margin = margin
         if margin:
             self._set_margin(self.factors[1] if self.factors else self.data)
+
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
-        self.within = np.asarray(within[0], float), np.asarray(within[1], float)
-        if (
-            not self.within[0].shape
-            == self.within[1].shape
-            == (self.wavelength_nm.size, self.within[0].shape[-1])
-        ):
+        nodes_nm = np.asarray(within[0], float)
+        shares = np.asarray(within[1], float)
+        self.within = nodes_nm, shares
+        if not nodes_nm.shape == shares.shape == (self.wavelength_nm.size, nodes_nm.shape[-1]):
             raise invalid(
                 "within",
-                f"{self.within[0].shape} and {self.within[1].shape}",
+                f"{nodes_nm.shape} and {shares.shape}",
                 "nodes and shares, each of shape (B, n)",
             )
 
@@ -236,49 +237,51 @@ class SpectralImage:
         """Return a hash of everything that the light is made of, 32 hexadecimal digits; arrays can
         change in place.
         """
-        found = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
-        found.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
+        hasher = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
+        hasher.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
         spectra = () if self.factors is None else self.factors[:1]
-        pictures = (
-            self._given if self.margin else self.data if self.factors is None else self.factors[1]
-        )
+        if self.margin:
+            pictures = self._pictures_with_margin
+        else:
+            pictures = self.data if self.factors is None else self.factors[1]
         for array in (self.wavelength_nm, self.band_width_nm, *self.within, *spectra, pictures):
-            update_with_array(found, array)
-        return found.hexdigest()
+            update_with_array(hasher, array)
+        return hasher.hexdigest()
 
     @property
     def identified(self) -> SpectralImage:
-        """The same light with its `digest` in the header, which then tells it from others that
-        nothing else tells apart.
+        """The same light with its `digest` in the header, which distinguishes it from others of the
+        same settings.
         """
-        own = copy(self)
-        own.header = self.header | {DIGEST: self.digest()}
-        return own
+        light = copy(self)
+        light.header = self.header | {DIGEST: self.digest()}
+        return light
 
-    def _set_margin(self, given: NDArray[np.float32]) -> None:
-        """Keep the pictures that are given, and without their margin."""
-        height, width = given.shape[1:] if self.factors else given.shape[:2]
+    def _set_margin(self, pictures: NDArray[np.float32]) -> None:
+        """Set the pictures with their margin, and without it."""
+        height, width = pictures.shape[1:] if self.factors else pictures.shape[:2]
         if not 0 < 2 * self.margin < min(height, width):
             raise invalid(
                 "margin",
                 self.margin,
                 f"0 or more, and less than half of the {width} × {height} samples given",
             )
-        self._given = given
+        self._pictures_with_margin = pictures
         inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
         if self.factors:
-            self.factors = self.factors[0], given[:, *inside]
+            self.factors = self.factors[0], pictures[:, *inside]
         else:
-            self.data = given[inside]
+            self.data = pictures[inside]
 
     @property
     def whole(self) -> SpectralImage:
         """The picture with its margin as part of it."""
         if not self.margin:
             return self
-        content: dict[str, Any] = (
-            {"factors": (self.factors[0], self._given)} if self.factors else {"data": self._given}
-        )
+        pictures = self._pictures_with_margin
+        content: dict[str, Any] = {"data": pictures}
+        if self.factors:
+            content = {"factors": (self.factors[0], pictures)}
         content |= {"within": self.within, "header": self.header}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um, **content)
 
@@ -368,18 +371,17 @@ class SpectralImage:
         ([[2.5, 4.5]], 10.0)
         """
         height, width = self.shape
-        ratio = width / columns if 1 <= columns <= width else math.nan
-        if not (rows := int(height / ratio + EDGE) if math.isfinite(ratio) else 0):
+        is_coarser = 1 <= columns <= width
+        ratio = width / columns if is_coarser else math.nan
+        rows = int(height / ratio + EDGE) if is_coarser else 0
+        if not rows:
             raise invalid(
                 "columns", columns, f"1 to {width}, and at least one row of square samples"
             )
         before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
-        header = self.header | {
-            "reduced": {
-                "samples": before["samples"],
-                "factor": float(f"{before['factor'] * ratio:.12g}"),
-            }
-        }
+        factor = float(f"{before['factor'] * ratio:.12g}")
+        header = self.header | {"reduced": {"samples": before["samples"], "factor": factor}}
+
         planes = np.empty((len(self.planes), rows, columns), np.float32)
         for plane, means in zip(self.planes, planes, strict=True):
             means[:] = _box_means(plane, rows, columns)
@@ -467,13 +469,13 @@ class SpectralImage:
     def white_spectrum(self) -> Array | None:
         """Light of the scene's white in each band, (B,) in any unit; None if it is unknown.
 
-        It is that of a white plate where the light says what one shows (`DIFFUSER`), or that of the
-        lamps that the scene names as its white, else the spectrum that all lamps share.
+        White is a white plate where the header has one (`DIFFUSER`), else the lamps that the scene
+        names as its white, else the spectrum that all lamps share.
         """
-        if of_plate := self.header.get(DIFFUSER, {}).get(DIFFUSER_W):
-            return np.asarray(of_plate, float)
-        if lamp := self.header.get(LAMP):
-            return np.asarray(lamp, float)
+        if plate_radiance := self.header.get(DIFFUSER, {}).get(DIFFUSER_W):
+            return np.asarray(plate_radiance, float)
+        if lamp_radiance := self.header.get(LAMP):
+            return np.asarray(lamp_radiance, float)
         return self.factors[0][0] if self.factors and len(self.factors[0]) == 1 else None
 
     def validate(self) -> None:
@@ -523,7 +525,7 @@ RINGS = "rings"
 MAX_RING = 1.5
 
 
-OUTLIER, MOST_OUTLIERS = 100.0, 10_000
+OUTLIER, SAMPLES_AN_OUTLIER = 100.0, 10_000
 
 
 def lowest_allowed(header: dict[str, Any], highest: float) -> float:
@@ -550,58 +552,64 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
     >>> find_outliers(picture)
     [(3, 4)]
     """
-    most = max(1, picture.size // MOST_OUTLIERS)
-    if picture.size <= most + 1:
+    max_count = max(1, picture.size // SAMPLES_AN_OUTLIER)
+    if picture.size <= max_count + 1:
         return []
-    order = np.argpartition(picture, -most - 1, axis=None)[-most - 1 :]
+    order = np.argpartition(picture, -max_count - 1, axis=None)[-max_count - 1 :]
     order = order[np.argsort(picture.ravel()[order])[::-1]]
     values = picture.ravel()[order]
     steps = np.flatnonzero((values[:-1] > OUTLIER * values[1:]) & (values[1:] > 0))
     if not steps.size:
         return []
-    places = [divmod(int(at), picture.shape[1]) for at in order[: steps[-1] + 1]]
-    rest = values[steps[-1] + 1]
-    around = [
+    outliers = [divmod(int(at), picture.shape[1]) for at in order[: steps[-1] + 1]]
+    brightest_other = values[steps[-1] + 1]
+    neighbourhoods = [
         picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        for row, column in places
+        for row, column in outliers
     ]
-    return places if all(np.count_nonzero(near > rest) == 1 for near in around) else []
+    # Brighter than the rest of the picture, alone among its neighbours.
+    stand_alone = all(
+        np.count_nonzero(neighbourhood > brightest_other) == 1 for neighbourhood in neighbourhoods
+    )
+    return outliers if stand_alone else []
 
 
 def without_outliers(image: SpectralImage) -> SpectralImage | None:
     """Return an image whose outliers, as its header states them, are the median of their
     neighbours; None if it states none.
     """
-    places = image.header.get(OUTLIERS)
-    if not isinstance(places, list) or not places:
+    outliers = image.header.get(OUTLIERS)
+    if not isinstance(outliers, list) or not outliers:
         return None
     planes = np.array(image.planes)
-    for place in places:
+    for outlier in outliers:
         if not (
-            isinstance(place, list) and len(place) == 2 and all(isinstance(at, int) for at in place)
+            isinstance(outlier, list)
+            and len(outlier) == 2
+            and all(isinstance(index, int) for index in outlier)
         ):
             return None  # the header of another program
-        row, column = place
+        row, column = outlier
         if not (0 <= row < planes.shape[1] and 0 <= column < planes.shape[2]):
             return None
-        near = planes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        planes[:, row, column] = np.median(near, axis=(1, 2))
+        neighbourhood = planes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        planes[:, row, column] = np.median(neighbourhood, axis=(1, 2))
     return image.with_planes(
         planes, header={name: value for name, value in image.header.items() if name != OUTLIERS}
     )
 
 
-def white_words(known: bool, lamps: Sequence[str] = ()) -> str:
+def white_words(has_spectrum: bool, lamps: Sequence[str] = ()) -> str:
     """Name the light of a scene's white, for messages and reports.
 
-    known : whether its spectrum is known; of an unknown white, that of D65 takes its place
-    lamps : that the scene names as its white
+    has_spectrum : whether its spectrum is known; else D65 takes its place
+    lamps : names of the lamps that make the scene's white
     """
     if lamps:
         return f"the scene's own white, of its lamps {', '.join(lamps)}"
     return (
         "the scene's lamp"
-        if known
+        if has_spectrum
         else f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
     )
 
@@ -628,12 +636,12 @@ def _running(values: NDArray[Any], edges: Array) -> Array:
     """
     at = np.clip(edges, 0, len(values))
     below = np.minimum(at.astype(int), len(values) - 1)
-    result, total = np.empty((edges.size, values.shape[1])), np.zeros((1, values.shape[1]))
+    result = np.empty((edges.size, values.shape[1]))
+    total = np.zeros((1, values.shape[1]))
     for rows in strips(*values.shape):  # a picture in float64 need not be in memory
         strip = values[rows].astype(float)
-        total = np.cumsum(
-            np.concatenate([total[-1:], strip]), axis=0
-        )  # up to each row, and with the last one
+        # The integral up to each row, and with the last one.
+        total = np.cumsum(np.concatenate([total[-1:], strip]), axis=0)
         here = np.flatnonzero((below >= rows.start) & (below < rows.stop))
         row = below[here] - rows.start
         result[here] = total[row] + (at[here] - below[here])[:, None] * strip[row]
@@ -653,10 +661,9 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
     for plane in planes:
         for rows in strips(*plane.shape):
             part = plane[rows]
-            low, high = (
-                float(np.minimum(low, part.min())),
-                float(np.maximum(high, part.max())),
-            )  # which keep NaN
+            # np.minimum keeps NaN; min does not.
+            low = float(np.minimum(low, part.min()))
+            high = float(np.maximum(high, part.max()))
             release(part)
     return low, high
 
@@ -668,9 +675,8 @@ LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
 MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
 FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
-_COARSE_SPACING_NM = (
-    0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
-)
+# 0.2 nm less a rounding error; tables with closer nodes need the finest step.
+_COARSE_SPACING_NM = 0.199
 
 
 @dataclass(frozen=True)
@@ -730,11 +736,8 @@ class Spectrum:
         """
         if np.all(self.nodes_nm == np.rint(self.nodes_nm)):
             return STEPS_NM[0]
-        return (
-            STEPS_NM[1]
-            if np.diff(self.nodes_nm).min(initial=1.0) >= _COARSE_SPACING_NM
-            else STEPS_NM[2]
-        )
+        spacing_nm = np.diff(self.nodes_nm).min(initial=1.0)
+        return STEPS_NM[1] if spacing_nm >= _COARSE_SPACING_NM else STEPS_NM[2]
 
     def cell_means(self, edges_nm: Array) -> Array:
         """Return the exact means over the cells between increasing edges, so that no spectral line
@@ -758,11 +761,11 @@ class Spectrum:
         integral.
         """
         if (step_nm, span) not in self._on_grids:  # each band of a lamp asks for it
-            nodes = grid_nm(step_nm, span)
-            self._on_grids[step_nm, span] = self.cell_means(
-                np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]])
-            )
-            self._on_grids[step_nm, span].flags.writeable = False
+            nodes_nm = grid_nm(step_nm, span)
+            edges_nm = np.concatenate([nodes_nm[:1], nodes_nm[:-1] + step_nm / 2, nodes_nm[-1:]])
+            means = self.cell_means(edges_nm)
+            means.flags.writeable = False
+            self._on_grids[step_nm, span] = means
         return self._on_grids[step_nm, span]
 
     @cached_property

@@ -44,9 +44,9 @@ class PictureFile:
                 weakref.finalize(self, self._file.close)
             if digest not in self._offsets:
                 offset = self._file.seek(0, os.SEEK_END)
-                left = values.data.cast("B")
-                while left:  # one write is at most 2 GiB
-                    left = left[self._file.write(left) :]
+                remaining = values.data.cast("B")
+                while remaining:  # one write is at most 2 GiB
+                    remaining = remaining[self._file.write(remaining) :]
                 self._offsets[digest] = offset
         return StoredImage(image, self, self._offsets[digest])
 
@@ -66,29 +66,30 @@ class StoredImage(SpectralImage):
     """
 
     def __init__(self, image: SpectralImage, file: PictureFile, offset: int) -> None:
-        self.wavelength_nm, self.band_width_nm, self.within = (
-            image.wavelength_nm,
-            image.band_width_nm,
-            image.within,
-        )
-        self.pitch_um, self.header = image.pitch_um, dict(image.header)
+        self.wavelength_nm = image.wavelength_nm
+        self.band_width_nm = image.band_width_nm
+        self.within = image.within
+        self.pitch_um = image.pitch_um
+        self.header = dict(image.header)
+        self.margin = image.margin
         self._spectra = image.factors[0] if image.factors else None
-        self._file, self._offset, self.margin = file, offset, image.margin
+        self._file = file
+        self._offset = offset
         whole = image.whole
         self._size = (whole.factors[1] if whole.factors else whole.data).shape
 
     @property
-    def _given(self) -> NDArray[np.float32]:  # type: ignore[override]
+    def _pictures_with_margin(self) -> NDArray[np.float32]:  # type: ignore[override]
         """The pictures of the factors (r, H, W), or the bands (H, W, B), with their margin."""
         return self._file.mapped(self._offset, self._size)
 
     @property
     def _values(self) -> NDArray[np.float32]:
-        """The same without a margin."""
-        given = self._given
-        height, width = given.shape[:2] if self._spectra is None else given.shape[1:]
+        """The pictures of the factors (r, H, W), or the bands (H, W, B), without their margin."""
+        pictures = self._pictures_with_margin
+        height, width = pictures.shape[:2] if self._spectra is None else pictures.shape[1:]
         inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
-        return given[inside] if self._spectra is None else given[:, *inside]
+        return pictures[inside] if self._spectra is None else pictures[:, *inside]
 
     @property
     def factors(self) -> tuple[NDArray[Any], NDArray[Any]] | None:  # type: ignore[override]
@@ -102,7 +103,7 @@ class StoredImage(SpectralImage):
 
     def in_memory(self) -> SpectralImage:
         """Return the image with its pictures in memory."""
-        values = np.array(self._given)
+        values = np.array(self._pictures_with_margin)
         content: dict[str, Any] = (
             {"data": values} if self._spectra is None else {"factors": (self._spectra, values)}
         )

@@ -31,7 +31,7 @@ WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\
 MAX_DIGITS = 400  # of a cell: more than any double needs
 # Titles stand close above the numbers, in short cells; the time to look for words and units in one
 # grows with its square.
-MAX_TITLE, MOST_TITLES = 1000, 100
+MAX_TITLE, MAX_TITLES = 1000, 100
 # Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
 UNIT_WORDS = {
     **dict.fromkeys(("nm", "nanometer", "nanometre"), "nm"),
@@ -129,6 +129,7 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
     if text is None:
         raise ValueError(f"got '{path}', which is no text; allowed: {allowed}")
+
     lines = text.replace("−", "-").splitlines()
     plain = [line for line in lines if line.strip() and not line.lstrip().startswith(_COMMENT)]
     separator = _separator([line for line in plain if _BEGINS_NUMBER.match(line)] or plain)
@@ -148,6 +149,7 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
             ]
         except csv.Error as error:
             raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
+
     used = [
         (number, row)
         for number, row in enumerate(rows, 1)
@@ -156,6 +158,7 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
     for _, row in used:
         while not row[-1]:
             row.pop()
+
     start = next((number for number, row in used if _BEGINS_NUMBER.match(row[0])), len(lines) + 1)
     comments = [
         line.strip().lstrip(_COMMENT).strip()
@@ -195,97 +198,128 @@ def read_table(
     path: Path,
     what: str,
     allowed: str,
-    least: int,
+    value_count: int,
     max_bytes: int,
     bounds_nm: tuple[float, float] = (0.0, math.inf),
 ) -> WavelengthTable:
     """Read a table whose first column is wavelength.
 
     what, allowed : of the setting, for messages
-    least : number of columns of values that each line must have; with 1 others are left out
-    bounds_nm : that wavelengths have; outside, the unit that they seem to have is named
+    value_count : columns of values that each line must have; with 1, further ones are left out
+    bounds_nm : lowest and highest wavelength; the message on others names the likely unit
 
-    ValueError if it is none: where no numbers stand, which wavelengths cannot be, or which unit is
-    none of wavelength.
+    ValueError if the file is no such table: its message names a line without numbers, wavelengths
+    out of bounds, or a unit that is none of wavelength.
     """
     cells = read_cells(path, what, allowed, max_bytes)
-    headers: list[list[str]] = []
-    rows: list[tuple[Decimal, ...]] = []
-    marked = set[int]()  # columns whose cells say per cent themselves
-    for number, row in cells.rows:
-        numbers = [as_number(cell, cells.decimal) for cell in (row if least > 1 else row[:2])]
-        if len(numbers) > least and None not in numbers:
-            rows.append(tuple(each for each in numbers if each is not None))
-            marked |= {at for at, cell in enumerate(row) if cell.endswith("%")}
-        elif rows or row[0][:1].isdigit():  # not a title
-            words = "two numbers" if least == 1 else f"{least + 1} numbers"
-            values = "value" if least == 1 else f"{least} values"
-            raise ValueError(
-                f"got no {words} in line {number} of '{path}'; allowed: wavelength in nm, {values}"
-            )
-        else:
-            headers.append(row)
-    if (
-        least == 1
-        and cells.separator == ","
-        and _has_decimal_commas_too([row for _, row in cells.rows[len(headers) :]])
-    ):
+    headers, rows, percent_columns = _split_rows(cells, path, value_count)
+    number_rows = [row for _, row in cells.rows[len(headers) :]]
+    if value_count == 1 and cells.separator == "," and _has_decimal_commas_too(number_rows):
         raise ValueError(
             f"got '{path}' with commas between columns and within numbers; allowed: {allowed}. Part"
             " columns by ;"
         )
-    if rows and all(float(one[0]) > float(other[0]) for one, other in pairwise(rows)):
+
+    # Some instruments scan towards short wavelengths.
+    if rows and all(float(row[0]) > float(following[0]) for row, following in pairwise(rows)):
         rows.reverse()
+
     count = min(map(len, rows), default=1)
-    width = min((len(row) for _, row in cells.rows[len(headers) :]), default=1)
-    named = [
-        titles
-        for header in headers[-MOST_TITLES:]
-        if (titles := _titles(header, width, cells.separator))
-    ]
-    if least > 1 and not named and headers and len(headers[-1]) > 1:
+    width = min(map(len, number_rows), default=1)
+    title_rows = _title_rows(headers, width, cells.separator)
+    if value_count > 1 and not title_rows and headers and len(headers[-1]) > 1:
         got = f"'{path}' with {len(headers[-1]) - 1} channels in the title and {count - 1} values"
         raise ValueError(f"got {got}; allowed: {allowed}, as wavelength_nm,R,G,B")
-    comment: list[str] = []
-    if cells.comment and not re.search(r"\d", cells.comment):
-        parted = [cell.strip() for cell in cells.comment.split(cells.separator or ",")]
-        # Units of a comment may be those of columns that are no longer there: it must fit as it is.
-        comment = _titles([cells.comment], width, None, WAYS[:3]) or _titles(parted, width, ",")
-    unit, units = "", [("", 0)] * count
-    for titles in ([comment] if comment else []) + named:
+
+    unit = ""
+    units = [("", 0)] * count
+    for titles in _comment_titles(cells, width) + title_rows:
         unit = _wavelength_unit(titles[0], path, allowed) or unit
         units[1:] = [
-            _value_unit(title) or known
-            for title, known in zip(titles[1:count], units[1:], strict=True)
+            _value_unit(title) or stated
+            for title, stated in zip(titles[1:count], units[1:], strict=True)
         ]
-    names = next(
-        (titles for titles in reversed(named) if not _is_of_units(titles)),
-        named[-1] if named else [""] * count,
-    )
-    units = [("", 0) if at in marked else stated for at, stated in enumerate(units)]
-    if len({stated == "%" for stated, _ in units[1:]}) > 1:
+    units = [("", 0) if index in percent_columns else stated for index, stated in enumerate(units)]
+    if len({symbol == "%" for symbol, _ in units[1:]}) > 1:
         raise ValueError(
             f"got '{path}' with some columns in per cent and others not; allowed: {allowed}"
         )
+
+    names = next(
+        (titles for titles in reversed(title_rows) if not _is_of_units(titles)),
+        title_rows[-1] if title_rows else [""] * count,
+    )
     columns = []
-    for at in range(1, count):
-        stated, power = units[at]
-        highest = max(float(row[at]) for row in rows)
-        if stated == "%" and highest <= 1:
+    for index in range(1, count):
+        symbol, power = units[index]
+        is_percent = symbol == "%"
+        highest = max(float(row[index]) for row in rows)
+        if is_percent and highest <= 1:
             words = (
                 f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
             )
             warn(Note("file_as_read", words=f"{words}Fractions have no % in their title"))
-        scaled = tuple(_scaled(row[at], power) for row in rows)
-        columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
+        values = tuple(_scaled(row[index], power) for row in rows)
+        columns.append(Column(names[index], "" if is_percent else symbol, values))
+
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)
-    if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
+    if hint := unit_hint([float(value_nm) for value_nm in nm], bounds_nm, unit, "the title"):
         mend = "" if unit else ", or state the unit in the title"
         raise ValueError(
             f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}."
             f" {hint}{mend}"
         )
     return WavelengthTable(nm, tuple(columns))
+
+
+def _split_rows(
+    cells: Cells, path: Path, value_count: int
+) -> tuple[list[list[str]], list[tuple[Decimal, ...]], set[int]]:
+    """Return the rows of titles, the rows of numbers below them, and the columns whose cells end in
+    a per cent sign.
+
+    value_count : as in `read_table`
+
+    ValueError if a row below the titles has too few numbers.
+    """
+    headers: list[list[str]] = []
+    rows: list[tuple[Decimal, ...]] = []
+    percent_columns = set[int]()
+    for line, row in cells.rows:
+        used = row if value_count > 1 else row[:2]
+        numbers = [as_number(cell, cells.decimal) for cell in used]
+        if len(numbers) > value_count and None not in numbers:
+            rows.append(tuple(number for number in numbers if number is not None))
+            percent_columns |= {index for index, cell in enumerate(row) if cell.endswith("%")}
+        elif rows or row[0][:1].isdigit():  # not a title
+            words = "two numbers" if value_count == 1 else f"{value_count + 1} numbers"
+            values = "value" if value_count == 1 else f"{value_count} values"
+            raise ValueError(
+                f"got no {words} in line {line} of '{path}'; allowed: wavelength in nm, {values}"
+            )
+        else:
+            headers.append(row)
+    return headers, rows, percent_columns
+
+
+def _title_rows(
+    headers: Sequence[Sequence[str]], width: int, separator: str | None
+) -> list[list[str]]:
+    """Return the last rows of titles, those that have one title for each of `width` columns."""
+    rows = (_titles(header, width, separator) for header in headers[-MAX_TITLES:])
+    return [titles for titles in rows if titles]
+
+
+def _comment_titles(cells: Cells, width: int) -> list[list[str]]:
+    """Return the titles of `width` columns in the comment above a table, as a list of one row or
+    none.
+    """
+    if not cells.comment or re.search(r"\d", cells.comment):
+        return []
+    # Units of a comment may be those of columns that are no longer there: it must fit as it is.
+    parted = [cell.strip() for cell in cells.comment.split(cells.separator or ",")]
+    titles = _titles([cells.comment], width, None, WAYS[:3]) or _titles(parted, width, ",")
+    return [titles] if titles else []
 
 
 def _scaled(number: Decimal, power: int) -> Decimal:
@@ -338,8 +372,10 @@ def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
 def unit_of_wavelength(text: str) -> str:
     """Symbol of the unit of wavelength that a text states; empty without one.
 
-    >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers"), unit_of_wavelength("λ (A)")
-    ('nm', 'µm', 'Å')
+    >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers")
+    ('nm', 'µm')
+    >>> unit_of_wavelength("λ (A)")
+    'Å'
     """
     if len(text) > MAX_TITLE:
         return ""
@@ -352,48 +388,51 @@ def _value_unit(title: str) -> tuple[str, int] | None:
     """Unit that the title of values states, and the power of ten that converts to it; None without
     one.
     """
-    if found := _AMPERE_PER_WATT.search(title):
-        return A_PER_W, PREFIXES[found[1]]
+    if responsivity := _AMPERE_PER_WATT.search(title):
+        return A_PER_W, PREFIXES[responsivity[1]]
     if PERCENT.search(title):
         return "%", -2
-    inner = IN_BRACKETS.findall(title)
-    return (inner[-1].strip(), 0) if inner and inner[-1].strip() else None
+    bracketed = IN_BRACKETS.findall(title)
+    unit = bracketed[-1].strip() if bracketed else ""
+    return (unit, 0) if unit else None
 
 
 def _is_of_units(titles: Sequence[str]) -> bool:
     """Whether a row below the titles has the units alone, as nm and %."""
     bare = [title.strip("()[] ") for title in titles]
     return unit_of_wavelength(titles[0]) != "" and all(
-        not re.search(r"[^\W\d]", PERCENT.sub("", _AMPERE_PER_WATT.sub("", one)))
-        for one in bare[1:]
+        not re.search(r"[^\W\d]", PERCENT.sub("", _AMPERE_PER_WATT.sub("", unit)))
+        for unit in bare[1:]
     )
 
 
 def unit_hint(
-    wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", where: str = ""
+    wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", source: str = ""
 ) -> str:
-    """What unit wavelengths seem to have, if they cannot be what they are said to be; empty if they
-    can, or no unit fits.
+    """Name the likely unit of wavelengths that are out of bounds; empty if they are within, or no
+    unit fits.
 
     wavelengths : in nm, by the unit `stated`; empty for none, which is nm
-    bounds_nm : that they have
-    where : the unit is stated, for the message
+    bounds_nm : lowest and highest wavelength
+    source : where the unit is stated, for the message
     """
-    low, high = min(wavelengths, default=math.nan), max(wavelengths, default=math.nan)
+    low = min(wavelengths, default=math.nan)
+    high = max(wavelengths, default=math.nan)
     if not (0 < low <= high < math.inf) or (bounds_nm[0] <= low and high <= bounds_nm[1]):
         return ""
-    known = POWERS[stated or "nm"]
+    stated_power = POWERS[stated or "nm"]
     fits = [
         unit
         for unit in POWERS
         if bounds_nm[0]
-        <= low * 10.0 ** (POWERS[unit] - known)
-        <= high * 10.0 ** (POWERS[unit] - known)
+        <= low * 10.0 ** (POWERS[unit] - stated_power)
+        <= high * 10.0 ** (POWERS[unit] - stated_power)
         <= bounds_nm[1]
     ]
     if not fits:
         return ""
-    though = f", though {where} says {stated}" if stated else ""
+
+    though = f", though {source} says {stated}" if stated else ""
     power = POWERS[fits[0]]
     mend = f"Multiply wavelengths in {fits[0]} by {10.0**power:g}" if power else "Correct the unit"
     return f"These seem to be in {fits[0]}{though}. {mend}"

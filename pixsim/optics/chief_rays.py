@@ -216,7 +216,7 @@ _MAX_RELATIVE_ILLUMINATION = (
 )
 
 ChiefRays = Annotated[
-    ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(_ALLOWED_CHIEF_RAYS, most=3)
+    ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(_ALLOWED_CHIEF_RAYS, max_numbers=3)
 ]
 
 RelativeIllumination = Annotated[

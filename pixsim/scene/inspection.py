@@ -18,7 +18,7 @@ from pixsim.base.notes import Note
 from pixsim.light.quantities import LUMINANCE
 from pixsim.light.spectral import (
     HIGH_NM,
-    LEAST_LM_PER_W,
+    MIN_LM_PER_W,
     VISIBLE,
     WHITE_RADIANCE,
     WIDEST,
@@ -111,7 +111,7 @@ class Inspection:
         )
         name, value = (
             (LUMINANCE, luminance)
-            if luminance > LEAST_LM_PER_W * radiance
+            if luminance > MIN_LM_PER_W * radiance
             else (WHITE_RADIANCE, radiance)
         )
         return {name: float(f"{value:.9g}")} if value > 0 else {}

@@ -32,7 +32,7 @@ from pixsim.base.errors import invalid
 from pixsim.light.spectral import (
     DIFFUSER,
     DIFFUSER_W,
-    LEAST_LM_PER_W,
+    MIN_LM_PER_W,
     WHITE_LAMPS,
     WHITE_OF_PLATE,
     WHITE_RADIANCE,
@@ -156,7 +156,7 @@ def has_luminance(irradiance: SpectralImage) -> bool:
         (weight * spectrum).sum()
         for weight in (irradiance.luminous_weight(), irradiance.band_width_nm)
     )
-    return bool(lumens > LEAST_LM_PER_W * watts)
+    return bool(lumens > MIN_LM_PER_W * watts)
 
 
 def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:

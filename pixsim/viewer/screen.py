@@ -16,13 +16,7 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import exposure_time, percent, span
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
-from pixsim.light.spectral import (
-    DIFFUSER,
-    DIFFUSER_W,
-    LEAST_LM_PER_W,
-    WHITE_RADIANCE,
-    SpectralImage,
-)
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, MIN_LM_PER_W, WHITE_RADIANCE, SpectralImage
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.integration import array_size_um
 from pixsim.viewer import display as displays
@@ -380,7 +374,7 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
     )
     name, white = (
         ("white_cd_per_m2", cd_per_m2)
-        if cd_per_m2 > LEAST_LM_PER_W * w_per_m2_sr
+        if cd_per_m2 > MIN_LM_PER_W * w_per_m2_sr
         else ("white_w_per_m2_sr", w_per_m2_sr)
     )
     source = (
