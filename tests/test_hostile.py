@@ -822,7 +822,7 @@ def test_templates_escape_markup(path):
 @pytest.mark.parametrize(
     "name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"]
 )
-@figures.own_style()
+@figures.pixsim_style()
 def test_literal_shows_name_unchanged(name):
     figure = figures.new_figure(12, 4)
     axes = figure.subplots()

@@ -31,7 +31,7 @@ from helpers.tiny import tiny_toml
 from pixsim.base.errors import PixsimError, UnwritableError
 from pixsim.base.files import FOLDER_VARIABLE, LIST, output_folder, publishing, read_list, replacing
 from pixsim.base.locks import LOCK, UNFINISHED, locked_folder, temporary_folder, unfinished
-from pixsim.report.commands.study import said_what_is_kept
+from pixsim.report.commands.study import reported_saved_rows
 from pixsim.studies.table import COLUMNS, Store
 
 SMALL = "--resolution 64 --display.dots 64"
@@ -705,18 +705,18 @@ def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
     )
     with (
         pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"),
-        said_what_is_kept(tmp_path),
+        reported_saved_rows(tmp_path),
     ):
         raise UnwritableError(
             results.write([(row | {"key": key}).values() for key in "abc"]) or "a full disk."
         )
     with (
         pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"),
-        said_what_is_kept(tmp_path),
+        reported_saved_rows(tmp_path),
     ):
         raise KeyboardInterrupt(results.add([]) or os.utime(results.path, ns=(0, 0)))
     # Rows that the study has not rewritten may be of other settings.
-    with pytest.raises(KeyboardInterrupt, match=r"^$"), said_what_is_kept(tmp_path):
+    with pytest.raises(KeyboardInterrupt, match=r"^$"), reported_saved_rows(tmp_path):
         raise KeyboardInterrupt
 
 

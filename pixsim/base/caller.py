@@ -37,15 +37,15 @@ def setting(path: str, value: float | str | None = None) -> str:
     ...     print(setting("display.white_cd_per_m2", 300.0), setting("max_seconds"))
     --display.white-cd-per-m2 300 --max-seconds
     """
-    shown = f"{value:g}" if isinstance(value, int | float) else value
+    text = f"{value:g}" if isinstance(value, int | float) else value
     if _command_lines:
         return f"--{OPTIONS.get(path, path).replace('_', '-')}" + (
-            "" if shown is None else f" {shown}"
+            "" if text is None else f" {text}"
         )
-    *above, name = path.split(".")
-    if above:
-        return f"{above[-1].capitalize()}({name}={'…' if shown is None else shown})"
-    return name if shown is None else f"{name}={shown}"
+    *tables, name = path.split(".")
+    if tables:
+        return f"{tables[-1].capitalize()}({name}={'…' if text is None else text})"
+    return name if text is None else f"{name}={text}"
 
 
 def parameter(name: str, value: str) -> str:

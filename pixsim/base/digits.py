@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 UNKNOWN = "–"
-_MOST_DIGITS = 17  # which tell any two floats apart
+_MAX_DISTINCT_DIGITS = 17  # which tell any two floats apart
 MAX_DIGITS = 4  # of a number with an error
 COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 _MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
 _SMALL_SIZE = 0.1  # of a pixel in micrometres; smaller ones have two digits
-SURE = 0.999  # the largest probability that is stated
+MAX_PROBABILITY = 0.999  # the largest probability that is stated
 _WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
 
 
@@ -172,7 +172,7 @@ def probability(share: float, pairs: int) -> str:
     """
     if math.isnan(share):
         return UNKNOWN
-    limit = min(SURE, 1 - 0.5**pairs)
+    limit = min(MAX_PROBABILITY, 1 - 0.5**pairs)
     if share > limit:
         return f"> {_share(math.floor(1e3 * limit) / 1e3)}"
     if share < 1 - limit:
@@ -278,16 +278,16 @@ def with_ends(value: float, ends: tuple[float, float]) -> str:
     return f"{within_error(value, error)} ({low} to {high})"
 
 
-def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
+def distinct_texts(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
     """Two numbers as text, with as many significant digits as it takes to tell them apart, at least
     `digits`.
 
-    >>> told_apart(0.2013, 0.2), told_apart(0.31, 0.2), told_apart(0.2, 0.2)
+    >>> distinct_texts(0.2013, 0.2), distinct_texts(0.31, 0.2), distinct_texts(0.2, 0.2)
     (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))
-    >>> told_apart(13.2, 0.2, 1)
+    >>> distinct_texts(13.2, 0.2, 1)
     ('10', '0.2')
     """
-    for count in range(digits, _MOST_DIGITS + 1):
+    for count in range(digits, _MAX_DISTINCT_DIGITS + 1):
         texts = rounded(value, count), rounded(limit, count)
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _Class = TypeVar("_Class", bound=type)
-OURS = "allowed"  # the kind of error of the validators below
+PIXSIM_ERROR = "allowed"  # the kind of error of the validators below
 
 
 def checked(function: Function, name: str) -> Function:
@@ -92,9 +92,9 @@ def checked_methods(kind: _Class) -> _Class:
 
 
 @cache
-def public(thing: Any, name: str) -> Any:
+def public(value: Any, name: str) -> Any:
     """Return what users get of a name of pixsim: a function with its checks, all else as it is."""
-    return checked(thing, name) if inspect.isfunction(thing) else thing
+    return checked(value, name) if inspect.isfunction(value) else value
 
 
 def public_module(name: str, module: ModuleType) -> ModuleType:
@@ -193,9 +193,9 @@ def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
     """
     from numpy.typing import ArrayLike
 
-    of_arrays = set(get_args(ArrayLike)) or {ArrayLike}
-    if of_arrays <= set(kinds):
-        kinds = [ArrayLike, *(kind for kind in kinds if kind not in of_arrays)]
+    array_kinds = set(get_args(ArrayLike)) or {ArrayLike}
+    if array_kinds <= set(kinds):
+        kinds = [ArrayLike, *(kind for kind in kinds if kind not in array_kinds)]
     if any((get_origin(kind) or kind) is os.PathLike for kind in kinds):
         kinds = [kind for kind in kinds if kind is not str]
     types = tuple(kind if kind is NoneType else _type(kind, bounds) for kind in kinds)
@@ -221,7 +221,7 @@ def _validated(function: Callable[[Any], Any]) -> Any:
 def _refusal(got: object, allowed: str) -> Exception:
     from pydantic_core import PydanticCustomError
 
-    return PydanticCustomError(OURS, "{allowed}", {"allowed": allowed, "got": got})
+    return PydanticCustomError(PIXSIM_ERROR, "{allowed}", {"allowed": allowed, "got": got})
 
 
 # --- kinds of values
@@ -357,17 +357,17 @@ def _first_problem(
     first = problems[0]["loc"][0]
     name = [*signature.parameters][first] if isinstance(first, int) else str(first)
     value = args[first] if isinstance(first, int) else kwargs[name]
-    of_argument = [problem for problem in problems if problem["loc"][0] == first]
-    within = [problem for problem in of_argument if problem["input"] is not value]
-    if within:  # the part at fault of a list or table
-        part = within[0]["input"]
+    argument_problems = [problem for problem in problems if problem["loc"][0] == first]
+    part_problems = [problem for problem in argument_problems if problem["input"] is not value]
+    if part_problems:  # the part at fault of a list or table
+        part = part_problems[0]["input"]
         return _problem(
-            name + _place(within[0]),
+            name + _place(part_problems[0]),
             part,
-            [problem for problem in within if problem["input"] is part],
+            [problem for problem in part_problems if problem["input"] is part],
         )
     optional = NoneType in get_args(get_type_hints(_Annotated(function)).get(name))
-    return _problem(name, value, of_argument, optional=optional)
+    return _problem(name, value, argument_problems, optional=optional)
 
 
 def _place(problem: ErrorDetails) -> str:
@@ -386,7 +386,7 @@ def _problem(
     got, allowed = brief(value), list[str]()
     for problem in problems:
         context = problem.get("ctx", {})
-        if problem["type"] == OURS:
+        if problem["type"] == PIXSIM_ERROR:
             got = context["got"] if len(problems) == 1 else got
             allowed.append(context["allowed"])
         else:

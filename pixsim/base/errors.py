@@ -20,7 +20,7 @@ class PixsimError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(shown(message))
+        super().__init__(safe_message(message))
 
 
 class UnwritableError(PixsimError):
@@ -29,7 +29,7 @@ class UnwritableError(PixsimError):
     """
 
 
-def shown(text: str) -> str:
+def safe_message(text: str) -> str:
     """A message as it is safe to print: `printable`, and of bounded length."""
     text = printable(text)
     return text if len(text) <= _MAX_LENGTH else f"{text[:_MAX_LENGTH]} … ({len(text)} characters)"
@@ -124,5 +124,5 @@ MAX_LABEL = 60  # characters of a label
 
 def one_line(text: str, longest: int = MAX_LABEL) -> str:
     """Text from a file as one printable line of at most `longest` characters."""
-    line = " ".join(shown(text).split())
+    line = " ".join(safe_message(text).split())
     return line if len(line) <= longest else line[: longest - 1] + "…"

@@ -225,12 +225,12 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     with suppress(FileExistsError):
         folder.mkdir(0o700)
     status = folder.lstat()
-    is_own = (
+    is_private = (
         stat.S_ISDIR(status.st_mode)
         and status.st_uid == os.geteuid()
         and os.access(folder, os.W_OK)
     )
-    if is_own and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if is_private and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return folder
 
     alone = temporary_folder_of_process() / name
@@ -309,7 +309,7 @@ LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
 LIST_OF_1_1 = "provenance.json"
 _MAX_LIST = 1 << 24  # bytes
 _PIXSIM = "pixsim"
-_SHOWN_FILES = 6  # in a message
+_MAX_LISTED_FILES = 6  # in a message
 
 
 def read_list(folder: Path) -> dict[str, Any]:
@@ -360,8 +360,12 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
             if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode)
         )
     if others:
-        more = f" and {len(others) - _SHOWN_FILES} more" if len(others) > _SHOWN_FILES else ""
-        shown_names = ", ".join(sorted(others)[:_SHOWN_FILES]) + more
+        more = (
+            f" and {len(others) - _MAX_LISTED_FILES} more"
+            if len(others) > _MAX_LISTED_FILES
+            else ""
+        )
+        shown_names = ", ".join(sorted(others)[:_MAX_LISTED_FILES]) + more
         got = f"'{folder}', which holds {shown_names}, not written by this command"
         raise invalid(
             "output folder",
@@ -406,7 +410,7 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
             os.replace(partial / name, folder / name)
 
 
-def take_off_list(path: Path) -> None:
+def unlist_file(path: Path) -> None:
     """Take a file off the list of its folder, so that only the command that appends to it replaces
     it.
     """

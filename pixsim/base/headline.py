@@ -1,4 +1,4 @@
 """Words of the first line of an answer, which is read at a glance."""
 
-MOST_WORDS = 30
+MAX_HEADLINE_WORDS = 30
 NOT_CONVERGED = "not converged"

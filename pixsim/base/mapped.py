@@ -21,18 +21,18 @@ from numpy.typing import DTypeLike, NDArray
 from pixsim.base.arrays import strips
 from pixsim.base.notes import Note, warn
 
-MOST_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
+MAX_MEMORY_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
 
 
 def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
-    """Return an array of zeros: in memory up to `MOST_BYTES`, else in a file in the folder for
+    """Return an array of zeros: in memory up to `MAX_MEMORY_BYTES`, else in a file in the folder for
     temporary files.
 
     Its space is free again when nothing uses the array, however the process ends. Where the disk
     has too little of it, the memory holds the array after all, with a warning.
     """
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if size <= MOST_BYTES or not hasattr(os, "posix_fallocate"):  # macOS
+    if size <= MAX_MEMORY_BYTES or not hasattr(os, "posix_fallocate"):  # macOS
         return np.zeros(shape, dtype)
     try:
         with tempfile.TemporaryFile() as file:

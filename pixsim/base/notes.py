@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from pixsim.base.errors import shown
+from pixsim.base.errors import safe_message
 from pixsim.base.note_kinds import NOTES
 
 # Suppresses warnings, such as of clipped white, that the run itself gives once.
-without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
+suppressed_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
 
 
 class Note(str):
@@ -37,7 +37,7 @@ class Note(str):
 
         values : those that the kind's template names
         """
-        return cls.restored(id, shown(NOTES[id].template.format(**values)).removesuffix("."))
+        return cls.restored(id, safe_message(NOTES[id].template.format(**values)).removesuffix("."))
 
     @classmethod
     def restored(cls, id: str, text: str) -> Self:
@@ -114,7 +114,7 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
         yield outer
         return
     notes: list[Note] = []
-    of_machine: list[
+    machine_notes: list[
         Note
     ] = []  # each once too: a cache folder that cannot be written fails for every entry
     filters, show = list(warnings.filters), warnings.showwarning
@@ -130,7 +130,7 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
         if issubclass(category, UserWarning):
             note, collected = (
                 note_of(message),
-                of_machine if issubclass(category, MachineWarning) else notes,
+                machine_notes if issubclass(category, MachineWarning) else notes,
             )
             if note in collected:
                 return
@@ -154,7 +154,7 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
 _MAX_NOTES = 8
 
 
-def few(notes: Sequence[Sequence[Note]]) -> list[Note]:
+def first_notes(notes: Sequence[Sequence[Note]]) -> list[Note]:
     """Return the notes of all cases, once for each text, and of very many the first ones and the
     number of the others.
     """

@@ -16,8 +16,8 @@ from pixsim.base.errors import printable
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 EVERY_S = 5.0  # between two lines of a stage
-SURE = 0.1  # done, before the time left is told
-LOOK_S = 0.5  # between two looks at the clock
+MIN_DONE = 0.1  # done, before the time left is told
+POLL_S = 0.5  # between two looks at the clock
 
 
 def no_stage(_: str) -> Progress:
@@ -117,7 +117,7 @@ class Lines:
         if done < self._done:  # it begins again, as for a finer film
             self._part_s = self._clock()
         self._done, left = done, ""
-        if SURE <= done < 1:
+        if MIN_DONE <= done < 1:
             left = (
                 f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s"
                 " left"
@@ -141,7 +141,7 @@ class Lines:
         stop = threading.Event()
 
         def run() -> None:
-            while not stop.wait(LOOK_S):
+            while not stop.wait(POLL_S):
                 self.tick()
 
         thread = threading.Thread(target=run, name="pixsim progress", daemon=True)

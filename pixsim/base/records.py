@@ -62,7 +62,7 @@ def _not_tiny(value: object) -> object:
     if isinstance(value, tuple):
         return (
             tuple(map(_not_tiny, value))
-            if any(isinstance(each, float | tuple) for each in value)
+            if any(isinstance(part, float | tuple) for part in value)
             else value
         )
     # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own

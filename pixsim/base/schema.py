@@ -25,7 +25,7 @@ SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
 _ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
-def _of_another(got: object) -> str:
+def _schema_words(got: object) -> str:
     """Return what is said of a file that states another schema, or none (None, or an empty
     text).
     """

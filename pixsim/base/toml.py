@@ -59,8 +59,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _without_names(error: ValueError) -> str:
     """What is wrong in a TOML file, and where, without the names of keys that tomllib quotes."""
-    text, place, end = str(error).partition(" (at ")
-    of_keys = re.match(
+    text, place, location = str(error).partition(" (at ")
+    key_error = re.match(
         r"(Duplicate inline table key|Cannot declare|Cannot mutate immutable namespace|Cannot"
         r" overwrite a value)",
         text,
@@ -69,7 +69,7 @@ def _without_names(error: ValueError) -> str:
         "Cannot declare": "a table that is declared twice",
         "Duplicate inline table key": "a key twice in a table",
     }
-    return (words.get(of_keys[1], of_keys[1]) if of_keys else text) + place + end
+    return (words.get(key_error[1], key_error[1]) if key_error else text) + place + location
 
 
 def depth(value: object) -> int:

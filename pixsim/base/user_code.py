@@ -11,7 +11,7 @@ from pathlib import Path
 from types import CellType, CodeType
 
 # Code that versions tell, not results: of pixsim, of Python and of installed packages.
-_OF_VERSIONS = (
+_VERSIONED_FOLDERS = (
     str(Path(__file__).parents[1]),
     *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
 )
@@ -42,7 +42,9 @@ def content_of(value: object, seen: list[object]) -> str:
         return ""
     seen.append(value)
     function = getattr(value, "__func__", value)  # of a method
-    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(_OF_VERSIONS):
+    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(
+        _VERSIONED_FOLDERS
+    ):
         try:
             return (
                 inspect.getsource(value)

@@ -29,9 +29,9 @@ from pixsim.cli.options import (
     answer,
     app,
     field_option,
-    given,
     say,
     stages,
+    without_none,
     write_answer,
 )
 from pixsim.cli.process import interruption
@@ -83,7 +83,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.end_or_raise()  # a library may have dropped an interruption
 
 
-_LEAST_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
+_MIN_WIDTH = 40  # columns, for which help and tables are laid out in a narrower terminal
 
 
 def _widen_terminal() -> None:
@@ -91,9 +91,9 @@ def _widen_terminal() -> None:
     few: they would not end.
     """
     stated = os.environ.get("COLUMNS")
-    if shutil.get_terminal_size().columns < _LEAST_WIDTH:
-        os.environ["COLUMNS"] = str(_LEAST_WIDTH)
-    elif stated is not None and not (stated.isdecimal() and int(stated) >= _LEAST_WIDTH):
+    if shutil.get_terminal_size().columns < _MIN_WIDTH:
+        os.environ["COLUMNS"] = str(_MIN_WIDTH)
+    elif stated is not None and not (stated.isdecimal() and int(stated) >= _MIN_WIDTH):
         del os.environ["COLUMNS"]
 
 
@@ -152,7 +152,7 @@ def run(
     *,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
-    judges: common.Judges = common.NO_JUDGES,
+    score_options: common.ScoreOptions = common.NO_SCORE_OPTIONS,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
     effort: common.EffortOptions = common.NO_EFFORT,
@@ -222,7 +222,7 @@ def run(
         "seed": seed,
         "tolerance_e": tolerance_e,
         "noise_budget": noise_budget,
-        **vars(judges),
+        **vars(score_options),
     }
     settings = options.settings(effort, **tables)
     with stages() as (stage, seconds):
@@ -257,7 +257,7 @@ def explore(
     *,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
-    judges: common.Judges = common.NO_JUDGES,
+    score_options: common.ScoreOptions = common.NO_SCORE_OPTIONS,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
     effort: common.EffortOptions = common.NO_EFFORT,
@@ -285,10 +285,10 @@ def explore(
     from pixsim.explorer.session import Session
 
     tables = options.tables(
-        effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges)
+        effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(score_options)
     )
-    given_here = {"sensor": sensor, "variant": variant, "units": units}
-    session = Session(scene, options.config or (), tables, given_here)
+    session_settings = {"sensor": sensor, "variant": variant, "units": units}
+    session = Session(scene, options.config or (), tables, session_settings)
     explore_until_closed(session, None if browser else lambda file: say(f"page: {file}\n"))
 
 
@@ -550,7 +550,7 @@ def datasheet(
     from pixsim.measure.datasheet import DataSheet, datasheet_settings, make_datasheet
     from pixsim.report.datasheet import FILES, datasheet_document, sheet_name
 
-    tables = given({"pixel": pixel, "exposure": exposure})
+    tables = without_none({"pixel": pixel, "exposure": exposure})
     settings = datasheet_settings(
         pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed
     )
@@ -669,7 +669,7 @@ def lens(
     from pixsim.measure.lens import LensData, lens as trace
     from pixsim.report.lens import FILES, lens_document
 
-    reading = given(
+    reading = without_none(
         {
             "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
             "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
@@ -892,7 +892,7 @@ def chart(
     """
     from pixsim.report.chart import chart_document
 
-    options = given(
+    options = without_none(
         {
             "width": width, "height": height, "die_mm": die_mm, "shape": shape, "size_um": size_um, "contrast": contrast,
             "direction": direction, "colour_axis": colour_axis, "linear": linear or None, "aspect": aspect,

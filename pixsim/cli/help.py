@@ -64,14 +64,14 @@ class _CommonOptions(DefaultFormatter):
         """Print the common options of a panel, and how many it has; nothing of a panel without
         any.
         """
-        shown = [
-            each
-            for each in panel.entries
-            if each.positional_label or COMMON.intersection(each.names)
+        common = [
+            entry
+            for entry in panel.entries
+            if entry.positional_label or COMMON.intersection(entry.names)
         ]
-        if len(shown) < len(panel.entries):
+        if len(common) < len(panel.entries):
             panel = panel.copy(
-                entries=shown, title=f"{panel.title} ({len(shown)} of {len(panel.entries)})"
+                entries=common, title=f"{panel.title} ({len(common)} of {len(panel.entries)})"
             )
         super().__call__(console, options, panel)
 

@@ -114,7 +114,7 @@ def stages() -> Iterator[tuple[Stage, dict[str, float]]]:
         )
 
 
-_OF_A_TECHNOLOGY = "from the technology"
+_FROM_TECHNOLOGY = "from the technology"
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
@@ -129,10 +129,10 @@ def value_name(annotation: object) -> str:
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
-        of_texts = (
+        text_kinds = (
             kind for kind in inner if kind is not type(None) and not is_dataclass(kind)
         )  # others stand in Python only
-        return "|".join(dict.fromkeys(map(value_name, of_texts)))
+        return "|".join(dict.fromkeys(map(value_name, text_kinds)))
     if origin is dict:
         return "FILE"
     if origin is tuple:
@@ -159,15 +159,15 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     info = record.model_fields[name]
     default: Any = None if info.is_required() else info.default
     if default is None and not info.is_required() and "absent" not in (info.description or ""):
-        of_scene = record is CameraOptions and name in Camera.model_fields
+        is_scene_setting = record is CameraOptions and name in Camera.model_fields
         default = (
             "that of the scene"
-            if of_scene
-            else _OF_A_TECHNOLOGY
+            if is_scene_setting
+            else _FROM_TECHNOLOGY
             if name in NUMBERS and NUMBERS[name].of_technology
             else "none"
         )
-    shown = (
+    default_text = (
         f" [default: {default:g}]"
         if isinstance(default, float)
         else f" [default: {default}]"
@@ -175,14 +175,14 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
         else ""
     )
     choices = choices_of(info.annotation)
-    how = {
-        "help": f"{info.description or ''}{shown}".strip(),
+    options = {
+        "help": f"{info.description or ''}{default_text}".strip(),
         "metavar": value_name(info.annotation),
         "show_default": False,
     }
     if choices:
-        how["completer"] = lambda _: choices
-    return Parameter(**{**how, **more})
+        options["completer"] = lambda _: choices
+    return Parameter(**{**options, **more})
 
 
 _NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
@@ -441,7 +441,7 @@ class SceneOptions:
         """
         values = {**vars(self), **others, **(vars(effort) if effort else {})}
         del values["config"]
-        return given(
+        return without_none(
             {
                 "scene": definitions(
                     values.pop("define"), values.pop("linear"), values.pop("assets")
@@ -461,7 +461,9 @@ class SceneOptions:
         values = {**vars(self), **others, **vars(effort)}
         del values["config"]
         parameters = definitions(values.pop("define"), values.pop("linear"), values.pop("assets"))
-        return given({"scene": given({"file": scene, "parameters": parameters}) or None, **values})
+        return without_none(
+            {"scene": without_none({"file": scene, "parameters": parameters}) or None, **values}
+        )
 
 
 @Parameter(name="*")
@@ -482,7 +484,7 @@ class EffortOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Judges:
+class ScoreOptions:
     """Options of run, study and compare: the metrics that judge each frame, and their settings."""
 
     metrics: Metrics = None
@@ -498,7 +500,7 @@ class StudyOptions:
 
     scene_options: SceneOptions = SceneOptions()
     display: DisplayTable = None
-    judges: Judges = Judges()
+    score_options: ScoreOptions = ScoreOptions()
     pitch: PitchTable = None
     seed: Seed = None
     tolerance_e: Tolerance = None
@@ -612,21 +614,21 @@ class StudyOptions:
     def settings(self) -> dict[str, Any]:
         """The options that are tables and fields of a study, beside those of `SceneOptions`."""
         names = "display", "pitch", "seed", "refine", "tolerance_e", "noise_budget"
-        return {name: getattr(self, name) for name in names} | vars(self.judges)
+        return {name: getattr(self, name) for name in names} | vars(self.score_options)
 
 
-NO_OPTIONS, NO_EFFORT, NO_JUDGES, NO_STUDY_OPTIONS = (
+NO_OPTIONS, NO_EFFORT, NO_SCORE_OPTIONS, NO_STUDY_OPTIONS = (
     SceneOptions(),
     EffortOptions(),
-    Judges(),
+    ScoreOptions(),
     StudyOptions(),
 )
 
 
-def given(options: dict[str, Any]) -> dict[str, Any]:
+def without_none(options: dict[str, Any]) -> dict[str, Any]:
     """The options that were given; tables become dicts."""
     return {
-        name: given(vars(value)) if is_dataclass(value) else value
+        name: without_none(vars(value)) if is_dataclass(value) else value
         for name, value in options.items()
         if value is not None
     }

@@ -12,7 +12,7 @@ from pixsim.base.schema import result_data
 from pixsim.base.tables import plain, rows_csv
 from pixsim.report.score import shown_mean
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong
-from pixsim.show.figures import LOOKS, new_figure, plain_powers
+from pixsim.show.figures import LINE_STYLES, new_figure, plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
 from pixsim.verification.case import ExtremeCase
@@ -123,9 +123,11 @@ def work_precision(accuracy: Accuracy) -> Drawing:
     seconds = [rung.seconds for rung in accuracy.rungs]
     measured = [rung.error_delta_e for rung in accuracy.rungs]
     stated = [rung.stated_delta_e for rung in accuracy.rungs]
-    for name, errors, look in zip(("measured", "stated"), (measured, stated), LOOKS, strict=False):
+    for name, errors, line_style in zip(
+        ("measured", "stated"), (measured, stated), LINE_STYLES, strict=False
+    ):
         if any(error > 0 for error in errors):  # a logarithmic axis leaves out what is not above 0
-            axes.plot(seconds, errors, label=name, ms=6, **look.line)
+            axes.plot(seconds, errors, label=name, ms=6, **line_style.line)
 
     for rung in accuracy.rungs:
         height = rung.error_delta_e if rung.error_delta_e > 0 else rung.stated_delta_e

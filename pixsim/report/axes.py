@@ -16,10 +16,10 @@ from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.curve import delta_e_against_pitch, optima_table, optimum_line
 from pixsim.report.maps import (
-    alone_groups,
-    alone_plate,
     axis_plates,
     case_columns,
+    one_at_a_time_groups,
+    one_at_a_time_plate,
     optimum_columns,
     plate_names,
 )
@@ -57,8 +57,8 @@ _ABOUT_CASES = (
     " by their settings only. The regret of a pixel size in a condition is its value there over"
     " that of the best size for that condition, less 1."
 )
-_SHOWN_CASES = 4  # with a report of their own
-_SHOWN_REGRETS = 6  # with a figure of their own
+_MAX_CASE_REPORTS = 4  # with a report of their own
+_MAX_REGRET_FIGURES = 6  # with a figure of their own
 
 
 def _shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
@@ -66,7 +66,7 @@ def _shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     condition, at most 4.
     """
     return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][
-        :_SHOWN_CASES
+        :_MAX_CASE_REPORTS
     ]
 
 
@@ -120,7 +120,7 @@ def _axes_document(
     regrets : `condition_regrets` of the study
     warned : notes that a reader of the terminal has seen
     """
-    alone = alone_table(result)
+    alone = one_at_a_time_table(result)
     films = [part.film for part in result.parts if part.film is not None]
     worst = max(films, key=lambda film: film.largest_delta_e, default=None)
     facts: list[Block] = [alone] if alone.rows else []
@@ -130,13 +130,13 @@ def _axes_document(
     return replace(document_of(result, data, regrets, facts, warned), kind="study of several cases")
 
 
-def alone_table(result: CasesResult) -> DocumentTable:
+def one_at_a_time_table(result: CasesResult) -> DocumentTable:
     """Return how far each axis that is moved alone moves the optimum and its value, widest
     first.
     """
     rows = []
     names = [axis.name for axis in result.study.axis if axis.alone]
-    for group in alone_groups(result, names) if names else []:
+    for group in one_at_a_time_groups(result, names) if names else []:
         for name in names:
             optima = [group.base.optimum, *(curve.optimum for curve in group.moved[name])]
             sizes_um = sorted(best.pitch_um for best in optima)
@@ -179,7 +179,10 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
 def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
-    plates = [*plate_names(study), *(f"{REGRETS}_{number + 1}" for number in range(_SHOWN_REGRETS))]
+    plates = [
+        *plate_names(study),
+        *(f"{REGRETS}_{number + 1}" for number in range(_MAX_REGRET_FIGURES)),
+    ]
     case_files = {
         f"{case.folder}/{name}"
         for case in _shown_cases(cases)
@@ -232,11 +235,11 @@ def axes_page(
     parts : cases with a page of their own
     """
     pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
-    alone = alone_plate(result)
+    alone = one_at_a_time_plate(result)
     plates = [*axis_plates(result), *([alone] if alone else [])]
     plates += [
         regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
-        for number, metric_regrets in enumerate(regrets[:_SHOWN_REGRETS], 1)
+        for number, metric_regrets in enumerate(regrets[:_MAX_REGRET_FIGURES], 1)
     ]
     first, *others = map(
         plot_of, plates or [delta_e_against_pitch(result.curves)]

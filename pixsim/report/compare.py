@@ -316,8 +316,10 @@ def facts(result: Comparison) -> Iterator[Block]:
         for other in result.names[1:]
         if len(result.cases) > 1
     ]
-    asked = {metric.name for metric in (first, *further)}
-    answers += [pair_words(drawn) for drawn in result.uncertainty if drawn.metric.name in asked]
+    metric_names = {metric.name for metric in (first, *further)}
+    answers += [
+        pair_words(drawn) for drawn in result.uncertainty if drawn.metric.name in metric_names
+    ]
     answers += [
         "; ".join(verdict_parts(result, other, metric))
         for metric in further

@@ -28,7 +28,7 @@ from pixsim.show.document import (
     joined,
     plain_text,
 )
-from pixsim.show.figures import LOOKS, Look, fix_margins, literal, new_figure
+from pixsim.show.figures import LINE_STYLES, LineStyle, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
 from pixsim.studies.curve import Curve, first_metric_and_ci95
@@ -157,11 +157,11 @@ _BAND_POINTS = (
 )
 
 
-def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
+def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
     """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 %
     intervals.
     """
-    colour, best = look.colour, curve.optimum
+    colour, best = line_style.colour, curve.optimum
     mean, ci95 = first_metric_and_ci95(curve)
     low, high, fitted = map(
         curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
@@ -174,7 +174,7 @@ def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
         curve.pitch_um,
         mean,
         ci95,
-        fmt=look.marker,
+        fmt=line_style.marker,
         ms=4,
         lw=1,
         capsize=2,
@@ -185,7 +185,7 @@ def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
         axes.plot(
             curve.pitch_um[curve.doubtful],
             mean[curve.doubtful],
-            look.marker,
+            line_style.marker,
             ms=4,
             mfc="white",
             mec=colour,
@@ -194,7 +194,7 @@ def _draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     axes.fill_between(
         curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0
     )
-    axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **look.stroke)
+    axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **line_style.stroke)
     if best.inside:
         low_um, high_um = closed_range(best.interval_um, curve)
         axes.plot([low_um, high_um], [best.value] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
@@ -226,8 +226,8 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     drawing = new_figure(6.4, 4.0)
     axes = drawing.subplots()
     fix_margins(drawing)
-    for curve, look in zip(curves, cycle(LOOKS), strict=False):
-        _draw_curve(axes, curve, look)
+    for curve, line_style in zip(curves, cycle(LINE_STYLES), strict=False):
+        _draw_curve(axes, curve, line_style)
     axes.set(xlabel="pixel size (µm)", ylabel=curves[0].metric.label)
     axes.set_ylim(0, axes.get_ylim()[1] * (HEADROOM if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)

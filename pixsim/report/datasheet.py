@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import MAX_DIGITS, exposure_time, number, told_apart, within_error
+from pixsim.base.digits import MAX_DIGITS, distinct_texts, exposure_time, number, within_error
 from pixsim.base.notes import Note
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -361,7 +361,7 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
             " 6 σ of the dark noise, so that the dark frames are not clipped at 0 DN"
         )
     if readout.adc_range_e < readout.full_well_e:
-        clip_e, well_e = told_apart(readout.adc_range_e, readout.full_well_e, 3)
+        clip_e, well_e = distinct_texts(readout.adc_range_e, readout.full_well_e, 3)
         texts.append(
             f"the ADC clips at {clip_e} e-, before the well of {well_e} e-: the saturation capacity"
             " is that of the ADC"

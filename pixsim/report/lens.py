@@ -26,7 +26,7 @@ from pixsim.report.panels import (
     rows_table,
 )
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section
-from pixsim.show.figures import LOOKS, finish
+from pixsim.show.figures import LINE_STYLES, finish
 from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
 from pixsim.show.presenter import Presenter
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = (0, 3, 6, 8)  # of the fields, in figures of single fields
-_SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
+SINGLE_FIELDS = (0, 3, 6, 8)  # of the fields, in figures of single fields
+_PSF_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = (
     "layout",
     "spots",
@@ -80,9 +80,11 @@ def layout(data: LensData) -> Drawing:
         label="stop",
     )
     rays = []
-    for (angle, field_rays), look in zip(cut.rays.items(), LOOKS, strict=False):
+    for (angle, field_rays), line_style in zip(cut.rays.items(), LINE_STYLES, strict=False):
         for number_of_ray, (height, z, y) in enumerate(field_rays):
-            axes.plot(z, y, lw=0.8, label=None if number_of_ray else f"{angle:.3g}°", **look.stroke)
+            axes.plot(
+                z, y, lw=0.8, label=None if number_of_ray else f"{angle:.3g}°", **line_style.stroke
+            )
             rays.append((angle, height, z, y))
     table |= rows_table(("field_deg", "stop_y", "z_mm", "y_mm"), rays)
 
@@ -95,7 +97,7 @@ def layout(data: LensData) -> Drawing:
 
 
 def _shown_fields(data: LensData) -> list[int]:
-    return [index for index in SHOWN if index < data.field_deg.size]
+    return [index for index in SINGLE_FIELDS if index < data.field_deg.size]
 
 
 def _field_panels(
@@ -121,10 +123,12 @@ def spot_plate(data: LensData) -> Drawing:
     rays = []
     for index, axes in panels.items():
         spot = data.spots[index]
-        for nm, x, y, look in zip(
-            data.wavelength_nm, spot.x_um, spot.y_um, (*LOOKS, *LOOKS), strict=False
+        for nm, x, y, line_style in zip(
+            data.wavelength_nm, spot.x_um, spot.y_um, (*LINE_STYLES, *LINE_STYLES), strict=False
         ):
-            axes.plot(x, y, look.marker, ms=2, color=look.colour, mew=0, label=f"{nm:.4g} nm")
+            axes.plot(
+                x, y, line_style.marker, ms=2, color=line_style.colour, mew=0, label=f"{nm:.4g} nm"
+            )
             rays.append((data.field_deg[index], nm, x, y))
         axes.add_patch(
             Circle((0.0, 0.0), data.airy_um, fill=False, color="black", lw=0.9, label="Airy disc")
@@ -151,7 +155,7 @@ def psf_plate(data: LensData) -> Drawing:
     figure, panels = _field_panels(data, 2.7)
     largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
     half_um = max(
-        _SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number
+        _PSF_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number
     )
     cells = min(
         math.ceil(half_um / data.psf_pitch_um),
@@ -184,10 +188,12 @@ def _mtf_lines(
     curves : words for the legend, the end of the columns' names, and both MTFs, (2, n), of each
     """
     lines = []
-    for (words, end, both), look in zip(curves, LOOKS, strict=False):
+    for (words, end, both), line_style in zip(curves, LINE_STYLES, strict=False):
         for name, mtf, dashes in zip(MTF_LINES, both, ("-", (0, (4, 2))), strict=True):
             table[f"{name}_{end}"] = mtf
-            lines.append(Line(x, f"{name}_{end}", f"{words} {name}", {**look.line, "ls": dashes}))
+            lines.append(
+                Line(x, f"{name}_{end}", f"{words} {name}", {**line_style.line, "ls": dashes})
+            )
     return lines
 
 
@@ -497,14 +503,14 @@ def _field_table(data: LensData) -> DocumentTable:
     return DocumentTable("fields", heads, list(zip(*cells, strict=True))[::2], caption)
 
 
-_SHOWN_GHOSTS = 5
+_MAX_GHOSTS = 5
 
 
 def _ghost_table(data: LensData) -> DocumentTable:
     """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that
     focuses nearest to the sensor.
     """
-    ghosts = dict.fromkeys([*data.ghosts[:_SHOWN_GHOSTS], data.focused_ghost])
+    ghosts = dict.fromkeys([*data.ghosts[:_MAX_GHOSTS], data.focused_ghost])
     rows = [
         (
             f"{ghost.surfaces[0]} and {ghost.surfaces[1]}",

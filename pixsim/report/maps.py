@@ -21,7 +21,15 @@ from pixsim.base.tables import Column, columns_of
 from pixsim.base.units import unit_of
 from pixsim.report.curve import closed_range, fitted_at, fresnel_column, range_columns
 from pixsim.sensor.labels import labels_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, plain_powers
+from pixsim.show.figures import (
+    COLOURS,
+    LEGEND_LINE,
+    LINE_STYLES,
+    LineStyle,
+    literal,
+    new_figure,
+    plain_powers,
+)
 from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import BASE, cutoff_pitch_um, of_technology
@@ -48,7 +56,9 @@ _PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
 SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
-_LEAST_SPAN = 0.02  # of a value, for the colours of a map: rounding errors would look like changes
+_MIN_COLOUR_SPAN = (
+    0.02  # of a value, for the colours of a map: rounding errors would look like changes
+)
 _DODGE_PT = 3.0  # between lines, whose bars would hide each other
 _PIXEL_SIZE = "optimal pixel size (µm)"
 
@@ -274,12 +284,12 @@ def case_columns(
     table: dict[str, Column] = {"technology": [labels[curve.technology] for curve in curves]}
     if result.study.condition:
         table["condition"] = [curve.condition for curve in curves]
-    for name, column in zip(axes, _unique_names(axes, _OWN_COLUMNS), strict=True):
+    for name, column in zip(axes, _unique_names(axes, _RESERVED_COLUMNS), strict=True):
         table[column] = [curve.at[name] for curve in curves]
     return table
 
 
-_OWN_COLUMNS = (
+_RESERVED_COLUMNS = (
     *(
         "technology",
         "condition",
@@ -378,7 +388,7 @@ def _best_column(curve: Curve) -> str:
 
 
 def plate_names(study: Study) -> list[str]:
-    """Return the names of the plates of `axis_plates`, in its order, and that of `alone_plate`."""
+    """Return the names of the plates of `axis_plates`, in its order, and that of `one_at_a_time_plate`."""
     together = [
         re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII)
         for axis in study.axis
@@ -425,13 +435,13 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     axes = figure.subplots()
     scale.draw_on(axes.xaxis, 70)
     apart_pt = min(_DODGE_PT, 0.6 * WIDTH_IN * _PT_PER_IN / len(scale.values) / len(lines))
-    for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
+    for number, (line, line_style) in enumerate(zip(lines, LINE_STYLES, strict=False)):
         aside_in = apart_pt * (number - (len(lines) - 1) / 2) / _PT_PER_IN
         _draw_optima(
             axes,
             scale,
             line,
-            look,
+            line_style,
             axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans),
         )
     axes.autoscale_view(scalex=False)
@@ -449,7 +459,9 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
-def _draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transform) -> None:
+def _draw_optima(
+    axes: Axes, scale: Scale, line: Panel, line_style: LineStyle, place: Transform
+) -> None:
     """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open
     ends.
     """
@@ -457,16 +469,16 @@ def _draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Trans
     optima = [curve.optimum for curve in line.curves]
     optima_um = np.array([best.pitch_um for best in optima])
     ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
-    style = look.line if scale.numeric else look.line | {"ls": "none"}
+    style = line_style.line if scale.numeric else line_style.line | {"ls": "none"}
     bars_um = np.abs(ends_um.T - optima_um)
     axes.plot(x, optima_um, ms=6, lw=1.2, label=short(line.label), transform=place, **style)
     axes.errorbar(
-        x, optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place
+        x, optima_um, bars_um, fmt="none", ecolor=line_style.colour, capsize=2.5, transform=place
     )
     marked = (
-        ([not best.inside for best in optima], optima_um, look.marker, "white"),
-        ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", look.colour),
-        ([best.interval_um[1] is None for best in optima], ends_um[:, 1], "^", look.colour),
+        ([not best.inside for best in optima], optima_um, line_style.marker, "white"),
+        ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", line_style.colour),
+        ([best.interval_um[1] is None for best in optima], ends_um[:, 1], "^", line_style.colour),
     )
     for is_marked, sizes_um, marker, face in marked:
         if any(is_marked):
@@ -475,7 +487,7 @@ def _draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Trans
                 sizes_um[is_marked],
                 marker,
                 ms=6,
-                mec=look.colour,
+                mec=line_style.colour,
                 mfc=face,
                 transform=place,
                 clip_on=False,
@@ -630,8 +642,8 @@ def draw_maps(
     axes_of_panels = axes_of_panels[: len(panels)]
 
     low, high = float(np.nanmin(maps)), float(np.nanmax(maps))
-    if high - low < _LEAST_SPAN * abs(high):
-        low, high = low - _LEAST_SPAN * abs(high), high + _LEAST_SPAN * abs(high)
+    if high - low < _MIN_COLOUR_SPAN * abs(high):
+        low, high = low - _MIN_COLOUR_SPAN * abs(high), high + _MIN_COLOUR_SPAN * abs(high)
     is_wide = 0 < _LOG_SPAN * low <= high
     norm = LogNorm(low, high) if is_wide else Normalize(low, high)
     for panel, axes, values in zip(panels, axes_of_panels, maps, strict=True):
@@ -644,14 +656,14 @@ def draw_maps(
     if is_wide:
         plain_powers(bar.ax.yaxis)
 
-    least, highest = (
+    lowest, highest = (
         (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
     )
-    if contours and least < highest and min(contours[0].shape) > 1:
+    if contours and lowest < highest and min(contours[0].shape) > 1:
         levels = (
-            np.geomspace(least, highest, _CONTOURS + 2)
-            if least > 0
-            else np.linspace(least, highest, _CONTOURS + 2)
+            np.geomspace(lowest, highest, _CONTOURS + 2)
+            if lowest > 0
+            else np.linspace(lowest, highest, _CONTOURS + 2)
         )
         for axes, heights in zip(axes_of_panels, contours, strict=True):
             lines = axes.contour(
@@ -686,10 +698,14 @@ class Group:
         return float(np.ptp([curve.optimum.pitch_um for curve in (self.base, *self.moved[axis])]))
 
 
-def alone_plate(result: CasesResult) -> Plate | None:
+def one_at_a_time_plate(result: CasesResult) -> Plate | None:
     """Return the figure of the axes that are moved alone about the base; None without such."""
     names = [axis.name for axis in result.study.axis if axis.alone]
-    return tornado(result, alone_groups(result, names)) if names and _bases_of(result) else None
+    return (
+        tornado(result, one_at_a_time_groups(result, names))
+        if names and _bases_of(result)
+        else None
+    )
 
 
 @figure(
@@ -766,7 +782,7 @@ def _bases_of(result: CasesResult) -> dict[str, StudyResult]:
     }
 
 
-def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
+def one_at_a_time_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
     """Return the curves about the base, a group for each technology and condition, the first where
     there are many.
     """

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import cycle
 
 from pixsim.base.tables import Column
-from pixsim.show.figures import LOOKS, literal, new_figure
+from pixsim.show.figures import LINE_STYLES, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.studies.merit import NeqCurve
 
@@ -29,9 +29,11 @@ def neq_against_frequency(quanta: Mapping[str, NeqCurve]) -> Drawing:
         "frequency_cy_per_mm": [],
         "neq_per_mm2": [],
     }
-    for (label, sensor), look in zip(quanta.items(), cycle(LOOKS), strict=False):
+    for (label, sensor), line_style in zip(quanta.items(), cycle(LINE_STYLES), strict=False):
         name = literal(f"{label}, {sensor.pitch_um:.3g} µm")
-        axes.plot(sensor.frequency_cy_per_mm, sensor.neq_per_mm2, lw=1.5, label=name, **look.stroke)
+        axes.plot(
+            sensor.frequency_cy_per_mm, sensor.neq_per_mm2, lw=1.5, label=name, **line_style.stroke
+        )
         count = sensor.frequency_cy_per_mm.size
         columns = (
             [label] * count,

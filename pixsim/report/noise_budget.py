@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
 
 NAME = "noise_budget"  # of the figure
-REMAINDER, RENDER, ALL, MEASURED = "remainder", "render", "all causes", "measured"
+REMAINDER, RENDER, ALL_CAUSES, MEASURED = "remainder", "render", "all causes", "measured"
 _ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
     " the mean ΔE depend on the order."
 )
-SHOWN = 6  # pixels in one figure
+MAX_SIZES = 6  # pixels in one figure
 BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
 
 
@@ -40,7 +40,7 @@ def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
     return causes | {
         RENDER: (budget.render_e, nothing),
         REMAINDER: (nothing, budget.remainder_delta_e),
-        ALL: (budget.total_e, budget.mean_delta_e),
+        ALL_CAUSES: (budget.total_e, budget.mean_delta_e),
         MEASURED: (budget.measured_e, budget.mean_delta_e),
     }
 
@@ -92,7 +92,7 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
                 f"{kind}, together",
                 *((nothing[0], budget.parts[kind]) for budget in budgets.values()),
             )
-    for cause in (ALL, MEASURED, RENDER):
+    for cause in (ALL_CAUSES, MEASURED, RENDER):
         if any(budget_values[cause][0] for budget_values in numbers):
             add(cause, *(budget_values[cause] for budget_values in numbers))
     heads = (
@@ -112,7 +112,7 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as
     bars.
     """
-    drawn = dict(list(budgets.items())[:SHOWN])
+    drawn = dict(list(budgets.items())[:MAX_SIZES])
     causes = list(dict.fromkeys(cause for budget in drawn.values() for cause in budget.delta_e))
     figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn) > 1))
     panels = figure.subplots(1, 2, sharey=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.show.figures import LEGEND_LINE, LOOKS, finish, fix_margins, new_figure
+from pixsim.show.figures import LEGEND_LINE, LINE_STYLES, finish, fix_margins, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,16 +96,18 @@ def draw_panels(
         len(panels), height_in, legend_in=LEGEND_IN + ROW_IN if legend_columns else 0.0
     )
     for axes, panel in zip(row, panels, strict=True):
-        for line, look in zip(panel.lines, LOOKS, strict=False):
+        for line, line_style in zip(panel.lines, LINE_STYLES, strict=False):
             y = table[line.y]
             style = (
-                look.line
+                line_style.line
                 | {"ms": 4, "lw": 1.2, "markevery": max(1, len(y) // _MARKED)}
                 | dict(line.style)
             )
             axes.plot(table[line.x][: len(y)], y, label=line.name, **style)
-        for (name, x), look in zip(panel.marks.items(), LOOKS[len(panel.lines) :], strict=False):
-            axes.axvline(x, lw=0.9, label=name, **look.stroke)
+        for (name, x), line_style in zip(
+            panel.marks.items(), LINE_STYLES[len(panel.lines) :], strict=False
+        ):
+            axes.axvline(x, lw=0.9, label=name, **line_style.stroke)
         axes.set(**panel.axes)
         finish(axes, panel.x, panel.y, None if legend_columns else panel.legend, LEGEND_LINE)
     if legend_columns:

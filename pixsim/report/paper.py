@@ -6,7 +6,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from pixsim.report.pictures import picture_axes
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, label_axes, new_figure
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LINE_STYLES, label_axes, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.studies.claims import FIGURE_6_PITCHES_UM, Evidence
 from pixsim.studies.merit import extent
@@ -25,7 +25,7 @@ def figure_6(evidence: Evidence) -> Drawing:
     figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
     points: list[tuple[float, float, float]] = []
-    for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
+    for pitch_um, line_style in zip(FIGURE_6_PITCHES_UM, LINE_STYLES, strict=False):
         smooth = scipy.ndimage.gaussian_filter(
             evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest"
         )
@@ -38,15 +38,15 @@ def figure_6(evidence: Evidence) -> Drawing:
         x_mm = left + (np.arange(columns) + 0.5) / columns * (right - left)
         y_mm = top + (np.arange(rows) + 0.5) / rows * (bottom - top)
 
-        axes.plot([], [], label=f"{pitch_um:g} µm", **look.stroke)
+        axes.plot([], [], label=f"{pitch_um:g} µm", **line_style.stroke)
         if smooth.min() < level < smooth.max():
             contours = axes.contour(
                 x_mm,
                 y_mm,
                 smooth,
                 [level],
-                colors=look.colour,
-                linestyles=[look.dashes],
+                colors=line_style.colour,
+                linestyles=[line_style.dashes],
                 linewidths=1.6,
             )
             points += [

@@ -12,7 +12,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.digits import interval, rounded, within_error
 from pixsim.show.document import DocumentTable
-from pixsim.show.figures import LOOKS, literal, new_figure
+from pixsim.show.figures import LINE_STYLES, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.studies.curve import Curve
 from pixsim.studies.paired import mean_interval
@@ -38,7 +38,7 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
     axes = figure.subplots()
     table: dict[str, Array] = {"pitch_um": pitch_um}
     largest = 0.0
-    for criterion, look in zip(regrets.criteria, cycle(LOOKS), strict=False):
+    for criterion, line_style in zip(regrets.criteria, cycle(LINE_STYLES), strict=False):
         best_um = criterion.optimum.pitch_um
         weight = "" if criterion.weight is None else f" ({100 * criterion.weight:.0f} %)"
         along = 100 * criterion.regret(criterion.pitch_um)
@@ -47,9 +47,11 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
             along,
             lw=1.5,
             label=literal(f"{criterion.name}{weight}: {best_um:.2f} µm"),
-            **look.stroke,
+            **line_style.stroke,
         )
-        axes.plot(best_um, 0.0, look.marker, ms=6, mfc="white", mec=look.colour, clip_on=False)
+        axes.plot(
+            best_um, 0.0, line_style.marker, ms=6, mfc="white", mec=line_style.colour, clip_on=False
+        )
         largest = max(largest, float(along[np.isfinite(along)].max()))
         table[f"{criterion.name} regret"] = criterion.regret(pitch_um)
     top = HEADROOM * min(largest, _MAX_REGRET_PERCENT)
@@ -73,7 +75,7 @@ def metrics_against_pitch(curve: Curve) -> Drawing:
     figure = new_figure(6.4, 0.6 + 1.6 * len(curve.metrics))
     panels = figure.subplots(len(curve.metrics), 1, squeeze=False, sharex=True).ravel()
     table: dict[str, Array] = {"pitch_um": curve.pitch_um}
-    colour = LOOKS[0].colour
+    colour = LINE_STYLES[0].colour
     for axes, metric in zip(panels, curve.metrics, strict=True):
         column = metric.columns[0]
         low, mean, high = np.transpose(

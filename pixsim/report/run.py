@@ -31,7 +31,7 @@ from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words, whole_picture
 from pixsim.report.score import judged_by_delta_e, score_plate, shown_mean
-from pixsim.report.settings import UNSTATED, scene_rows, settings_blocks, settings_tables
+from pixsim.report.settings import UNSTATED_NOISE, scene_rows, settings_blocks, settings_tables
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
     film_words,
@@ -189,7 +189,7 @@ class RunFiles(NamedTuple):
         )
 
 
-USUAL = RunFiles()
+DEFAULT_FILES = RunFiles()
 
 
 def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
@@ -217,7 +217,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
 
 def run_page(
-    result: RunResult, files: RunFiles = USUAL, progress: Progress | None = None
+    result: RunResult, files: RunFiles = DEFAULT_FILES, progress: Progress | None = None
 ) -> Document:
     """Return the document of a run with its page and all other files.
 
@@ -412,7 +412,7 @@ def run_answer(result: RunResult) -> Answer:
     first, *_ = metrics_named(result.settings.metrics)
     return Answer(
         _metric_text(result, first),
-        unsure_words(result) if judged_by_delta_e(result.settings) else (),
+        uncertain_metrics_words(result) if judged_by_delta_e(result.settings) else (),
     )
 
 
@@ -461,7 +461,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     part of its contrast.
     """
     if result.threshold is not None:
-        return found_threshold_words(result.threshold)
+        return threshold_pitch_words(result.threshold)
     threshold = result.settings.metric.detectability.threshold
     factor, reason = contrast_factor(
         result.chain.expected(result.score.frame.integration_s), d_prime
@@ -478,7 +478,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     )
 
 
-def found_threshold_words(threshold: Threshold) -> str:
+def threshold_pitch_words(threshold: Threshold) -> str:
     """Return at which values of the scene's parameter a target is seen."""
     first, last = threshold.value, threshold.upper_value
     if first is None and last is None:
@@ -497,7 +497,7 @@ def shown_mean_of(result: RunResult) -> str:
     return shown_mean(mean, result.light, result.light_limit, result.causes, half)
 
 
-def unsure_words(result: RunResult) -> list[str]:
+def uncertain_metrics_words(result: RunResult) -> list[str]:
     """Return the lines that follow a run's mean ΔE: its causes, and the errors of its light."""
     film = result.rendered.film if result.rendered else None
     return [*map(str, result.causes), *unconverged(result.irradiance.header, film)]
@@ -591,7 +591,7 @@ def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
         "Colour",
         (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else (),
     )
-    rest = [UNSTATED] if result.score.physics.technology.name == NO_TECHNOLOGY else []
+    rest = [UNSTATED_NOISE] if result.score.physics.technology.name == NO_TECHNOLOGY else []
     yield Section("settings", "Settings", [*settings_blocks(_settings(result)), *rest])
 
 

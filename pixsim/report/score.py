@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from pixsim.base.digits import estimate, pixel_size, told_apart, with_error, within_error
+from pixsim.base.digits import distinct_texts, estimate, pixel_size, with_error, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -108,7 +108,7 @@ def unmet(error: LightError, limit: LightError) -> list[str]:
     """Return the errors above their limits in words, the largest first."""
     texts = []
     for name in exceeded(error, limit):
-        size, limit_text = told_apart(getattr(error, name), getattr(limit, name), 1)
+        size, limit_text = distinct_texts(getattr(error, name), getattr(limit, name), 1)
         size = "unknown" if math.isnan(getattr(error, name)) else f"up to {size} ΔE"
         limit_text = (
             "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{limit_text} tolerated"
@@ -157,8 +157,8 @@ def shown_mean(
         parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
         uncertainty = f" {uncertainty} ({' and '.join(parts)})"
 
-    largest_known_delta_e = max(filter(math.isfinite, above.values()), default=0.0)
-    if causes and causes[0].delta_e >= largest_known_delta_e:
+    largest_finite_delta_e = max(filter(math.isfinite, above.values()), default=0.0)
+    if causes and causes[0].delta_e >= largest_finite_delta_e:
         return f"{value} ({causes[0].words}){uncertainty}"
     return f"{value}{uncertainty}, {NOT_CONVERGED}" if above else f"{value}{uncertainty}"
 

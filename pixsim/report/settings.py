@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from pixsim.viewer.screen import LightLevel
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
-_OF_A_PROCESS = frozenset(
+_PROCESS_SETTINGS = frozenset(
     {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"}
 )
-_OF_COLOUR = frozenset(
+_COLOUR_SETTINGS = frozenset(
     {"adaptation", *OF_COLOUR_FRAMES}
 )  # options of display and development for coloured pictures
 DEFAULTS = ("default", "")  # sources of what nobody stated
@@ -76,9 +76,9 @@ def record_rows(
     coloured : of a sensor with colour filters; without, what only coloured pictures use is left out
     """
     left_out = (
-        _OF_A_PROCESS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
+        _PROCESS_SETTINGS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
     )
-    left_out |= frozenset() if coloured else _OF_COLOUR
+    left_out |= frozenset() if coloured else _COLOUR_SETTINGS
     fields, rows = type(record).model_fields, []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
@@ -129,7 +129,7 @@ def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     )
 
 
-UNSTATED = "Noise and non-uniformities that the data sheet does not state are zero."
+UNSTATED_NOISE = "Noise and non-uniformities that the data sheet does not state are zero."
 
 
 def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:

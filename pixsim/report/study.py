@@ -28,7 +28,7 @@ from pixsim.report.paper import figure_6
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import (
-    UNSTATED,
+    UNSTATED_NOISE,
     record_rows,
     scene_rows,
     settings_blocks,
@@ -101,7 +101,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 _NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
-_ANSWERS_SHOWN = 12  # optima at the top
+_MAX_ANSWERS = 12  # optima at the top
 ANSWERS_OF_PAGE = 4  # before its figure; a table has all
 _LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
@@ -405,7 +405,7 @@ def document_of(
         weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first
     ]
     answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
-    left = len(answers) - _ANSWERS_SHOWN
+    left = len(answers) - _MAX_ANSWERS
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
     notes = [note for note in study_notes(result) if note not in warned]
     return Document(
@@ -413,7 +413,7 @@ def document_of(
         kind="study of pixel sizes",
         title=result.study.title or result.study.name,
         data=data,
-        answers=answers[:_ANSWERS_SHOWN],
+        answers=answers[:_MAX_ANSWERS],
         lead=(
             Plot(lambda: delta_e_against_pitch(result.curves)),
             *(*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty), *notes),
@@ -490,7 +490,7 @@ def study_page(
     equal_errors = [drawing.plot(figure_6, evidence)] if paper else []
 
     brief = study_document(result)
-    unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
+    unstated = [UNSTATED_NOISE] if all(curve.data_sheet for curve in result.curves) else []
     made = [*_about(result), _rendered(result)]
     return replace(
         brief,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from pixsim.base.digits import told_apart
-from pixsim.base.notes import Note, few
+from pixsim.base.digits import distinct_texts
+from pixsim.base.notes import Note, first_notes
 from pixsim.report.regret import regrets_tables
 from pixsim.report.wording import lens_words, thin_lens_words, unconverged, view_words
 from pixsim.show.document import Block, Fact
@@ -31,7 +31,7 @@ def study_unconverged(result: StudyResult) -> list[Note]:
         if curve.has_delta_e:
             lines = unconverged(part.irradiance.header, part.film_at_best(curve))
             notes.append([Note("not_converged", words=line) for line in lines])
-    return few(notes)
+    return first_notes(notes)
 
 
 def study_view_words(result: StudyResult) -> list[str]:
@@ -109,7 +109,7 @@ def study_facts(result: StudyResult) -> list[Block]:
 
 def cause_notes(result: StudyResult) -> list[Note]:
     """Return the causes of the mean ΔE of each curve's best size, with what removes them."""
-    return few(
+    return first_notes(
         [[cause.note.of([curve.label]) for curve in result.curves for cause in curve.errors.causes]]
     )
 
@@ -119,7 +119,7 @@ def study_notes(result: StudyResult) -> list[Note]:
     that clips dark noise.
     """
     kinds = target_notes, _open_notes, _silent_notes, _study_dark_notes
-    noted = [note for notes in kinds for note in few([*map(notes, result.cases)])]
+    noted = [note for notes in kinds for note in first_notes([*map(notes, result.cases)])]
     return [*cause_notes(result), *sorted(result.warned), *noted]
 
 
@@ -136,7 +136,7 @@ def target_notes(result: StudyResult) -> list[Note]:
     for curve in result.curves:
         half_um = curve.optimum.half_width_um
         if half_um > study.target_ci_um:
-            half, target = told_apart(half_um, study.target_ci_um)
+            half, target = distinct_texts(half_um, study.target_ci_um)
             width = f"± {half} µm" if math.isfinite(half_um) else "open at an end"
             words = (
                 f"{width} after {evaluations} evaluations ({ended_by}); the target is ± {target} µm"

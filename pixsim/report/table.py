@@ -14,13 +14,13 @@ from pixsim.base.digits import number
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, csv_text
 from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section
-from pixsim.show.figures import LOOKS, finish, literal, new_figure
+from pixsim.show.figures import LINE_STYLES, finish, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
 from pixsim.studies.table import Table
 
 DIGITS = 4
-MAX_NAMED = len(LOOKS)  # lines that a legend names
+MAX_NAMED = len(LINE_STYLES)  # lines that a legend names
 
 
 class _SizeMeans(NamedTuple):
@@ -103,7 +103,9 @@ def table_plate(table: Table) -> Drawing:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     means = _size_means(table)
-    for (case, rows), look in zip(groupby(means, attrgetter("case")), cycle(LOOKS), strict=False):
+    for (case, rows), line_style in zip(
+        groupby(means, attrgetter("case")), cycle(LINE_STYLES), strict=False
+    ):
         curve = list(rows)
         name = literal(", ".join(map(str, table.labels[case].values())))
         axes.plot(
@@ -111,7 +113,7 @@ def table_plate(table: Table) -> Drawing:
             [row.values[0] for row in curve],
             label=name,
             ms=4,
-            **look.line,
+            **line_style.line,
         )
 
     metric = table.metrics[0]

@@ -14,8 +14,8 @@ from pixsim.show.pages import Drawing, Plate, figure, figure_files
 from pixsim.show.sentences import capital
 from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult
 
-_MOST_BARS = 30  # of a histogram
-_MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
+_MAX_BARS = 30  # of a histogram
+_MAX_SECTIONS = 20  # technologies × values × conditions with a section of the page
 DRAWN = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at"
     " once. Each draw is a sensor type; the study finds its optimum. All types have the same random"
@@ -30,7 +30,7 @@ _SHARES = (
 
 def uncertainty_files() -> set[str]:
     """Return the names of all files that the results of sensor types may have."""
-    numbers = range(1, _MOST_RESULTS + 1)
+    numbers = range(1, _MAX_SECTIONS + 1)
     figures = figure_files([f"uncertainty_distribution_{number}" for number in numbers])
     return {*figures, *(f"sensor_types_{number}.csv" for number in numbers)}
 
@@ -39,7 +39,7 @@ def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Secti
     """Yield a section for each optimum over sensor types: its distribution, and the shares of its
     variance.
     """
-    for number, result in enumerate(results[:_MOST_RESULTS], 1):
+    for number, result in enumerate(results[:_MAX_SECTIONS], 1):
         title = f"Sensor types: {capital(result.label) or 'optimum'}{result.by}"
         drawn = Plot(partial(_numbered_plate, result, number))
         types = (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)
@@ -56,7 +56,7 @@ def uncertainty_csv(results: Sequence[UncertaintyResult]) -> dict[str, str]:
     """Return a file of the sensor types of each optimum, name -> CSV."""
     return {
         f"sensor_types_{number}.csv": result.to_csv()
-        for number, result in enumerate(results[:_MOST_RESULTS], 1)
+        for number, result in enumerate(results[:_MAX_SECTIONS], 1)
     }
 
 
@@ -105,7 +105,7 @@ def distribution_plate(result: UncertaintyResult) -> Drawing:
         axes.axvspan(low, high, color="0.9", lw=0)
         axes.hist(
             distribution.values,
-            bins=_MOST_BARS if result.draws > _MOST_BARS**2 else "sqrt",
+            bins=_MAX_BARS if result.draws > _MAX_BARS**2 else "sqrt",
             color=COLOURS[0],
             edgecolor="white",
         )

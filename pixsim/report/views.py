@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     pass
 
 
-LEAST = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
+LOWEST_ERROR = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
         factor=factor_for(ideal),
         outputs=tuple(outputs),
         sheet=contact_sheet_png(
-            f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LEAST}", tiles
+            f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LOWEST_ERROR}",
+            tiles,
         ),
     )
 
@@ -128,4 +129,6 @@ def rank(curve: Curve, place: int) -> str:
     text.
     """
     names = {0: "smallest", curve.pitch_um.size - 1: "largest"}
-    return ", ".join(filter(None, (names.get(place), LEAST if place == best_place(curve) else "")))
+    return ", ".join(
+        filter(None, (names.get(place), LOWEST_ERROR if place == best_place(curve) else ""))
+    )

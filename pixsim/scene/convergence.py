@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
-from pixsim.base.digits import amount, told_apart
+from pixsim.base.digits import amount, distinct_texts
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress, share_of
@@ -324,14 +324,14 @@ def _limit_note(ended: _EndedBy, plan: Plan, noise: RenderNoise, max_seconds: fl
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
         remains = "render noise makes up to {} ΔE, {} tolerated".format(
-            *told_apart(noise.delta_e, noise.tolerance_delta_e)
+            *distinct_texts(noise.delta_e, noise.tolerance_delta_e)
         )
         return Note(
             "render_noise",
             words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e",
         )
     remains = "render noise is {} of the sensor noise, target {}".format(
-        *told_apart(noise.fraction, noise.target)
+        *distinct_texts(noise.fraction, noise.target)
     )
     factor = (
         f"; about {_samples_factor(noise.fraction, noise.target):.15g} times as many samples"

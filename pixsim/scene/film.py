@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from pixsim.base.mapped import MOST_BYTES
+from pixsim.base.mapped import MAX_MEMORY_BYTES
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.viewer.display_options import Display
@@ -86,7 +86,7 @@ def film_memory_bytes(cells: float, planes: int) -> float:
         PROGRAM_BYTES
         + _STRIP_BYTES
         + 16 * cells
-        + sum(size for size in arrays if size <= MOST_BYTES)
+        + sum(size for size in arrays if size <= MAX_MEMORY_BYTES)
     )
 
 

@@ -590,7 +590,7 @@ class Renderer:
             return self._image(header, factors=(self.spectra, stored), margin=self.margin)
         bands = self.plan.light.bands.width_nm.size
         if (
-            4 * bands * math.prod(self.field) > mapped.MOST_BYTES
+            4 * bands * math.prod(self.field) > mapped.MAX_MEMORY_BYTES
         ):  # in a file each band has a place of its own
             data = np.moveaxis(zeros((bands, *self.field), np.float32), 0, 2)
         else:

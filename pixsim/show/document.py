@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from pixsim.base.digits import number
-from pixsim.base.headline import MOST_WORDS
+from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
 from pixsim.show.pages import Drawn, Figures, Plate
@@ -321,4 +321,4 @@ def headline(parts: Iterable[Text]) -> Answer:
 
 def has_room(parts: Iterable[Text]) -> bool:
     """Return whether a headline has room for parts."""
-    return len(plain_text(joined(parts)).split()) <= MOST_WORDS
+    return len(plain_text(joined(parts)).split()) <= MAX_HEADLINE_WORDS

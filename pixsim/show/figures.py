@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Look:
+class LineStyle:
     """Style of one line: its colour and, for a grey print, its dashes and marker."""
 
     colour: str
@@ -51,31 +51,31 @@ LEGEND_LINE = 3.5  # long enough to show the dashes
 # Okabe and Ito (2008). The order keeps the first four at least 19 apart (CIEDE2000) for every kind
 # of colour blindness, and distinct in lightness when printed grey; the later ones need their
 # markers.
-LOOKS = (
-    Look("#0072B2", "-", "o"),
-    Look("#D55E00", (0, (5, 2)), "s"),
-    Look("#000000", (0, (6, 2, 1, 2)), "^"),
-    Look("#56B4E9", (0, (1, 1)), "D"),
-    Look("#009E73", (0, (3, 1, 1, 1, 1, 1)), "v"),
-    Look("#E69F00", (0, (8, 2)), "P"),
-    Look("#CC79A7", (0, (2, 3)), "X"),
-    Look("#777777", (0, (8, 2, 1, 2, 1, 2)), "<"),
-    Look("#0072B2", (0, (3, 1)), ">"),
-    Look("#D55E00", (0, (1, 3)), "p"),
+LINE_STYLES = (
+    LineStyle("#0072B2", "-", "o"),
+    LineStyle("#D55E00", (0, (5, 2)), "s"),
+    LineStyle("#000000", (0, (6, 2, 1, 2)), "^"),
+    LineStyle("#56B4E9", (0, (1, 1)), "D"),
+    LineStyle("#009E73", (0, (3, 1, 1, 1, 1, 1)), "v"),
+    LineStyle("#E69F00", (0, (8, 2)), "P"),
+    LineStyle("#CC79A7", (0, (2, 3)), "X"),
+    LineStyle("#777777", (0, (8, 2, 1, 2, 1, 2)), "<"),
+    LineStyle("#0072B2", (0, (3, 1)), ">"),
+    LineStyle("#D55E00", (0, (1, 3)), "p"),
 )
-COLOURS = tuple(look.colour for look in LOOKS)
+COLOURS = tuple(line_style.colour for line_style in LINE_STYLES)
 # Blur terms look the same in every figure, and differ from the first looks, which show pixel sizes.
 _TERMS = {
-    "lens": ("lens (diffraction)", LOOKS[4]),
-    "real lens": ("real lens, rms over the die", LOOKS[4]),
-    "motion": ("motion in an exposure", LOOKS[2]),
-    "photodiode": ("photodiode", LOOKS[5]),
-    "microlens": ("microlens, as wide as the pixel", LOOKS[5]),
-    "opening": ("opening over the photodiode", LOOKS[5]),
-    "crosstalk": ("crosstalk", LOOKS[8]),
-    "diffusion": ("diffusion of charge", LOOKS[9]),
-    "interpolation": ("{} interpolation on the display", LOOKS[6]),
-    "dot": ("display dot", LOOKS[7]),
+    "lens": ("lens (diffraction)", LINE_STYLES[4]),
+    "real lens": ("real lens, rms over the die", LINE_STYLES[4]),
+    "motion": ("motion in an exposure", LINE_STYLES[2]),
+    "photodiode": ("photodiode", LINE_STYLES[5]),
+    "microlens": ("microlens, as wide as the pixel", LINE_STYLES[5]),
+    "opening": ("opening over the photodiode", LINE_STYLES[5]),
+    "crosstalk": ("crosstalk", LINE_STYLES[8]),
+    "diffusion": ("diffusion of charge", LINE_STYLES[9]),
+    "interpolation": ("{} interpolation on the display", LINE_STYLES[6]),
+    "dot": ("display dot", LINE_STYLES[7]),
 }
 _MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
 ISO_SMOOTHING_DOTS = (
@@ -92,7 +92,7 @@ def plain_powers(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-_OWN_SETTINGS = {
+_PIXSIM_SETTINGS = {
     "svg.hashsalt": "pixsim",
     "svg.fonttype": "path",
     "pdf.fonttype": 42,  # TrueType: text can be searched, and publishers take it
@@ -108,15 +108,15 @@ def _style() -> AbstractContextManager[None]:
     defaults: dict[Any, Any] = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"
     }
-    return matplotlib.rc_context(defaults | _OWN_SETTINGS)
+    return matplotlib.rc_context(defaults | _PIXSIM_SETTINGS)
 
 
 _styled = SharedBlock(_style)
 
 
 @contextmanager
-def own_style() -> Iterator[None]:
-    """Matplotlib's defaults and `_OWN_SETTINGS` within a block or a function, and the user's
+def pixsim_style() -> Iterator[None]:
+    """Matplotlib's defaults and `_PIXSIM_SETTINGS` within a block or a function, and the user's
     settings again after it.
 
     Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also those of threads.
@@ -134,7 +134,7 @@ def own_style() -> Iterator[None]:
         yield
 
 
-@own_style()
+@pixsim_style()
 def prepare_to_draw() -> None:
     """Import Matplotlib, and draw an empty figure: that takes longer than those that follow."""
     figure = new_figure(1.0, 1.0)
@@ -156,7 +156,7 @@ def drawing_thread() -> Iterator[ThreadPoolExecutor]:
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that needs no display and is saved to the same bytes every time. Call and
-    fill it in `own_style`.
+    fill it in `pixsim_style`.
     """
     assert _styled.is_running, "a figure takes its style from the settings while it is filled"
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -214,7 +214,7 @@ def literal(text: str) -> str:
 
 
 @cache
-@own_style()
+@pixsim_style()
 def font_characters() -> frozenset[int]:
     """Return the characters of the figures' font."""
     from matplotlib.font_manager import FontProperties, findfont, get_font
@@ -222,7 +222,7 @@ def font_characters() -> frozenset[int]:
     return frozenset(get_font(findfont(FontProperties())).get_charmap())
 
 
-@own_style()
+@pixsim_style()
 def svg_text(figure: Figure) -> str:
     """Return a figure as SVG with numbered ids: Matplotlib's hash coordinates whose last digit
     varies.
@@ -243,7 +243,7 @@ def svg_text(figure: Figure) -> str:
     )
 
 
-@own_style()
+@pixsim_style()
 def pdf_bytes(figure: Figure) -> bytes:
     """Return a figure as PDF, by Matplotlib's own writer and without a date: the same bytes every
     time.
@@ -299,14 +299,14 @@ def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str
     returned.
     """
     for term, mtf in terms.items():
-        name, look = _TERMS[term]
+        name, line_style = _TERMS[term]
         axes.plot(
             x,
             mtf,
             markevery=1 if x.size < _MANY_POINTS else x.size // 5,
             ms=4,
             label=name.format(interpolation),
-            **look.line,
+            **line_style.line,
         )
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")

@@ -14,7 +14,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.tables import Column, table_csv
-from pixsim.show.figures import own_style, pdf_bytes, svg_text
+from pixsim.show.figures import pdf_bytes, pixsim_style, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,13 +77,13 @@ def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable
     name : of the kind of figure, and of its file unless `Plate.named` gives another one
     caption : says what is drawn and what marks mean, whatever the numbers are
 
-    The function is called in `own_style`. Shorter columns of its table are padded with NaN.
+    The function is called in `pixsim_style`. Shorter columns of its table are padded with NaN.
     """
 
     def register(draw: Callable[P, Drawing]) -> Callable[P, Plate]:
         @wraps(draw)
         def plate(*args: P.args, **options: P.kwargs) -> Plate:
-            with own_style():
+            with pixsim_style():
                 drawing, columns = draw(*args, **options)
             return Plate(name, caption, drawing, _table_of(columns))
 

@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
-MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
+MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
 BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 _BETWEEN = "  "  # columns
-NARROWEST = 12  # to which a column of words is wrapped
+MIN_WORDS_WIDTH = 12  # to which a column of words is wrapped
 WIDTH = 160  # columns of output that does not go to a terminal
 
 
@@ -100,7 +100,7 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
         for column in zip(*(row for row in rows if len(row) == count), strict=True)
     ]
     room = width - len(before) - len(_BETWEEN) * (count - 1)
-    while sum(widths) > room and (wide := [at for at in words if widths[at] > NARROWEST]):
+    while sum(widths) > room and (wide := [at for at in words if widths[at] > MIN_WORDS_WIDTH]):
         widths[max(wide, key=widths.__getitem__)] -= 1
 
     for row in rows:
@@ -181,7 +181,7 @@ def _marked(text: Text) -> Markup:
         marked = Markup(CODE.sub(r"<code>\1</code>", str(escape(words))))
         match part:
             case Strong():
-                kind = "" if len(words.split()) <= MOST_TOGETHER else ' class="words"'
+                kind = "" if len(words.split()) <= MAX_UNBROKEN_WORDS else ' class="words"'
                 return Markup(f"<b{kind}>{marked}</b>")
             case Link():
                 return Markup('<a href="{}">{}</a>').format(quote(part.address), marked)

@@ -26,7 +26,7 @@ from pixsim.base.bounds import Count, Jobs
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, read_text, version_of_files
 from pixsim.base.layers import listed
-from pixsim.base.notes import Note, collected_notes, warn, without_warnings
+from pixsim.base.notes import Note, collected_notes, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, no_stage, share_of
 from pixsim.base.result import Result
 from pixsim.base.schema import KEY, check_not_newer
@@ -546,7 +546,7 @@ def _render_groups(
         def part(name: str, words: tuple[str, ...] = (pair, group.words)) -> Progress:
             return stage(": ".join(filter(None, (*words, name))))
 
-        quiet = without_warnings() if pair or number >= len(job.condition_groups()) else None
+        quiet = suppressed_warnings() if pair or number >= len(job.condition_groups()) else None
         with ExitStack() as stack:
             if quiet is not None:
                 stack.enter_context(quiet)
@@ -609,7 +609,7 @@ def _compared_sensor(
     )
     time_s = score.frame.integration_s
     white_e = chain.white_e_per_s * time_s
-    with without_warnings():  # the result itself warns
+    with suppressed_warnings():  # the result itself warns
         of_run = Imaging.of(case.settings, case.camera)
         largest_um = group.border_um(case.camera) / BORDER_PIXELS
         steps = kept_steps(light.image, of_run, plan.film.chart, largest_um, progress)

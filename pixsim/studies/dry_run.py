@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.digits import duration
 from pixsim.base.machine import processors
-from pixsim.base.mapped import MOST_BYTES
+from pixsim.base.mapped import MAX_MEMORY_BYTES
 from pixsim.optics.camera import Camera
 from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import Plan
@@ -86,7 +86,7 @@ def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
     """Estimate the memory of a render, with the program."""
     cells = math.prod(shape)
-    if 8 * cells * plan.light.planes > MOST_BYTES:
+    if 8 * cells * plan.light.planes > MAX_MEMORY_BYTES:
         return BASE_BYTES + film_memory_bytes(cells, plan.light.planes) - PROGRAM_BYTES
     return BASE_BYTES + max(
         cells * _FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES
@@ -183,7 +183,7 @@ def study_cost(
         4.0
         * cells
         * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size),
-        MOST_BYTES,
+        MAX_MEMORY_BYTES,
     )
     behind_lens = _FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))

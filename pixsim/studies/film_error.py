@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, PARTS, Array, Item, in_threads, spread_parts, stream
 from pixsim.base.errors import invalid
-from pixsim.base.notes import without_warnings
+from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -507,7 +507,7 @@ def measure_film(
     Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is
     left.
     """
-    with without_warnings():  # the run itself warns of the white
+    with suppressed_warnings():  # the run itself warns of the white
         white = white_header(
             [(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured]
         )

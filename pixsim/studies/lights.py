@@ -16,7 +16,7 @@ import numpy as np
 
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.notes import Note, warn, without_warnings
+from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, share_of
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -55,7 +55,7 @@ from pixsim.viewer.screen import perceived_lab, white_header
 from pixsim.viewer.setting import Run, Setting
 
 _WORTH_WIDENING = 1.2
-COARSER, LEAST_ACROSS = 4, 64  # of the first film where a tolerance of ΔE bounds its error
+COARSER, MIN_ACROSS = 4, 64  # of the first film where a tolerance of ΔE bounds its error
 RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
 
 
@@ -171,7 +171,7 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     picture, between its parts.
     """
     imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
-    with without_warnings():  # the run itself warns of the white
+    with suppressed_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
     places = measured_places(image, imaging.physics.read_pitch_um, imaging.display)
     whole = slice(0, image.shape[0]), slice(0, image.shape[1])
@@ -311,7 +311,7 @@ def render_on_film(
     if coarser > 1:
         height, width = chosen.film_shape(camera, chosen.for_camera(camera))
         chosen = chosen.with_resolution(
-            fitting_width(height / width, max(LEAST_ACROSS, width // coarser), width)
+            fitting_width(height / width, max(MIN_ACROSS, width // coarser), width)
         )
         plan = plan_of(chosen)
     rendered_s, before = 0.0, None

@@ -22,7 +22,7 @@ from pixsim.base.bounds import Count
 from pixsim.base.caller import parameter, setting
 from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.notes import Note, collected_notes, warn, without_warnings
+from pixsim.base.notes import Note, collected_notes, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
 from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
@@ -204,7 +204,7 @@ def _threshold_of(
     def logarithm(d_prime: float) -> float:
         return math.log(max(d_prime, _MIN_D_PRIME) / options.threshold)
 
-    with without_warnings():
+    with suppressed_warnings():
         search = Search(excess, {0.0: logarithm(d_prime)})
         low, high = search.seen()
 

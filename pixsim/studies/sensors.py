@@ -15,7 +15,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.layers import Layer
-from pixsim.base.notes import Note, warn, without_warnings
+from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
 from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
@@ -790,7 +790,7 @@ def prepare(
     _warn_of_settings_without_effect(
         given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE)
     )
-    with without_warnings():  # those of all sensors are shown
+    with suppressed_warnings():  # those of all sensors are shown
         further = [] if match else groups_of(everyone, _OTHER_MATCH[chosen])
         if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):
             further = []

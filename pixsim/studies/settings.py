@@ -59,7 +59,7 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 # ----------------------------------------------------------------------------------------------------------
 
 _AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
-MOST_TOGETHER = 100  # settings of an axis that take each value together
+MAX_JOINED_SETTINGS = 100  # settings of an axis that take each value together
 _NOT_NAMES = {
     "pitch",
     "technology",
@@ -311,7 +311,7 @@ class Axis(Record):
     )
     set: Annotated[
         tuple[_DottedSetting, ...],
-        Field(max_length=MOST_TOGETHER),
+        Field(max_length=MAX_JOINED_SETTINGS),
         BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...]),
     ] = Field((), description="dotted settings that take each value together")
     values: Annotated[tuple[_OneOfAxis, ...], Field(max_length=_AXIS_COUNT)] | None = Field(

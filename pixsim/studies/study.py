@@ -21,7 +21,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
-from pixsim.base.notes import Note, collected_notes, few, warn
+from pixsim.base.notes import Note, collected_notes, first_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
@@ -293,7 +293,7 @@ def _warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -
             notes.append(
                 Note("left_out", words=f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}")
             )
-    for note in few([notes]):
+    for note in first_notes([notes]):
         warn(note)
 
 
@@ -405,7 +405,7 @@ def _types_by_metric(
             Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw)))
             for draw in sample.draws
         ]
-        few = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
+        first_notes = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
         few_frames = base.study.model_copy(
             update={"metrics": (metric.name,), "repeats": FEW_SENSORS}
         )
@@ -427,7 +427,9 @@ def _types_by_metric(
                     metrics=metrics_of(few_frames, FEW_SENSORS),
                 )
                 cases.append(
-                    replace(case, imaging=imaging, sizes=few[case.sensor], caches_frames=False)
+                    replace(
+                        case, imaging=imaging, sizes=first_notes[case.sensor], caches_frames=False
+                    )
                 )
                 lights.append(light)
 
@@ -683,7 +685,7 @@ def run_prepared(
             found = [part for part in made if isinstance(part, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
-        for note in few(
+        for note in first_notes(
             [[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]
         ):
             warn(note)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import digest_of, kind_of, opened, replacing, take_off_list, version_of_files
+from pixsim.base.files import digest_of, kind_of, opened, replacing, unlist_file, version_of_files
 from pixsim.base.notes import Note, warn
 from pixsim.base.result import Result
 from pixsim.base.schema import KEY, SCHEMA
@@ -261,7 +261,7 @@ class Store:
         has_content = self.path.is_file() and self.path.stat().st_size > len(self.text(())) + 1
         if has_content and (has_others or self.damaged or not self._places):
             self._say_what_is_kept(self.path)
-        take_off_list(self.path)
+        unlist_file(self.path)
         self.write(self._trusted_rows(self.path))
         return list(self._places)
 

@@ -807,12 +807,12 @@ def few_pitches_um(
         float(f"{pitch:.{PITCH_DIGITS}g}")
         for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
     ]
-    few = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
-    if len(few) < MIN_PITCHES:
+    first_notes = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
+    if len(first_notes) < MIN_PITCHES:
         raise invalid(
             "range_um", f"{low:g} to {high:g}", f"a range of {MIN_PITCHES} different pitches"
         )
-    return few
+    return first_notes
 
 
 # --- types of the sensors of a study or of a comparison

@@ -43,7 +43,7 @@ from pixsim.viewer.scielab import Filters, delta_e_map, filtered_grey_lab, filte
 
 Row = tuple[Any, ...]  # the fields of a KnownAnswer
 
-ALONE = ((),)  # inputs of a call without arguments
+NO_ARGUMENTS = ((),)  # inputs of a call without arguments
 SIGMAS = 5.0  # limit of random samples, in standard errors
 DRAWN = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
 _EPS = 2.2e-16  # of float64
@@ -661,7 +661,7 @@ def sensor() -> list[Row]:
             [WIDE_DN, WIDE_DN2],
             SIGMAS,
             f"black level + half of the codes above it; shot noise + 1/12; {DRAWN}",
-            ALONE,
+            NO_ARGUMENTS,
             _moment_errors(WIDE_DN2, COUNT),
         ),
         (
@@ -832,7 +832,7 @@ SIDE, LONG = 64, 20_000  # samples
 # The rounding of a running sum of n cells is proportional to n, and the spline amplifies it:
 # measured 5 to 20 eps n.
 _RUNNING = 50 * _EPS
-ALL = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
+ROUNDING_OF_SUM = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
 
 
 def _random_picture(*shape: int) -> Array:
@@ -874,7 +874,7 @@ def integration() -> list[Row]:
             ),
             lambda samples, ratio: integrate_pixels(samples, 1.0, ratio, ratio).sum(),
             lambda samples, ratio: samples.sum(),
-            ALL,
+            ROUNDING_OF_SUM,
             "conservation; roundings of sums",
             [
                 *product([picture], [1.0, 1 + _ALMOST, 1 / 3, 4 / 7, SIDE]),
@@ -922,7 +922,7 @@ def integration() -> list[Row]:
             _wave_means(20, math.pi, 0.6 * math.pi) * (0.6 * math.pi) ** 2,
             2e-4,
             "closed form; error of the quintic spline, 0.02 %",
-            ALONE,
+            NO_ARGUMENTS,
             1.0,
         ),
         (
@@ -931,7 +931,7 @@ def integration() -> list[Row]:
                 picture, 1.0, 0.0, np.linspace(0.0, SIDE, dots + 1), degree, axis=0
             ).mean(axis=0),
             picture.mean(axis=0),
-            ALL,
+            ROUNDING_OF_SUM,
             "conservation",
             product([0, 1], [1, 3, 37, 64, 200, 4096]),
         ),
@@ -1069,7 +1069,7 @@ def viewer() -> list[Row]:
             lambda: -_seen_lab(noise),
             _LAB_ROUNDED,
             "symmetry: CIELAB is linear through zero, without clipping; ΔE, rounding",
-            ALONE,
+            NO_ARGUMENTS,
             1.0,
         ),
         (
@@ -1242,7 +1242,7 @@ def _table_rows(process: str, temperature_k: float, time_s: float, conversion: s
             below_e,
             diodes.LINEAR_WITHIN,
             "quadrature",
-            ALONE,
+            NO_ARGUMENTS,
             well_e,
         ),
     ]

@@ -14,7 +14,7 @@ from typing import Any
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Whole
 from pixsim.base.digits import estimate, number
-from pixsim.base.notes import without_warnings
+from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
 from pixsim.scene.film import fitting_width, largest_film
@@ -44,8 +44,8 @@ EFFORTS, QUICK_EFFORTS = (
     (0.5, 1.0),
 )  # samples across the film, relative to that of a run
 REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
-SURE = 1 / 3  # of the smallest error that is shown: largest error of the reference
-LEAST_ACROSS = 16
+REFERENCE_ERROR_SHARE = 1 / 3  # of the smallest error that is shown: largest error of the reference
+MIN_ACROSS = 16
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,10 @@ def measure_accuracy(
         sensor=sensor,
     )
     camera = scene.camera(settings.camera, settings.lens)
-    given = GivenSettings.of_setting(Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN)
-    warn_of_settings_without_effect({"": [given]})
+    settings_in_use = GivenSettings.of_setting(
+        Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN
+    )
+    warn_of_settings_without_effect({"": [settings_in_use]})
     still: dict[str, Any] = {
         "motion": STILL,
         "exposure": settings.exposure.steady,
@@ -257,15 +259,16 @@ def climb(
     """
     camera, imaging = request.camera, request.measured[0]
     ratio = camera.height_mm / camera.die_mm
-    most = largest_film(ratio, request.plan.light.planes, math.inf)
+    max_across = largest_film(ratio, request.plan.light.planes, math.inf)
     reference = (
         REFERENCE_OF_CHART
-        if request.plan.samples.exact and REFERENCE_OF_CHART * across <= most
+        if request.plan.samples.exact and REFERENCE_OF_CHART * across <= max_across
         else REFERENCE
     )
-    wanted = [*efforts, *([reference] if reference * across <= most else [])]
+    wanted = [*efforts, *([reference] if reference * across <= max_across else [])]
     widths = {
-        effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted
+        effort: fitting_width(ratio, max(MIN_ACROSS, effort * across), max_across)
+        for effort in wanted
     }
     _measure(
         request, imaging, widths[efforts[0]], 1 / efforts[0], None
@@ -281,7 +284,7 @@ def climb(
 
     *rungs, finest = rungs
     errors = [abs(rung.mean_delta_e - finest.mean_delta_e) for rung in rungs]
-    if not finest.stated_delta_e < SURE * min(errors):
+    if not finest.stated_delta_e < REFERENCE_ERROR_SHARE * min(errors):
         return tuple(rungs), None
     return tuple(
         replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)
@@ -297,14 +300,14 @@ def _measure(
     noise : of another rung's frame; None draws it
     """
     render_noise = noise_times * request.settings.render_noise
-    asked = replace(
+    noisier_request = replace(
         request, settings=request.settings.model_copy(update={"render_noise": render_noise})
     )
     scene = request.scene.with_resolution(across)
     plan = request.plan_of(scene)
     start = time.perf_counter()
-    with without_warnings():  # the default render gives them
-        image, _ = asked.render(scene, plan, keep=False)
+    with suppressed_warnings():  # the default render gives them
+        image, _ = noisier_request.render(scene, plan, keep=False)
         image.header |= white_header([(imaging, image)])
         (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
         if noise is None or noise.shape != chain.signal_e_per_s.shape:

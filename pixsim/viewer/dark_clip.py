@@ -76,11 +76,12 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
         dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
         share = np.concatenate([(1 - dark.hot_fraction) * share, of_hot])
     is_few = dark_e <= FEW_E
-    many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
+    many, first_notes = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(_POISSON_TERMS)
-    poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(
-        axis=0
-    )
+    poisson = (
+        share[is_few, None]
+        * np.exp(counts * np.log(first_notes) - first_notes - gammaln(counts + 1))
+    ).sum(axis=0)
     charge_e = np.concatenate([counts, many])
     weight = np.concatenate([poisson, share[~is_few]])
     sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))

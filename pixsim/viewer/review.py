@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pixsim.base.notes import Note, few, warn
+from pixsim.base.notes import Note, first_notes, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.infrared import pixel_notes
@@ -40,7 +40,7 @@ def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | No
         for note in dict.fromkeys(notes):
             names.setdefault(note, []).append(name)
 
-    for note in few(
+    for note in first_notes(
         [
             [
                 note if len(having) == len(sensors) else note.of(having)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.notes import Note, warn, without_warnings
+from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage
 from pixsim.optics.lens_options import OF_ANY_LENS
@@ -595,7 +595,7 @@ class GivenSettings:
 
     def without_effect(self) -> list[str]:
         """Return the names of the settings that do nothing."""
-        with without_warnings(), np.errstate(all="ignore"):
+        with suppressed_warnings(), np.errstate(all="ignore"):
             return [name for name in self.names if not self._acts(name)]
 
     def _acts(self, name: str) -> bool:

@@ -25,13 +25,13 @@ def resident_mib() -> float:
 @pytest.fixture(autouse=True)
 def in_this_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(mapped, "MOST_BYTES", 8 * MIB)
+    monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", 8 * MIB)
     return tmp_path
 
 
 def test_small_arrays_are_in_memory() -> None:
     small = zeros((2, MIB // 2), np.float64)
-    assert small.nbytes == mapped.MOST_BYTES
+    assert small.nbytes == mapped.MAX_MEMORY_BYTES
     assert not is_mapped(small)
     release(small)
 

@@ -16,7 +16,7 @@ from typing import Literal
 import pytest
 from hypothesis import given, strategies as st
 
-from pixsim.base.digits import told_apart
+from pixsim.base.digits import distinct_texts
 from pixsim.base.note_kinds import NOTES
 from pixsim.base.notes import MachineWarning, Note, collected_notes
 from pixsim.cli.options import Verbosity
@@ -95,12 +95,12 @@ def test_collected_notes_inner_block_shares_list() -> None:
     ],
 )
 def test_told_apart_shows_least_digits(value: float, limit: float, texts: tuple[str, str]) -> None:
-    assert told_apart(value, limit) == texts
+    assert distinct_texts(value, limit) == texts
 
 
 @given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300))
 def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> None:
-    shown, asked = map(float, told_apart(value, limit))
+    shown, asked = map(float, distinct_texts(value, limit))
     assert (shown > asked) == (value > limit)
     assert (shown == asked) == (value == limit)
 

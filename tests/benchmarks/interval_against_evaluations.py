@@ -20,7 +20,7 @@ from joblib import Parallel, delayed, parallel_config
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import covers, simulated, simulation_options
 
-from pixsim.show.figures import LOOKS, new_figure, own_style, svg_text
+from pixsim.show.figures import LINE_STYLES, new_figure, pixsim_style, svg_text
 from pixsim.studies.design import study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study
@@ -77,7 +77,7 @@ def medians(studies: list[list[tuple[int, float, bool]]]) -> tuple[np.ndarray, n
     return np.median(table[:, :, 0], axis=0), np.median(table[:, :, 1], axis=0)
 
 
-@own_style()
+@pixsim_style()
 def draw(
     grid: tuple[np.ndarray, np.ndarray],
     rounds: tuple[np.ndarray, np.ndarray],
@@ -87,13 +87,13 @@ def draw(
     figure = new_figure(5.2, 3.4)
     axes = figure.subplots()
     label = f"{GRID_PITCHES} pixel sizes, {GRID_SENSORS[0]} to {GRID_SENSORS[-1]} sensors each"
-    axes.loglog(*grid, ms=4, lw=1.2, label=label, **LOOKS[0].line)
+    axes.loglog(*grid, ms=4, lw=1.2, label=label, **LINE_STYLES[0].line)
     axes.loglog(
         *rounds,
         ms=4,
         lw=1.2,
         label=f"{start[0]} pixel sizes × {start[1]} sensors, then rounds",
-        **LOOKS[1].line,
+        **LINE_STYLES[1].line,
     )
     axes.axhline(
         float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid)), color="#777777", lw=0.8, ls=":"

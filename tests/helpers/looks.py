@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.lines import Line2D
 
-from pixsim.base.headline import MOST_WORDS
+from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.show.pages import Plate
 
 
@@ -54,7 +54,7 @@ def assert_short_headlines(folder: Path) -> None:
     assert answers
     for answer in answers:
         words = re.sub(r"<[^>]*>", "", answer.partition("<small>")[0]).split()
-        assert 3 <= len(words) <= MOST_WORDS, " ".join(words)
+        assert 3 <= len(words) <= MAX_HEADLINE_WORDS, " ".join(words)
 
 
 def text_of(folder: Path) -> str:

@@ -662,8 +662,8 @@ def test_light_in_a_file_is_the_same_and_not_in_memory(
     values = np.random.default_rng(1).random((12, 512, 512), np.float32)
     nm, spectra = np.linspace(450.0, 650.0, 12), np.random.default_rng(2).random((12, 12))
     images = []
-    for most in (mapped.MOST_BYTES, MIB):
-        monkeypatch.setattr(mapped, "MOST_BYTES", most)
+    for most in (mapped.MAX_MEMORY_BYTES, MIB):
+        monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", most)
         planes = mapped.zeros(values.shape, np.float32)
         planes[:] = values
         content: dict[str, Any] = (

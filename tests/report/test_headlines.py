@@ -14,7 +14,7 @@ import pytest
 from helpers.runs import run_result
 
 import pixsim
-from pixsim.base.headline import MOST_WORDS
+from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.report.curve import interval_words, optimum_answer, optimum_line
 from pixsim.report.run import run_answer, run_document, run_page, shown_mean_of
 from pixsim.report.sfr import sfr_parts
@@ -95,7 +95,7 @@ def check(parts: Sequence[Text]) -> str:
     """Return the headline of parts: short, and nothing is lost below it."""
     answer = headline(parts)
     head, *rest = map(plain_text, (answer.head, *answer.below))
-    assert len(head.split()) <= MOST_WORDS, head
+    assert len(head.split()) <= MAX_HEADLINE_WORDS, head
     assert all(plain_text(part) in "; ".join([head, *rest]) for part in parts)
     return head
 
@@ -103,7 +103,7 @@ def check(parts: Sequence[Text]) -> str:
 def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
     for result in runs():
         head = plain_text(run_answer(result).head)
-        assert len(head.split()) <= MOST_WORDS, head
+        assert len(head.split()) <= MAX_HEADLINE_WORDS, head
         assert head == f"mean ΔE {shown_mean_of(result)}"
         warnings = [cause.words in head for cause in result.causes] + ["not converged" in head]
         is_unsure = bool(result.causes) or not converged(result.light, result.light_limit)
@@ -140,7 +140,7 @@ def test_headlines_of_studies_are_short() -> None:
     for curve in curves():
         answer = optimum_answer(curve)
         head, *below = map(plain_text, (answer.head, *answer.below))
-        assert len(head.split()) <= MOST_WORDS, head
+        assert len(head.split()) <= MAX_HEADLINE_WORDS, head
         assert "; ".join([head, *below]) == optimum_line(curve)
         if curve.optimum.inside and curve.no_difference_um is None:
             assert head.startswith(
@@ -159,7 +159,7 @@ def test_headlines_of_weighted_means_are_short() -> None:
         )
         weighted = SimpleNamespace(optimum=best, metric=DELTA_E, weight=None)
         answer = weighted_answer(SimpleNamespace(label="data sheet", criteria=(weighted,)))  # type: ignore[arg-type]
-        assert len(plain_text(answer.head).split()) <= MOST_WORDS
+        assert len(plain_text(answer.head).split()) <= MAX_HEADLINE_WORDS
         assert str(plain_text(answer.head)).startswith(
             "data sheet: least weighted mean ΔE 0.6150 at 2.45 µm"
         )
@@ -178,7 +178,7 @@ def test_headlines_of_sensor_types_are_short(share_at_ends: float) -> None:
     )
     answer, *_ = uncertainty_blocks([result])  # type: ignore[list-item]
     assert isinstance(answer, Answer)
-    assert len(plain_text(answer.head).split()) <= MOST_WORDS
+    assert len(plain_text(answer.head).split()) <= MAX_HEADLINE_WORDS
 
 
 def test_headlines_of_edges_are_short() -> None:

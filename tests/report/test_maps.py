@@ -18,8 +18,8 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report import maps
-from pixsim.report.axes import alone_table
-from pixsim.show.figures import new_figure, own_style
+from pixsim.report.axes import one_at_a_time_table
+from pixsim.show.figures import new_figure, pixsim_style
 from pixsim.show.pages import Plate
 from pixsim.studies.curve import CaseLabels, Curve
 from pixsim.studies.design import Case, cases_of
@@ -259,7 +259,7 @@ def test_map_colours_are_those_of_the_table(plates: dict[str, Plate]) -> None:
 def test_colours_are_logarithmic_over_a_decade(high: float, kind: str) -> None:
     across, up = maps.Scale("x", (1.0, 2.0)), maps.Scale("y", (1.0, 2.0, 3.0))
     values = np.linspace(1.0, high, 6).reshape(3, 2)
-    with own_style():
+    with pixsim_style():
         _, panels = maps.draw_maps([maps.Panel("", ())], across, up, [values], [values], label="")
     norm = panels[0].collections[0].norm
     assert type(norm).__name__ == kind
@@ -504,7 +504,9 @@ def test_names_of_columns_and_files_are_unique() -> None:
 
 def test_no_plates_without_axes() -> None:
     assert maps.axis_plates(result_of(lambda *_: 6.0, condition=DAY_AND_NIGHT)) == []
-    assert maps.alone_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
+    assert (
+        maps.one_at_a_time_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
+    )
     assert maps.axis_plates(replace(result_of(lambda *_: 6.0), parts=())) == []
 
 
@@ -541,7 +543,7 @@ def moved() -> StudyResult:
 
 @pytest.fixture(scope="module")
 def tornado(moved: StudyResult) -> Plate:
-    plate = maps.alone_plate(moved)
+    plate = maps.one_at_a_time_plate(moved)
     assert plate is not None
     return plate
 
@@ -583,7 +585,7 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
 
 
 def test_table_of_axes_moved_alone_has_the_widest_first(moved: StudyResult) -> None:
-    labels, sizes, values = zip(*alone_table(moved).rows, strict=True)
+    labels, sizes, values = zip(*one_at_a_time_table(moved).rows, strict=True)
     assert labels == ("night, read noise", "day, read noise", "night, prnu", "day, prnu")
     ends_um = [float(end) for words in sizes for end in str(words).split(" to ")]
     assert ends_um == pytest.approx([5.85, 9.1, 4.5, 7.0, 6.435, 6.825, 4.95, 5.25], abs=0.02)
@@ -600,7 +602,7 @@ def test_alone_axes_are_not_in_the_maps() -> None:
     assert maps.axis_plates(result)[0].table["lens"] == [2.8, 8.0]
 
 
-@own_style()
+@pixsim_style()
 def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
     """Seven values in a panel of half the width are tilted."""
     scale = maps.Scale.of(

@@ -39,7 +39,7 @@ from pixsim.report.study import (
 )
 from pixsim.scene.charts import DIE_MM
 from pixsim.sensor.motion_options import Motion
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, pixsim_style, svg_text
 from pixsim.show.pages import Plate
 from pixsim.show.render import html as page_html
 from pixsim.studies.claims import Evidence, size_maps
@@ -144,7 +144,7 @@ def test_plate_csv_is_complete_with_units(plates: dict[str, Plate]) -> None:
                 assert not np.isnan(read).any()
 
 
-@own_style()
+@pixsim_style()
 def test_plate_csv_unequal_columns_raise() -> None:
     with pytest.raises(ValueError, match="shorter"):
         _ = Plate("odd", "", new_figure(1, 1), {"a": [1.0, 2.0], "b": [1.0]}).csv
@@ -364,7 +364,7 @@ def test_delta_e_against_pitch_without_optimum_has_no_labels(tiny_result: StudyR
 # -------------------------------------------------------------------------------------------------------------
 
 
-@own_style()
+@pixsim_style()
 def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]) -> Axes:
     irradiance = SpectralImage(
         [550.0], [10.0], pitch_um, data=np.ones((height, width, 1)), header=header

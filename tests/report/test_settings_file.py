@@ -21,7 +21,7 @@ from helpers.tiny import COARSE, rows, tiny_toml
 import pixsim
 from pixsim.base.digits import span
 from pixsim.base.toml import packaged
-from pixsim.report.axes import alone_table
+from pixsim.report.axes import one_at_a_time_table
 from pixsim.report.study_facts import study_view_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
@@ -249,7 +249,7 @@ def test_settings_of_study_with_layers_and_range_repeat_it(desk: Path, tmp_path:
     axis = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
     result = study_of(desk, axis + DUSK, "tiny.toml", variant="scalar_spectral", parameters=None)
     sizes = [curve.optimum.pitch_um for curve in result.curves]
-    ((name, words, _),) = alone_table(result).rows
+    ((name, words, _),) = one_at_a_time_table(result).rows
     assert (name, words) == ("dark", span(min(sizes), max(sizes), ".2f"))
     assert_repeats(result, tmp_path / "again", "scalar_spectral")
 

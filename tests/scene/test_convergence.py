@@ -143,7 +143,7 @@ def test_render_until_noise_holds_over_levels():
 def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where sums and pictures lie changes no bit of the light and its noise."""
     in_memory, noise = until(LOOSE, name=name)
-    monkeypatch.setattr(mapped, "MOST_BYTES", 0)
+    monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", 0)
     in_file, same = until(LOOSE, name=name)
     assert mapped.is_mapped(in_file.planes) > mapped.is_mapped(in_memory.planes)
     np.testing.assert_array_equal(in_file.planes, in_memory.planes)

@@ -22,7 +22,7 @@ from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 
 from pixsim.show import figures
-from pixsim.show.figures import COLOURS, LOOKS, literal, new_figure, own_style, svg_text
+from pixsim.show.figures import COLOURS, LINE_STYLES, literal, new_figure, pixsim_style, svg_text
 
 TOGETHER = 4  # most lines that differ by colour and dashes only
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
@@ -62,13 +62,13 @@ def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
 
 
 def test_looks_in_grey_are_distinct() -> None:
-    assert len({look.dashes for look in LOOKS}) == len(LOOKS)
-    assert len({look.marker for look in LOOKS}) == len(LOOKS)
+    assert len({look.dashes for look in LINE_STYLES}) == len(LINE_STYLES)
+    assert len({look.marker for look in LINE_STYLES}) == len(LINE_STYLES)
     lightness = np.sort(perceived_lab(COLOURS[:TOGETHER], None)[:, 0])
     assert np.diff(lightness).min() > 7
 
 
-@own_style()
+@pixsim_style()
 def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     axes = new_figure(2, 2).subplots()
     one, other, dashed = (
@@ -81,7 +81,7 @@ def test_grey_look_ignores_colour(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@own_style()
+@pixsim_style()
 def test_literal_text_is_drawn_without_warnings() -> None:
     """Mathematics, control characters, and scripts that the font does not have."""
     assert literal("x$y$ 光 µm\n") == "x\\$y\\$ \ufffd µm\ufffd"
@@ -102,7 +102,7 @@ SETTINGS = {
 }
 
 
-@own_style()
+@pixsim_style()
 def figure() -> Figure:
     figure = new_figure(2, 2)
     figure.subplots().plot([1, 2, 4], label="a line")
@@ -133,9 +133,9 @@ from pixsim.base.lazy import ignore_matplotlibrc
 if sys.argv[1] == "command":
     ignore_matplotlibrc()
 import os
-from pixsim.show.figures import new_figure, own_style
+from pixsim.show.figures import new_figure, pixsim_style
 before = os.getcwd()
-with own_style():
+with pixsim_style():
     new_figure(2, 2).subplots()
 import matplotlib
 print(os.getcwd() == before, matplotlib.rcParams["lines.linewidth"])

@@ -24,7 +24,7 @@ from pixsim.show.document import (
     Strong,
     pairs,
 )
-from pixsim.show.figures import new_figure, own_style
+from pixsim.show.figures import new_figure, pixsim_style
 from pixsim.show.pages import Plate
 
 EVIL = '<script>alert("&")</script>'
@@ -37,7 +37,7 @@ ROWS = (
 )
 
 
-@own_style()
+@pixsim_style()
 def plate() -> Plate:
     figure = new_figure(3.0, 2.0)
     figure.subplots().plot([0, 1], [0, 1])

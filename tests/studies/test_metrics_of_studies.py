@@ -23,7 +23,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.axes import axes_files, axes_page, cases_data, optima_columns, regrets_columns
 from pixsim.report.regret import regret_percent, regrets_data, regrets_tables
-from pixsim.report.run import found_threshold_words, run_document
+from pixsim.report.run import run_document, threshold_pitch_words
 from pixsim.report.study import study_document
 from pixsim.report.study_facts import contrast_words, study_notes
 from pixsim.show.document import DocumentTable
@@ -397,7 +397,7 @@ def test_words_of_a_threshold_name_the_range_that_was_found() -> None:
             "d′ is at most 4, at 3" if value == upper_value else "",
             upper_value,
         )
-        assert found_threshold_words(threshold) == words
+        assert threshold_pitch_words(threshold) == words
 
 
 @pytest.mark.parametrize("lux", [4000.0, 1e5])

@@ -23,7 +23,7 @@ from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 from scipy.special import ndtri
 
 import pixsim
-from pixsim.base.digits import told_apart
+from pixsim.base.digits import distinct_texts
 from pixsim.report.study_facts import study_notes, target_notes
 from pixsim.sensor.readout import Frame
 from pixsim.studies.curve import (
@@ -580,7 +580,7 @@ def test_study_names_limit(done: tuple[StudyResult, Path]) -> None:
     (note,) = target_notes(done[0])
     assert note in study_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
-    where = f"± {told_apart(half_um, 0.01)[0]} µm" if half_um < np.inf else "open at an end"
+    where = f"± {distinct_texts(half_um, 0.01)[0]} µm" if half_um < np.inf else "open at an end"
     assert note.startswith(
         f"0.35um: the interval is {where} after {EVALUATIONS} evaluations (max_evaluations); the "
     )

@@ -25,7 +25,7 @@ from pixsim.base.digits import estimate
 from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
 from pixsim.report.curve import optimum_line
-from pixsim.report.run import run_document, shown_mean_of, unsure_words
+from pixsim.report.run import run_document, shown_mean_of, uncertain_metrics_words
 from pixsim.report.score import shown_mean, unmet
 from pixsim.report.study import study_document
 from pixsim.report.study_facts import study_notes
@@ -498,7 +498,7 @@ def test_largest_cause_is_named_first() -> None:
     }
     dark |= {"least_black_level_dn": 9}
     result = run_result([4.0], header, causes=[left_out], dark=dark)
-    assert [line.split()[0] for line in unsure_words(result)] == ["light", "not"]
+    assert [line.split()[0] for line in uncertain_metrics_words(result)] == ["light", "not"]
     assert shown_mean_of(result) == "4.00, not converged", (
         "2.5 ΔE of the render above 2 of the cause"
     )

@@ -70,21 +70,21 @@ def study_files(
         plan = checked_study(study_layers(stated, files, options), options)
         job = prepare(plan, variant)
         spreads = uncertainty_of(name, config, quick)
-        asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
+        type_request = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         types = evaluations = 0
-        if asked is not None:
+        if type_request is not None:
             cases = [case.settings for case in job.combinations]
-            types, evaluations = check_types(job.complete, cases, asked, agreed or dry_run)
+            types, evaluations = check_types(job.complete, cases, type_request, agreed or dry_run)
         folder = out or DEFAULT_OUT / f"{plan.name}{'-quick' if quick else ''}"
         if dry_run:
             return outline_document("study", study_outline(job, jobs, types), folder), None
 
         names = (axes_files if job.complete.has_cases else report_files)(job.complete)
-        if asked is not None:
+        if type_request is not None:
             say(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
-        with study_drawing(figures) as drawing, said_what_is_kept(folder):
+        with study_drawing(figures) as drawing, reported_saved_rows(folder):
             result = run_prepared(
                 job,
                 folder,
@@ -94,7 +94,7 @@ def study_files(
                 begun=drawing.begin,
                 agreed=agreed,
                 spreads=spreads,
-                asked=asked,
+                asked=type_request,
             )
             progress("report")
             first = result.cases[0]
@@ -112,7 +112,7 @@ def study_files(
 
 
 @contextmanager
-def said_what_is_kept(folder: Path) -> Iterator[None]:
+def reported_saved_rows(folder: Path) -> Iterator[None]:
     """Add to an interruption, or the error of a full disk, how many evaluations of this study lie
     in its folder, if any.
 
