@@ -164,7 +164,7 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
             "that of the scene"
             if is_scene_setting
             else _FROM_TECHNOLOGY
-            if name in NUMBERS and NUMBERS[name].of_technology
+            if name in NUMBERS and NUMBERS[name].in_technology
             else "none"
         )
     default_text = (

@@ -24,8 +24,8 @@ from pixsim.light.spectral import photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant
 from pixsim.measure.estimators import Estimate, Frames
 from pixsim.measure.experiment import Experiment
-from pixsim.sensor.collection import ColourCollection, collections_of, even_light
-from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.collection import ColourCollection, collections_of, emva_illumination
+from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
@@ -217,9 +217,9 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
     seen = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
     rates = (power[:, None] * responses).sum(axis=0)
     rendition = Rendition(seen, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
-    layout = Layout.of_pixels(physics.pixel)
+    layout = Layout.unbinned(physics.pixel)
     assert layout is not None
-    lights = [even_light(STANDARD_NM, power * curve) for curve in responses.T]
+    lights = [emva_illumination(STANDARD_NM, power * curve) for curve in responses.T]
     collections = collections_of(physics, lights, (1, 1))
     white = rates
     if collections:
@@ -260,7 +260,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         raise invalid("shape", got, "at least one unit cell")
 
     def field_of(name: str, signals_e: Array) -> list[Frames]:
-        mean_e = of_channels(signals_e, layout, shape)
+        mean_e = channel_map(signals_e, layout, shape)
         return [
             read_out(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index))
             for index in range(PAIRS)

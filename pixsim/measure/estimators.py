@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.sensor.collection import collected_area_um2, even_light
+from pixsim.sensor.collection import collected_area_um2, emva_illumination
 from pixsim.sensor.integration import M2_PER_UM2
 from pixsim.sensor.pixel import PixelPhysics
 
@@ -499,7 +499,8 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     )
     lux = float((luminous_weight(_DAYLIGHT_NM, step) * spectrum).sum())
     area_um2 = (
-        collected_area_um2(physics, even_light(_DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
+        collected_area_um2(physics, emva_illumination(_DAYLIGHT_NM, electrons))
+        * physics.pixel.bin_side**2
     )
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 

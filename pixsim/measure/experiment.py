@@ -23,7 +23,7 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
-from pixsim.sensor.collection import collected_fraction, even_light
+from pixsim.sensor.collection import collected_fraction, emva_illumination
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.photodiode import stored_signal_e
@@ -171,7 +171,7 @@ class Experiment:
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """Electrons per photon on a whole pixel, fill factor included: η of EMVA 1288."""
-    light = even_light(np.array([wavelength_nm]), np.ones(1))
+    light = emva_illumination(np.array([wavelength_nm]), np.ones(1))
     return float(physics.quantum_efficiency(wavelength_nm)) * collected_fraction(physics, light)
 
 

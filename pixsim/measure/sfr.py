@@ -381,7 +381,7 @@ def parts_of(
     known = None
     if layout is not None:
         try:
-            known = Layout.of_text(layout)
+            known = Layout.parse(layout)
         except ValueError as error:
             raise PixsimError(f"layout: {error}.") from None
     if known is not None and known.planes > 1:

@@ -24,11 +24,11 @@ from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.diffusion import absorption_per_um
 
 FOLDER = Path(str(resources.files("pixsim") / "data/camera_sensitivities"))
-_ORIGIN = (
+_MEASURED_ORIGIN = (
     "relative responses to energy of whole cameras, from rawtoaces-data (Academy Software"
     " Foundation, Apache-2.0)"
 )
-_OWN_SCALES = (  # in the notes of cameras whose channels were scaled one by one
+_SEPARATE_SCALES = (  # in the notes of cameras whose channels were scaled one by one
     "ratio between channels lost"
 )
 
@@ -43,14 +43,14 @@ _DYES: dict[str, tuple[tuple[float, ...], ...]] = {
     "B": ((0.75, 405.0, 14.0, 500.0, 11.0), (0.9, 825.0, 12.0, _OPEN, 1.0)),
 }
 _BLACK_DYE: tuple[tuple[float, ...], ...] = ((0.9, 790.0, 12.0, _OPEN, 1.0),)
-_OF_TYPICAL = (
+_TYPICAL_ORIGIN = (
     "no measurement, but a model of pixsim: dye filters with logistic edges times silicon"
     " (absorption of Green 2008). Estimated confidence: peaks ±15 nm, ratio of channels ±20 %,"
     " leaks ±0.05, infrared ±30 %; without an infrared filter"
 )
 
 
-SOURCES = {"measured": _ORIGIN, "typical": _OF_TYPICAL}  # of each kind of entry
+SOURCES = {"measured": _MEASURED_ORIGIN, "typical": _TYPICAL_ORIGIN}  # of each kind of entry
 
 
 @dataclass(frozen=True)
@@ -75,23 +75,27 @@ class _TypicalFilters:
         absorption = absorption_per_um(_TYPICAL_NM)
         silicon = np.exp(-absorption * self.dead_um) * -np.expm1(-absorption * self.depth_um)
         filters = np.stack(
-            [self.leak + (1 - self.leak) * _passed(bands) for bands in self.bands.values()], axis=1
+            [
+                self.leak + (1 - self.leak) * _band_transmittance(bands)
+                for bands in self.bands.values()
+            ],
+            axis=1,
         )
         values = filters * (silicon * _TYPICAL_NM)[:, None]
         return np.asarray(values / values.max())
 
 
-def _passed(bands: Sequence[tuple[float, ...]]) -> Array:
+def _band_transmittance(bands: Sequence[tuple[float, ...]]) -> Array:
     """Transmittance of pass bands, 0 to 1."""
-    each = [
-        most * _edge(_TYPICAL_NM, low, width) * _edge(-_TYPICAL_NM, -high, other)
-        for most, low, width, high, other in bands
+    transmittances = [
+        peak * _edge(_TYPICAL_NM, low, rising_width) * _edge(-_TYPICAL_NM, -high, falling_width)
+        for peak, low, rising_width, high, falling_width in bands
     ]
-    return np.asarray(np.sum(each, axis=0))
+    return np.asarray(np.sum(transmittances, axis=0))
 
 
-def _edge(x: Array, at: float, width: float) -> Array:
-    return np.asarray(0.5 * (1 + np.tanh((x - at) / (2 * width))))
+def _edge(x: Array, centre: float, width: float) -> Array:
+    return np.asarray(0.5 * (1 + np.tanh((x - centre) / (2 * width))))
 
 
 TYPICAL = {
@@ -132,7 +136,7 @@ class CameraEntry:
     @property
     def words(self) -> str:
         """The title, and whether the scale of the channels is lost."""
-        return f"{self.title}; {_OWN_SCALES}" if _OWN_SCALES in self.notes else self.title
+        return f"{self.title}; {_SEPARATE_SCALES}" if _SEPARATE_SCALES in self.notes else self.title
 
 
 @lru_cache
@@ -143,14 +147,14 @@ def _index() -> dict[str, dict[str, str]]:
 
 
 def cameras() -> tuple[CameraEntry, ...]:
-    """Return what the packaged cameras and typical filters are, in the order of `camera_names`, the
+    """Return the list of packaged cameras and typical filters, in the order of `camera_names`, the
     typical ones last.
     """
     entries = []
     for name in (*camera_names(), *TYPICAL):
         nm, values = camera_sensitivities(name)
         if name in TYPICAL:
-            title, kind, notes = TYPICAL[name].title, "typical", _OF_TYPICAL
+            title, kind, notes = TYPICAL[name].title, "typical", _TYPICAL_ORIGIN
         else:
             row = _index()[name]
             title, kind = f"{row['manufacturer']} {row['model']}", "measured"
@@ -211,13 +215,15 @@ def has_common_scale(name: str) -> bool:
     it, do not depend on the ratio of the channels; the noise before white balance does. Raises
     PixsimError for a name that `camera_names` has not.
     """
-    return name in TYPICAL or (_file(name).is_file() and _OWN_SCALES not in _index()[name]["notes"])
+    return name in TYPICAL or (
+        _file(name).is_file() and _SEPARATE_SCALES not in _index()[name]["notes"]
+    )
 
 
 def _file(name: str) -> Path:
     """The file of a measured camera."""
     if name not in _index():
-        known = (*camera_names(), *TYPICAL)
-        hint = did_you_mean(name, known) or did_you_mean(name.replace(" ", "_"), known)
-        raise invalid("camera", f"'{name}'", ", ".join(known), hint)
+        names = (*camera_names(), *TYPICAL)
+        hint = did_you_mean(name, names) or did_you_mean(name.replace(" ", "_"), names)
+        raise invalid("camera", f"'{name}'", ", ".join(names), hint)
     return FOLDER / f"{name}.csv"

@@ -42,10 +42,12 @@ def moments_of_codes(
         level, sigma = level_dn[fine, None], sigma_dn[fine, None]
         last = min(top_dn, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())))
         j = np.arange(1.0, last + 1)
-        away = (level - j + 0.5) / sigma
-        above = ndtr(away)
+        standardised = (level - j + 0.5) / sigma
+        above = ndtr(standardised)
         mean[fine], square[fine] = above.sum(axis=1), ((2 * j - 1) * above).sum(axis=1)
-        slope[fine] = (np.exp(-(away**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(axis=1)
+        slope[fine] = (np.exp(-(standardised**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(
+            axis=1
+        )
     variance = square - mean**2
     return np.where(is_upper, top_dn - mean, mean) if is_upper.any() else mean, variance, slope
 
@@ -54,9 +56,9 @@ def _moments_above_0(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Ar
     """Return mean and mean square of normal levels that 0 cuts off, with the rounding above it, and
     the slope of the mean.
     """
-    reach = level_dn / sigma_dn
-    density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
-    slope = np.asarray(ndtr(reach))
+    standardised = level_dn / sigma_dn
+    density = np.exp(-(standardised**2) / 2) / math.sqrt(2 * math.pi)
+    slope = np.asarray(ndtr(standardised))
     mean = level_dn * slope + sigma_dn * density
     square = (level_dn**2 + sigma_dn**2) * slope + level_dn * sigma_dn * density + slope / 12
     return mean, square, slope

@@ -29,7 +29,7 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, aperture_side_um, collected_shares, model_limits, nodes_for
-from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import (
     share_with_neighbours,
@@ -51,7 +51,7 @@ _POINTS_OF_TABLE = 10
 # a large one
 NEGLIGIBLE = 1e-5
 FINE = 64  # steps across the field, between which shares are linear
-_GIVEN_AT_NM = np.arange(
+_CHECKED_NM = np.arange(
     400.0, 701.0, 50.0
 )  # where a quantum efficiency is checked against its own measurement
 
@@ -80,7 +80,7 @@ class Illumination:
             return nm, weight
         node = -np.cos(np.pi * (np.arange(count) + 0.5) / count)  # Chebyshev's, of the zeros
         middle, half = (nm.min() + nm.max()) / 2, np.ptp(nm) / 2
-        course = _polynomial(node, (nm - middle) / half)
+        course = _interpolation_matrix(node, (nm - middle) / half)
         return middle + half * node, np.asarray(weight @ course)
 
 
@@ -107,7 +107,7 @@ def illumination(
     )
 
 
-def even_light(wavelength_nm: Array, weight: Array) -> Illumination:
+def emva_illumination(wavelength_nm: Array, weight: Array) -> Illumination:
     """Return the light on a sensor without a lens in the set-up of EMVA 1288, f/8; weights are
     electrons, (B,).
     """
@@ -192,7 +192,7 @@ def scale_error(
     """
     if physics.stack is None or not allowed > 0:
         return None
-    seen_nm = tuple(sorted(_seen_nm(physics, _GIVEN_AT_NM).tolist(), reverse=True))
+    seen_nm = tuple(sorted(_seen_nm(physics, _CHECKED_NM).tolist(), reverse=True))
     error = 0.0
     # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks
     # need no more.
@@ -271,19 +271,17 @@ def check_efficiency(physics: PixelPhysics) -> None:
     measured = measurement(physics)
     if measured is None:
         return
-    stated, passed = (
-        physics.quantum_efficiency(_GIVEN_AT_NM),
-        _measured_share(measured, physics.charge, _GIVEN_AT_NM),
-    )
-    if np.any(stated > passed):
+    stated = physics.quantum_efficiency(_CHECKED_NM)
+    transmitted = _measured_share(measured, physics.charge, _CHECKED_NM)
+    if np.any(stated > transmitted):
         stack, f_number = measured
-        at = int(np.argmax(stated - passed))
+        worst = int(np.argmax(stated - transmitted))
         got = (
-            f"{stated[at]:.3g} at {_GIVEN_AT_NM[at]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
+            f"{stated[worst]:.3g} at {_CHECKED_NM[worst]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
             " under its microlens"
         )
         expected = (
-            f"at most {passed[at]:.3g}, the light that this stack passes to photodiodes at"
+            f"at most {transmitted[worst]:.3g}, the light that this stack passes to photodiodes at"
             f" f/{f_number:g}"
         )
         hint = (
@@ -308,7 +306,7 @@ def stack_shares(
     return axis, corner
 
 
-def least_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
+def min_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
     """Return the Fresnel number of a pixel's microlens at the longest wavelength to which it
     responds; None without a lens.
     """
@@ -356,7 +354,7 @@ def _collection(
     nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffused else WAVELENGTHS)
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
-    symmetric, node, y_um, x_um = _places(stack, light.pupil, half_um)
+    symmetric, node, y_um, x_um = _field_points(stack, light.pupil, half_um)
     shares = _shares_at(stack, charge, light.pupil, y_um, x_um, nm, weight)
     few = shares.max(axis=(0, 1)) < NEGLIGIBLE
     few[2, 2] = False
@@ -369,7 +367,7 @@ def _collection(
     for axis in range(2):
         if shares.shape[axis] > 1:
             shares = np.moveaxis(
-                np.tensordot(_finer(tuple(node.tolist())), shares, (1, axis)), 0, axis
+                np.tensordot(_resampling_matrix(tuple(node.tolist())), shares, (1, axis)), 0, axis
             )
     shares = np.maximum(shares, 0.0)
     side_um = (
@@ -381,7 +379,7 @@ def _collection(
     return Collection(shares, on_axis, side_um)
 
 
-def _places(
+def _field_points(
     stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]
 ) -> tuple[bool, Array, Array, Array]:
     """Return where shares are computed: whether a quarter of the field tells the others, the nodes
@@ -410,7 +408,7 @@ def _scale_error(
     half_um: tuple[float, float],
 ) -> float:
     """Return the largest of `scale_error` over wavelengths and places."""
-    _, _, y_um, x_um = _places(stack, pupil, half_um)
+    _, _, y_um, x_um = _field_points(stack, pupil, half_um)
     worst = 0.0
     for nm in wavelength_nm if stack.microlens else wavelength_nm[:1]:
         shares = _shares_at(stack, charge, pupil, y_um, x_um, np.array([nm]), np.ones(1))
@@ -424,17 +422,19 @@ def _scale_error(
 
 
 @lru_cache(maxsize=4)
-def _finer(nodes: tuple[float, ...]) -> Array:
-    """Return `_polynomial` at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
-    return _polynomial(np.array(nodes), np.linspace(-1.0, 1.0, FINE + 1))
+def _resampling_matrix(nodes: tuple[float, ...]) -> Array:
+    """Return `_interpolation_matrix` at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
+    return _interpolation_matrix(np.array(nodes), np.linspace(-1.0, 1.0, FINE + 1))
 
 
-def _polynomial(nodes: Array, at: Array) -> Array:
+def _interpolation_matrix(nodes: Array, positions: Array) -> Array:
     """Return the weights of nodes (n,) from -1 to 1 of the polynomial through them, at places (m,),
     (m, n).
     """
     degree = nodes.size - 1
-    return np.asarray(np.linalg.solve(chebvander(nodes, degree).T, chebvander(at, degree).T).T)
+    return np.asarray(
+        np.linalg.solve(chebvander(nodes, degree).T, chebvander(positions, degree).T).T
+    )
 
 
 def _shares_at(
@@ -484,12 +484,14 @@ def _measured_share(measured: _Measurement, charge: Charge | None, nm: Array) ->
 def _measured_share_at(
     measured: _Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]
 ) -> Array:
-    lens, f_number = measured
-    nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)
-    optical, spread = collected_shares(lens, disc_pupil(sine), nm), _spread(lens, charge, sine, nm)
-    return np.asarray(
-        (optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1))
-    )
+    stack, f_number = measured
+    nm = np.array(wavelength_nm)
+    sine = numerical_aperture(f_number)
+    shares = collected_shares(stack, disc_pupil(sine), nm)
+    spread = _spread(stack, charge, sine, nm)
+    if spread is not None:
+        shares = spread_shares(shares, spread)
+    return np.asarray(shares.sum(axis=(-2, -1)))
 
 
 def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Array | None:
@@ -523,11 +525,11 @@ def collections_of(
     """Return the collection of each channel's light on an array of pixels (rows, columns); none
     without a stack.
     """
-    each = (
+    collections = (
         collection_of(channel, light, pixels)
         for channel, light in zip(physics.channels, lights, strict=True)
     )
-    return tuple(one for one in each if one is not None)
+    return tuple(collection for collection in collections if collection is not None)
 
 
 @dataclass(frozen=True)
@@ -536,14 +538,14 @@ class ColourCollection:
     through filters of other colours.
 
     layout : of the pixels
-    each : collection of each channel's light
+    collections : of each channel's light
     rates : electrons s⁻¹ µm⁻² of photodiode of the white in each channel
     pitch_um : of the pixels
     bin_side : pixels along a side of those that are read as one
     """
 
     layout: Layout
-    each: tuple[Collection, ...]
+    collections: tuple[Collection, ...]
     rates: tuple[float, ...]
     pitch_um: float
     bin_side: int = 1
@@ -553,8 +555,8 @@ class ColourCollection:
 
     @property
     def is_scale(self) -> bool:
-        """As of `Collection`."""
-        return all(one.is_scale for one in self.each)
+        """Whether every pixel collects the same share of its own light, and nothing else."""
+        return all(collection.is_scale for collection in self.collections)
 
     def relative(self, shape: tuple[int, int]) -> Array:
         """Return what each value of a frame (rows, columns) holds of even white light, relative to
@@ -563,8 +565,10 @@ class ColourCollection:
         if shape not in self._relative:  # the registrations of a pitch share it
             layout = Layout(self._read_cell, self.layout.is_stacked)
             pixels = shape[0] * self.bin_side // self.layout.planes, shape[1] * self.bin_side
-            even = self._even(np.array(self.rates), [one.shares for one in self.each], pixels)
-            self._relative[shape] = even / of_channels(self.white_e_per_s, layout, shape)
+            shares = [collection.shares for collection in self.collections]
+            uniform_e_per_s = self._uniform_e_per_s(np.array(self.rates), shares, pixels)
+            on_axis_e_per_s = channel_map(self.white_e_per_s, layout, shape)
+            self._relative[shape] = uniform_e_per_s / on_axis_e_per_s
         return self._relative[shape]
 
     @cached_property
@@ -575,28 +579,30 @@ class ColourCollection:
         The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it
         is diagonal.
         """
-        axis = [one.shares[one.shares.shape[0] // 2, one.shares.shape[1] // 2] for one in self.each]
-        cell, count = self.layout.cell, len(self.each)
-        # Three unit cells, and at least five pixels, around the one in the middle.
-        size = (
-            []
-            if self.layout.is_stacked
-            else [(2 * max(1, -(-5 // len(part))) + 1) * len(part) for part in (cell, cell[0])]
-        )
+        shares_on_axis = [
+            shares[shares.shape[0] // 2, shares.shape[1] // 2]
+            for shares in (collection.shares for collection in self.collections)
+        ]
+        count = len(self.collections)
+        read_layout = Layout(self._read_cell, self.layout.is_stacked)
+        pixels = (1, 1)
+        if not self.layout.is_stacked:
+            # Three unit cells, and at least five pixels, around the cell in the middle.
+            rows, columns = ((2 * max(1, -(-5 // side)) + 1) * side for side in self.layout.period)
+            pixels = rows, columns
+
         mixing = np.empty((count, count))
-        for channel, light in enumerate(np.eye(count)):
-            even = self._even(light, axis, (size[0], size[1]) if size else (1, 1))
-            numbers = Layout(self._read_cell, self.layout.is_stacked).numbers(
-                (even.shape[0], even.shape[1])
-            )
-            if size:
-                high, wide = (len(part) // self.bin_side for part in (cell, cell[0]))
-                top, left = (even.shape[0] // high // 2) * high, (even.shape[1] // wide // 2) * wide
-                even, numbers = (
-                    even[top : top + high, left : left + wide],
-                    numbers[top : top + high, left : left + wide],
-                )
-            mixing[:, channel] = [even[numbers == number].mean() for number in range(count)]
+        for channel, rates in enumerate(np.eye(count)):
+            electrons = self._uniform_e_per_s(rates, shares_on_axis, pixels)
+            numbers = read_layout.numbers((electrons.shape[0], electrons.shape[1]))
+            if not self.layout.is_stacked:
+                height, width = read_layout.period
+                top = (electrons.shape[0] // height // 2) * height
+                left = (electrons.shape[1] // width // 2) * width
+                middle = np.s_[top : top + height, left : left + width]
+                electrons = electrons[middle]
+                numbers = numbers[middle]
+            mixing[:, channel] = [electrons[numbers == number].mean() for number in range(count)]
         return mixing
 
     @property
@@ -608,18 +614,20 @@ class ColourCollection:
     def _read_cell(self) -> tuple[str, ...]:
         return tuple(row[:: self.bin_side] for row in self.layout.cell[:: self.bin_side])
 
-    def _even(self, rates: Array, shares: Sequence[Array], pixels: tuple[int, int]) -> Array:
+    def _uniform_e_per_s(
+        self, rates: Array, shares: Sequence[Array], pixels: tuple[int, int]
+    ) -> Array:
         """Return the electrons per second of even light in the values of a frame, of an array of
         pixels.
         """
         rows, columns = pixels
-        light = of_channels(
+        light = channel_map(
             rates * self.pitch_um**2, self.layout, (rows * self.layout.planes, columns)
         )
-        return read_as_one(shared(light, shares, self.layout), self.bin_side)
+        return bin_pixels(collected_signal(light, shares, self.layout), self.bin_side)
 
 
-def shared(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Array:
+def collected_signal(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Array:
     """Return what pixels of a layout collect of the light on them and their neighbours, through the
     filter on which it falls.
 
@@ -634,7 +642,7 @@ def shared(light_e_per_s: Array, shares: Sequence[Array], layout: Layout) -> Arr
     return share_with_neighbours_of_channels(light_e_per_s, shares, numbers)
 
 
-def read_as_one(values: Array, side: int) -> Array:
+def bin_pixels(values: Array, side: int) -> Array:
     """Return the sums of side x side values, (rows / side, columns / side)."""
     if side == 1:
         return values

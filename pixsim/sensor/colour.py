@@ -50,7 +50,7 @@ class Layout:
         return None if pixel.colour is None else cls(pixel.colour.cell, pixel.colour.is_stacked)
 
     @classmethod
-    def of_pixels(cls, pixel: PixelOptions) -> Layout | None:
+    def unbinned(cls, pixel: PixelOptions) -> Layout | None:
         """Return the layout of the pixels themselves, which differs from that of frames with
         binning.
         """
@@ -59,7 +59,7 @@ class Layout:
         )
 
     @classmethod
-    def of_text(cls, text: str) -> Layout:
+    def parse(cls, text: str) -> Layout:
         """Return the layout of a text as `str` gives it, RG/GB for a mosaic, R+G+B for planes.
         ValueError for another text.
         """
@@ -103,18 +103,19 @@ class Layout:
         if self.is_stacked:
             return [(np.zeros(1, int), np.zeros(1, int))]
         columns = [
-            tuple(at for at, other in enumerate(row) if other == letter) for row in self.cell
+            tuple(column for column, other in enumerate(row) if other == letter)
+            for row in self.cell
         ]
-        alike = groupby(
+        groups = groupby(
             sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row]
         )
-        return [(np.array(list(rows)), np.array(which)) for which, rows in alike if which]
+        return [(np.array(list(rows)), np.array(which)) for which, rows in groups if which]
 
     def numbers(self, shape: tuple[int, int]) -> NDArray[np.intp]:
         """Number of the channel of each value of a frame (rows, columns)."""
         if self.is_stacked:
-            one = np.repeat(np.arange(self.planes), shape[0] // self.planes)
-            return np.broadcast_to(one[:, None], shape)
+            plane_numbers = np.repeat(np.arange(self.planes), shape[0] // self.planes)
+            return np.broadcast_to(plane_numbers[:, None], shape)
         cell = np.array([[self.channels.index(letter) for letter in row] for row in self.cell])
         down, across = (-(-count // part) for count, part in zip(shape, cell.shape, strict=True))
         return np.tile(cell, (down, across))[: shape[0], : shape[1]]
@@ -132,7 +133,7 @@ class Layout:
                 yield picture[row::height, column::width]
 
 
-def of_channels(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
+def channel_map(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
     """Return the value of its channel at each place of a frame of a shape (rows, columns), from
     those of the channels (C,).
     """
@@ -140,20 +141,20 @@ def of_channels(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
 
 
 def channel_efficiency(
-    colour: ColourOptions, channel: str, wavelength_nm: Array, own: Array
+    colour: ColourOptions, channel: str, wavelength_nm: Array, unfiltered: Array
 ) -> Array:
     """Return the quantum efficiency of a channel, electrons per photon, in the shape (...) of the
     wavelengths; 0 outside its curve.
 
-    own : of the pixel without filters, which transmittances multiply
+    unfiltered : of the pixel without filters, which transmittances multiply
 
     Raises PixsimError if the colour's sensitivities are those of an unknown camera, or lack a
     channel of the unit cell.
     """
-    known_nm, values = np.array(_curves(colour)[channel]).T
-    value = np.interp(wavelength_nm, known_nm, values, left=0.0, right=0.0)
+    table_nm, values = np.array(_curves(colour)[channel]).T
+    value = np.interp(wavelength_nm, table_nm, values, left=0.0, right=0.0)
     if colour.transmittances is not None:
-        return np.asarray(value * own)
+        return np.asarray(value * unfiltered)
     if colour.sensitivities is None:
         return np.asarray(value)
     assert colour.peak_quantum_efficiency is not None
@@ -167,11 +168,11 @@ def _curves(colour: ColourOptions) -> Curves:
     if colour.curves is not None:
         return colour.curves
     assert isinstance(colour.sensitivities, str)
-    return _of_camera(colour.sensitivities, channels_of(colour.unit_cell))
+    return _camera_curves(colour.sensitivities, channels_of(colour.unit_cell))
 
 
 @lru_cache
-def _of_camera(name: str, letters: tuple[str, ...]) -> Curves:
+def _camera_curves(name: str, letters: tuple[str, ...]) -> Curves:
     nm, values = camera_sensitivities(name)
     channels = camera_channels(name)
     if missing := [letter for letter in letters if letter not in channels]:

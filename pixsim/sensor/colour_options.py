@@ -57,11 +57,13 @@ PATTERNS: dict[str, tuple[str, ...]] = {
     "rccb": ("RC", "CB"),
     "stacked": ("RGB",),
 }
-_LARGEST_CELL = 8  # rows and columns of a unit cell
+_MAX_CELL = 8  # rows and columns of a unit cell
 BIN = 2  # pixels along a side of those whose charge is summed
 
 
-ALLOWED_CELL = f"rows of equal length, up to {_LARGEST_CELL} x {_LARGEST_CELL} capital letters, as ['RG', 'GB']"
+ALLOWED_CELL = (
+    f"rows of equal length, up to {_MAX_CELL} x {_MAX_CELL} capital letters, as ['RG', 'GB']"
+)
 
 
 def is_cell(rows: Sequence[str]) -> bool:
@@ -69,8 +71,8 @@ def is_cell(rows: Sequence[str]) -> bool:
     lengths = {len(row) for row in rows}
     fits = (
         len(lengths) == 1
-        and 1 <= min(lengths) <= max(lengths) <= _LARGEST_CELL
-        and len(rows) <= _LARGEST_CELL
+        and 1 <= min(lengths) <= max(lengths) <= _MAX_CELL
+        and len(rows) <= _MAX_CELL
     )
     return fits and all("A" <= letter <= "Z" for row in rows for letter in row)
 
@@ -91,10 +93,10 @@ def binned_cell(cell: Sequence[str]) -> tuple[str, ...]:
     letters.
     """
     rows = [row[::BIN] for row in cell[::BIN]]
-    alike = tuple(
+    is_binnable = tuple(
         "".join(letter * BIN for letter in row) for row in rows for _ in range(BIN)
     ) == tuple(cell)
-    return tuple(rows) if alike else ()
+    return tuple(rows) if is_binnable else ()
 
 
 class ColourOptions(Record):
@@ -154,8 +156,8 @@ class ColourOptions(Record):
 
     @model_validator(mode="after")
     def _responses_are_complete(self) -> Self:
-        given = [name for name in RESPONSES if getattr(self, name) is not None]
-        if not given:
+        responses = [name for name in RESPONSES if getattr(self, name) is not None]
+        if not responses:
             others = [name for name in ColourOptions.model_fields if name in self.model_fields_set]
             beside = f" beside {', '.join(others)}" if others else ""
             raise ValueError(
@@ -168,7 +170,7 @@ class ColourOptions(Record):
             )
         if self.sensitivities is None and self.peak_quantum_efficiency is not None:
             raise ValueError(
-                f"peak_quantum_efficiency beside {given[0]}, which are absolute; leave it out"
+                f"peak_quantum_efficiency beside {responses[0]}, which are absolute; leave it out"
             )
         return self
 
@@ -187,9 +189,9 @@ class ColourOptions(Record):
         if curves is not None:
             letters = channels_of(self.unit_cell)
             if unknown := next((letter for letter in letters if letter not in curves), ""):
-                known = ", ".join(curves)
+                names = ", ".join(curves)
                 raise ValueError(
-                    f"the unit cell has {unknown}, of which no response is given; allowed: {known},"
+                    f"the unit cell has {unknown}, of which no response is given; allowed: {names},"
                     " or a response of it"
                 )
             if unused := next((letter for letter in curves if letter not in letters), ""):
@@ -219,5 +221,5 @@ class ColourOptions(Record):
     @property
     def curves(self) -> Curves | None:
         """The responses of the channels; None if a camera's name stands for them."""
-        found = next(value for name in RESPONSES if (value := getattr(self, name)) is not None)
-        return None if isinstance(found, str) else found
+        response = next(value for name in RESPONSES if (value := getattr(self, name)) is not None)
+        return None if isinstance(response, str) else response

@@ -28,7 +28,7 @@ _DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
 # median absolute deviation of a normal distribution over its standard deviation
 _MAD_OF_SIGMA = 0.6744897501960817
 ROUNDING = 1e-9  # of a mean of numbers from 0 to 1
-_LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
+_MIN_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
 
 
 def correct(
@@ -60,7 +60,7 @@ def correct(
     Raises PixsimError if dark charge alone exceeds the level of the flat frames.
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
-    rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
+    rows_rng, picture_rows_rng, dark_rng, dark_rows_rng, flat_rng, flat_rows_rng = rng.spawn(6)
     readout, time_s = (
         replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures),
         frame.integration_s,
@@ -75,20 +75,20 @@ def correct(
         clamp = read_out(np.zeros(rows.shape), time_s, rows, rng)
         return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
 
-    def mean_of(
-        frames: int, light_e: Array | float, rng: np.random.Generator, above: np.random.Generator
+    def mean_frame_e(
+        frames: int, light_e: Array | float, rng: np.random.Generator, rows_rng: np.random.Generator
     ) -> Array:
         """Mean of frames of even light, in electrons."""
         light = np.broadcast_to(light_e, sensor.shape)
         total = np.zeros(sensor.shape)
         for _ in range(frames):
-            total += electrons(read_out(light, time_s, sensor, rng), above)
+            total += electrons(read_out(light, time_s, sensor, rng), rows_rng)
         total /= frames
         return total
 
-    picture, defects = electrons(frame.dn, above_picture), np.zeros(sensor.shape, bool)
+    picture, defects = electrons(frame.dn, picture_rows_rng), np.zeros(sensor.shape, bool)
     dark = (
-        mean_of(correction.dark_frames, 0.0, dark_rng, above_dark)
+        mean_frame_e(correction.dark_frames, 0.0, dark_rng, dark_rows_rng)
         if correction.dark_frames
         else None
     )
@@ -96,43 +96,43 @@ def correct(
         picture -= dark
         defects |= outliers(dark, _rounding_e(readout, correction.dark_frames))
     if correction.flat_frames:
-        even: Array | float = 1.0 if collection is None else collection
-        light: Array | float = even if balance is None else even * balance
+        shading: Array | float = 1.0 if collection is None else collection
+        light: Array | float = shading if balance is None else shading * balance
         light_e = flat_light_e(readout, correction, time_s) * (
             light / np.max(light)
         )  # the brightest pixel has the stated level
-        flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
+        flat = mean_frame_e(correction.flat_frames, light_e, flat_rng, flat_rows_rng)
         if dark is not None:
             flat -= dark
-        level = flat / even  # in the electrons of each channel, which decide on its noise
+        level = flat / shading  # in the electrons of each channel, which decide on its noise
         if balance is not None:
             flat /= balance
         response = flat / max(
-            float(flat.mean() / np.mean(even)), np.finfo(float).tiny
+            float(flat.mean() / np.mean(shading)), np.finfo(float).tiny
         )  # 1 is the mean response on axis
-        unresponsive = response < _LEAST_RESPONSE * even
-        picture /= np.where(unresponsive, even, response)
-        least_spread, channels = _rounding_e(readout, correction.flat_frames), frame.layout
+        unresponsive = response < _MIN_RESPONSE * shading
+        picture /= np.where(unresponsive, shading, response)
+        min_spread, channels = _rounding_e(readout, correction.flat_frames), frame.layout
         if channels is None:
-            defects |= unresponsive | outliers(level, least_spread)
+            defects |= unresponsive | outliers(level, min_spread)
         else:
             defects |= unresponsive
             numbers = channels.numbers(sensor.shape)
-            for own in (numbers == number for number in range(len(channels.channels))):
-                defects[own] |= outliers(level[own], least_spread)
+            for in_channel in (numbers == number for number in range(len(channels.channels))):
+                defects[in_channel] |= outliers(level[in_channel], min_spread)
     saturated = frame.saturated
     if correction.defects:
-        _mend(picture, defects, frame.layout)
+        _replace_defects(picture, defects, frame.layout)
         if (
             saturated is not None
         ):  # a mean over pixels of which one is saturated counts as saturated
             saturated_share = saturated.astype(float)
-            _mend(saturated_share, defects, frame.layout)
+            _replace_defects(saturated_share, defects, frame.layout)
             saturated = saturated_share > ROUNDING
     return replace(frame, corrected_e=picture.astype(np.float32), saturated=saturated)
 
 
-def _mend(picture: Array, defects: NDArray[np.bool_], layout: Layout | None) -> None:
+def _replace_defects(picture: Array, defects: NDArray[np.bool_], layout: Layout | None) -> None:
     """Replace the defects of a picture (rows, columns) in place, as `without_defects`, in each
     channel by itself.
     """
@@ -164,9 +164,12 @@ def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNeg
             f"{correction.flat_level:g}, with {rounded(dark_e, 3)} e- of dark charge in"
             f" {rounded(integration_s, 3)} s"
         )
-        least = f"above {dark_e / readout.saturation_e:.3g}, where the flat frames have light"
+        allowed = f"above {dark_e / readout.saturation_e:.3g}, where the flat frames have light"
         raise invalid(
-            "correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s."
+            "correction.flat_level",
+            got,
+            allowed,
+            "Raise it, or shorten exposure.max_integration_s.",
         )
     return light_e
 
@@ -178,13 +181,13 @@ def _rounding_e(readout: Readout, frames: int) -> float:
     return float(np.sqrt(readout.rounding_variance_dn2 / frames) / readout.dn_per_e)
 
 
-def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
+def outliers(values: Array, min_spread: float) -> NDArray[np.bool_]:
     """Return which values differ from the median by more than `_DEFECT_SIGMAS`, by their median
     absolute deviation, in (...).
     """
-    away = np.abs(values - np.median(values))
-    spread = max(float(np.median(away)) / _MAD_OF_SIGMA, least_spread)
-    return np.asarray(away > _DEFECT_SIGMAS * spread)
+    deviation = np.abs(values - np.median(values))
+    spread = max(float(np.median(deviation)) / _MAD_OF_SIGMA, min_spread)
+    return np.asarray(deviation > _DEFECT_SIGMAS * spread)
 
 
 def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
@@ -200,9 +203,9 @@ def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
             scipy.ndimage.uniform_filter(values, size, mode="constant")
             for values in (sound, np.where(defects, 0.0, picture))
         )
-        found = missing & (weight > 0.5 / size**2)
-        result[found] = total[found] / weight[found]
-        missing &= ~found
+        filled = missing & (weight > 0.5 / size**2)
+        result[filled] = total[filled] / weight[filled]
+        missing &= ~filled
         size += 2
     return result
 

@@ -76,41 +76,48 @@ def _collected(
     channels : (rows, columns) number of the channel of the light on each pixel
     border : how the picture goes on, as of `numpy.pad`
     """
-    around, filters = (
-        np.pad(signal_e_per_s, REACH, mode=border),
-        np.pad(channels, REACH, mode=border),
-    )
-    result = np.zeros(signal_e_per_s.shape)
-    used = [
-        at
-        for at in np.ndindex(5, 5)
-        if max(np.abs(one[:, :, *at]).max() for one in nodes) > NEGLIGIBLE
+    padded = np.pad(signal_e_per_s, REACH, mode=border)
+    filters = np.pad(channels, REACH, mode=border)
+    offsets = [
+        offset
+        for offset in np.ndindex(5, 5)
+        if max(np.abs(shares[:, :, *offset]).max() for shares in nodes) > NEGLIGIBLE
     ]
-    (count, width), points = signal_e_per_s.shape, nodes[0].shape[:2]
-    (above, down), (before, right) = _between(count, points[0]), _between(width, points[1])
+
+    # Shares of each channel at the rows of the grid and at all columns, (y, columns).
+    count, width = signal_e_per_s.shape
+    grid_rows, grid_columns = nodes[0].shape[:2]
+    above, down = _between(count, grid_rows)
+    before, right = _between(width, grid_columns)
     across = [
-        {at: _interpolated(one[:, :, *at].T, before, right[:, None]).T for at in used}
-        for one in nodes
-    ]  # (y, columns) each
-    for group in _rows_alike(filters):
+        {
+            offset: _interpolated(shares[:, :, *offset].T, before, right[:, None]).T
+            for offset in offsets
+        }
+        for shares in nodes
+    ]
+
+    result = np.zeros(signal_e_per_s.shape)
+    for group in _rows_with_equal_filters(filters):
         for part in strips(group.size, width):
             rows = group[part]
-            index = slice(rows[0], rows[-1] + 1, rows[1] - rows[0] if rows.size > 1 else 1)
+            step = rows[1] - rows[0] if rows.size > 1 else 1
+            index = slice(rows[0], rows[-1] + 1, step)
             total = result[index]
-            for dy, dx in used:
-                first, left = rows[0] + 2 * REACH - dy, 2 * REACH - dx
-                light = around[
-                    first : first + index.stop - index.start : index.step, left : left + width
-                ]
-                seen = filters[first, left : left + width]
+            for dy, dx in offsets:
+                first = rows[0] + 2 * REACH - dy
+                left = 2 * REACH - dx
+                last = first + index.stop - index.start
+                light = padded[first:last:step, left : left + width]
+                row_filters = filters[first, left : left + width]
                 weights = across[0][dy, dx]
                 for channel in range(1, len(nodes)):
-                    weights = np.where(seen == channel, across[channel][dy, dx], weights)
+                    weights = np.where(row_filters == channel, across[channel][dy, dx], weights)
                 total += light * _interpolated(weights, above[rows], down[rows, None])
     return result
 
 
-def _rows_alike(filters: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+def _rows_with_equal_filters(filters: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Yield the numbers of rows that have the same filters around them, evenly spaced; `filters`
     has `REACH` more on each side.
     """
@@ -137,9 +144,9 @@ def _between(count: int, points: int) -> tuple[NDArray[np.intp], Array]:
     """Return the point of a line before each of `count` pixels, and how far each is towards the
     next point, (count,) each.
     """
-    at = np.linspace(0, points - 1, count) if count > 1 else np.array([(points - 1) / 2])
-    first = np.clip(at.astype(np.intp), 0, max(points - 2, 0))
-    return first, at - first
+    position = np.linspace(0, points - 1, count) if count > 1 else np.array([(points - 1) / 2])
+    first = np.clip(position.astype(np.intp), 0, max(points - 2, 0))
+    return first, position - first
 
 
 def _interpolated(values: Array, first: NDArray[np.intp], part: Array) -> Array:

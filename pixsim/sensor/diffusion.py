@@ -172,14 +172,14 @@ def spread_shares(optical: Array, diffused: Array) -> Array:
 
     It is their convolution; what leaves the 5 × 5 pixels is lost.
     """
-    reach = OFFSETS.size // 2
-    padded = np.pad(optical, [(0, 0)] * (optical.ndim - 2) + [(reach, reach)] * 2)
+    margin = OFFSETS.size // 2
+    padded = np.pad(optical, [(0, 0)] * (optical.ndim - 2) + [(margin, margin)] * 2)
     result = np.zeros(np.broadcast_shapes(optical.shape, diffused.shape))
     for row, column in np.ndindex(diffused.shape[-2:]):
-        moved = padded[..., 2 * reach - row :, 2 * reach - column :][
+        shifted = padded[..., 2 * margin - row :, 2 * margin - column :][
             ..., : OFFSETS.size, : OFFSETS.size
         ]
-        result += diffused[..., row, column, None, None] * moved
+        result += diffused[..., row, column, None, None] * shifted
     return result
 
 

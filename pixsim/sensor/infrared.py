@@ -99,16 +99,16 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:
     """Return the quantum efficiencies that a pixel has as tables, by their names."""
-    pixel, found = physics.pixel, dict[str, EfficiencyCurve]()
+    pixel, tables = physics.pixel, dict[str, EfficiencyCurve]()
     if isinstance(pixel.quantum_efficiency, tuple):
-        found["pixel.quantum_efficiency"] = pixel.quantum_efficiency
+        tables["pixel.quantum_efficiency"] = pixel.quantum_efficiency
     curves = pixel.colour.quantum_efficiencies if pixel.colour is not None else None
     if isinstance(curves, dict):
-        found |= {
+        tables |= {
             f"pixel.colour.quantum_efficiencies of {letter}": curve
             for letter, curve in curves.items()
         }
-    return found
+    return tables
 
 
 def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: PixelPhysics) -> float:
@@ -133,8 +133,8 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
         if high_nm.max() <= end_nm:
             return 0.0
     photons = light * photons_per_joule(nm) * (high_nm - low_nm)
-    known_nm, values = np.array(curve).T
-    seen = photons @ np.interp(nm, known_nm, values, left=0.0, right=0.0)
+    table_nm, values = np.array(curve).T
+    seen = photons @ np.interp(nm, table_nm, values, left=0.0, right=0.0)
     between = _share_above(low_nm, high_nm, end_nm) - _share_above(
         low_nm, high_nm, physics.infrared_cut_nm
     )

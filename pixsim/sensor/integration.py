@@ -39,12 +39,12 @@ from pixsim.optics.veil import veil_of
 from pixsim.sensor.collection import (
     Collection,
     Illumination,
+    bin_pixels,
     collected_area_um2,
+    collected_signal,
     collection_of,
     collections_of,
     illumination,
-    read_as_one,
-    shared,
 )
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
@@ -59,7 +59,7 @@ STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core
 _EDGE_CONTRAST = 100.0
 # of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
 RING, RING_DECAY = (0.1, 0.43)
-_RING_SHOWN = (
+_RING_TOLERANCE = (
     1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
 )
 _RING_CELLS = 64  # after which a ring is 1e-24 of its step
@@ -67,24 +67,24 @@ SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cub
 
 
 def _map_columns(
-    picture: Array, axis: int, count: int, of_columns: Callable[[slice, Array], Array]
+    picture: Array, axis: int, count: int, function: Callable[[slice, Array], Array]
 ) -> Array:
-    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an
+    """Apply `function`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an
     axis, by strips for memory.
     """
     if axis == 1:
-        return _map_columns(picture.T, 0, count, of_columns).T
+        return _map_columns(picture.T, 0, count, function).T
     result = np.empty((count, picture.shape[1]))
 
-    def compute(which: slice) -> None:
-        result[:, which] = of_columns(which, np.asarray(picture[:, which], float))
+    def compute(columns: slice) -> None:
+        result[:, columns] = function(columns, np.asarray(picture[:, columns], float))
 
     in_threads(compute, strips(picture.shape[1], 1, STRIP_COLUMNS), max(result.size, picture.size))
     return result
 
 
 @dataclass(frozen=True)
-class _Knots:
+class _CellSpline:
     """Spline through the borders 0 … n of n cells of width 1, with not-a-knot end conditions."""
 
     knots: Array
@@ -96,7 +96,7 @@ class _Knots:
 
 
 @lru_cache(maxsize=16)
-def knots_of(n: int) -> _Knots:
+def cell_spline(n: int) -> _CellSpline:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
     borders, half = np.arange(n + 1.0), (degree + 1) // 2
@@ -104,11 +104,11 @@ def knots_of(n: int) -> _Knots:
         [np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))]
     )
     values = _design_matrix(borders, knots, degree).tocoo()
-    reach = int(np.abs(values.col - values.row).max())
-    band = np.zeros((3 * reach + 1, n + 1), order="F")
-    band[2 * reach + values.row - values.col, values.col] = values.data
-    factors, pivots, _ = scipy.linalg.lapack.dgbtrf(band, reach, reach)
-    return _Knots(knots, degree, reach, factors, pivots)
+    bandwidth = int(np.abs(values.col - values.row).max())
+    band = np.zeros((3 * bandwidth + 1, n + 1), order="F")
+    band[2 * bandwidth + values.row - values.col, values.col] = values.data
+    factors, pivots, _ = scipy.linalg.lapack.dgbtrf(band, bandwidth, bandwidth)
+    return _CellSpline(knots, degree, bandwidth, factors, pivots)
 
 
 def _design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
@@ -141,7 +141,7 @@ def _spline_coefficients(samples: Array) -> Array:
     """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means
     (n, columns).
     """
-    spline = knots_of(len(samples))
+    spline = cell_spline(len(samples))
     running = np.empty((len(samples) + 1, samples.shape[1]), order="F")
     running[0] = 0.0
     np.cumsum(samples, axis=0, dtype=float, out=running[1:])
@@ -188,7 +188,7 @@ def any_hard_edge(samples: Array) -> bool:
     )
 
 
-def interval_weights(low: Array, high: Array, knots: _Knots) -> csr_array:
+def interval_weights(low: Array, high: Array, knots: _CellSpline) -> csr_array:
     """Return the weights of a `_RunningIntegral`'s differences along an axis in the integrals from
     `low` to `high`, sparse (m, n).
 
@@ -222,7 +222,7 @@ def interval_weights(low: Array, high: Array, knots: _Knots) -> csr_array:
     )
 
 
-def _spline_sums(positions: Array, knots: _Knots) -> tuple[NDArray[np.intp], Array]:
+def _spline_sums(positions: Array, knots: _CellSpline) -> tuple[NDArray[np.intp], Array]:
     """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the
     next ones, (m, degree + 1).
     """
@@ -253,7 +253,7 @@ def _hard_edges(samples: Array) -> NDArray[np.bool_]:
 
 
 def ringing_cells(samples: Array) -> NDArray[np.bool_]:
-    """Return in which cells (n, columns) the spline of a column rings by more than `_RING_SHOWN` of
+    """Return in which cells (n, columns) the spline of a column rings by more than `_RING_TOLERANCE` of
     the light there.
 
     The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
@@ -269,15 +269,17 @@ def ringing_cells(samples: Array) -> NDArray[np.bool_]:
     )
     ring[:-1] = height
     np.maximum(ring[1:], height, out=ring[1:])
-    reach, decay = 1, RING_DECAY
-    while reach < min(
+    distance, decay = 1, RING_DECAY
+    while distance < min(
         len(samples), _RING_CELLS
     ):  # steps of 1, 2, 4, … together make every distance
-        onwards = decay * ring[:-reach]
-        np.maximum(ring[:-reach], decay * ring[reach:], out=ring[:-reach])
-        np.maximum(ring[reach:], onwards, out=ring[reach:])
-        reach, decay = 2 * reach, decay**2
-    return np.asarray((ring > _RING_SHOWN * np.abs(samples)) & (_lowest_beside(samples) >= -ring))
+        onwards = decay * ring[:-distance]
+        np.maximum(ring[:-distance], decay * ring[distance:], out=ring[:-distance])
+        np.maximum(ring[distance:], onwards, out=ring[distance:])
+        distance, decay = 2 * distance, decay**2
+    return np.asarray(
+        (ring > _RING_TOLERANCE * np.abs(samples)) & (_lowest_beside(samples) >= -ring)
+    )
 
 
 def _lowest_beside(samples: Array) -> Array:
@@ -342,9 +344,11 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
     bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
-    start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
-    from_below = np.maximum(part * least, cell_light - (1 - part) * most)
-    from_above = np.minimum(part * most, cell_light - (1 - part) * least)
+    start, cell_light, min_light, max_light = (
+        values[cell] for values in (before, samples, *bounds)
+    )
+    from_below = np.maximum(part * min_light, cell_light - (1 - part) * max_light)
+    from_above = np.minimum(part * max_light, cell_light - (1 - part) * min_light)
     return start + np.clip(running - start, from_below, from_above)
 
 
@@ -396,10 +400,10 @@ def diffracted(
     """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of
     `diffract_sum`: per µm².
     """
-    kept, even = split_by_veil(irradiance, camera, weights)
-    rates = _blurred(irradiance, camera, kept, blur)
-    for rate, more in zip(rates, even, strict=True):
-        _add_even(rate, more)
+    focused, veils = split_by_veil(irradiance, camera, weights)
+    rates = _blurred(irradiance, camera, focused, blur)
+    for rate, veil in zip(rates, veils, strict=True):
+        _add_uniform(rate, veil)
     return rates
 
 
@@ -414,14 +418,14 @@ def split_by_veil(
     veil = veil_of(irradiance, camera)
     if veil is None:
         return weights, [0.0] * len(weights)
-    even = [M2_PER_UM2 * float((weight * veil.even_w_per_m2_nm).sum()) for weight in weights]
-    return [veil.kept * weight for weight in weights], even
+    veils = [M2_PER_UM2 * float((weight * veil.even_w_per_m2_nm).sum()) for weight in weights]
+    return [veil.kept * weight for weight in weights], veils
 
 
-def _add_even(rate: Array, even: float) -> None:
+def _add_uniform(rate: Array, veil: float) -> None:
     """Add what is the same everywhere to a picture, in place."""
-    if even:
-        rate += even
+    if veil:
+        rate += veil
 
 
 def _blurred(
@@ -449,10 +453,10 @@ def _blurred(
             (picture, [weight * spectrum for weight in weights]) for spectrum, picture in factors
         )
     else:
-        one = np.eye(nm.size)
+        unit = np.eye(nm.size)
         seen = np.flatnonzero(np.any(weights, axis=0)).tolist()
         pictures = (
-            (irradiance.band(band), [weight * one[band] for weight in weights]) for band in seen
+            (irradiance.band(band), [weight * unit[band] for weight in weights]) for band in seen
         )
     return [
         _per_um2(rate)
@@ -588,18 +592,19 @@ class PartBehindLens:
         """
         transfer = diffusion_of(physics.channels[0])
         image = self.films[0][0]
-        kept, even = split_by_veil(
+        focused, veils = split_by_veil(
             image, camera, [electrons_per_joule(channel, image) for channel in physics.channels]
         )
         rates = [
             [_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)]
-            for weight in kept
+            for weight in focused
         ]
-        for of_channel, more in zip(rates, even, strict=True):
-            for rate in of_channel:
-                _add_even(rate, more)
+        for channel_rates, veil in zip(rates, veils, strict=True):
+            for rate in channel_rates:
+                _add_uniform(rate, veil)
         return [
-            tuple(map(ChannelLight, of_film, illuminations)) for of_film in zip(*rates, strict=True)
+            tuple(map(ChannelLight, film_rates, illuminations))
+            for film_rates in zip(*rates, strict=True)
         ]
 
 
@@ -705,8 +710,8 @@ def pixels_on(
     registration : as of `PixelPhysics.registration`
     """
     rows, columns = (
-        pixels_along(length_um, pitch_um, own)
-        for length_um, own in zip(size_um, registration, strict=True)
+        pixels_along(length_um, pitch_um, border)
+        for length_um, border in zip(size_um, registration, strict=True)
     )
     return rows, columns
 
@@ -736,15 +741,17 @@ def integrate_axis(
     there (`_without_ringing`), and nowhere else. `running` is `running_integral` of the samples if
     available, for axis 0 only.
     """
-    known = None if running is None or running.both_ways else running.coefficients
+    coefficients = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    spline = knots_of(samples.shape[axis])
-    at_edges = _design_matrix(
+    spline = cell_spline(samples.shape[axis])
+    edge_weights = _design_matrix(
         edges, spline.knots, spline.degree
     )  # times the coefficients: running integrals at the edges
 
     def integrals(which: slice, strip: Array) -> Array:
-        sums = at_edges @ (_spline_coefficients(strip) if known is None else known[:, which])
+        sums = edge_weights @ (
+            _spline_coefficients(strip) if coefficients is None else coefficients[:, which]
+        )
         low, high = np.split(sums, 2)
         integral = high - low
         if _has_hard_edge(strip) or integral.min() < 0:
@@ -887,16 +894,16 @@ def _integrate_both_ways(
     integral = running.coefficients
     for (low_um, high_um), n in zip((y_um, x_um), running.coefficients.shape, strict=True):
         low, high = (np.clip(edge_um / sample_pitch_um, 0.0, n) for edge_um in (low_um, high_um))
-        integral = transposed(_known_weights(low.tobytes(), high.tobytes(), n) @ integral)
+        integral = transposed(_cached_weights(low.tobytes(), high.tobytes(), n) @ integral)
     integral *= sample_pitch_um**2
     return integral
 
 
 # both axes of a few registrations: pictures with and without a target have the same, and channels
 @lru_cache(maxsize=8)
-def _known_weights(low: bytes, high: bytes, n: int) -> csr_array:
+def _cached_weights(low: bytes, high: bytes, n: int) -> csr_array:
     """Return the `interval_weights` on n samples."""
-    return interval_weights(np.frombuffer(low), np.frombuffer(high), knots_of(n))
+    return interval_weights(np.frombuffer(low), np.frombuffer(high), cell_spline(n))
 
 
 def _photodiode_edges_um(
@@ -963,7 +970,9 @@ def array_on(
         first_um = None
     else:
         lines = zip(picture_um, counts, registration, strict=True)
-        top_um, left_um = (first_edge_um(um, count, read_pitch_um, own) for um, count, own in lines)
+        top_um, left_um = (
+            first_edge_um(um, count, read_pitch_um, border) for um, count, border in lines
+        )
         first_um = top_um, left_um
     return (rows, columns), (rows * physics.pitch_um, columns * physics.pitch_um), first_um
 
@@ -1058,7 +1067,7 @@ def array_signal(
     size_um : as for `integrate_pixels`
     moving : how the light moves over the pixels
     """
-    layout = Layout.of_pixels(physics.pixel)
+    layout = Layout.unbinned(physics.pixel)
     if layout is None:
         light = lights[0]
         moves = light.moves(moving, physics)
@@ -1093,8 +1102,8 @@ def array_signal(
     np.maximum(signal, 0.0, out=signal)
     if collections:
         signal *= (physics.pitch_um / side_um) ** 2
-        signal = shared(signal, [one.shares for one in collections], layout)
-    return read_as_one(signal, physics.pixel.bin_side), collections
+        signal = collected_signal(signal, [one.shares for one in collections], layout)
+    return bin_pixels(signal, physics.pixel.bin_side), collections
 
 
 def moved_signals(
@@ -1111,7 +1120,7 @@ def moved_signals(
     moving : in the whole frame
     exposures : that are summed to it
     """
-    each = moving.of_exposures(exposures) if exposures > 1 and any(moving.path_um) else []
+    each = moving.subexposures(exposures) if exposures > 1 and any(moving.path_um) else []
     whole, *parts = (
         array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each)
     )

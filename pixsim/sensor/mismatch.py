@@ -70,9 +70,10 @@ def dark_current_of_geometry_e_per_s(
 
     Raises PixsimError if a density or the perimeter is negative, or the area is not positive.
     """
-    of_area = area_na_per_cm2 * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * area_um2
+    area_e_per_s = area_na_per_cm2 * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * area_um2
     return (
-        of_area + perimeter_na_per_cm * _UM_PER_CM * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
+        area_e_per_s
+        + perimeter_na_per_cm * _UM_PER_CM * 1e-9 * _A_PER_CM2_TO_E_PER_S_UM2 * perimeter_um
     )
 
 
@@ -121,7 +122,7 @@ class DarkSpread:
         return math.sqrt(max(self.variance, 0.0)) if self.hot_fraction else self.dsnu
 
     @property
-    def is_even(self) -> bool:
+    def is_uniform(self) -> bool:
         """Whether all pixels have the same current, to rounding: 1/dsnu² of smaller spreads would
         overflow.
         """
@@ -138,10 +139,10 @@ class DarkSpread:
             else np.ones(shape)
         )
         if self.hot_fraction:
-            own = rng.spawn(1)[0]
-            hot = own.random(shape) < self.hot_fraction
+            hot_rng = rng.spawn(1)[0]
+            hot = hot_rng.random(shape) < self.hot_fraction
             factors[hot] = self.hot_median * np.exp(
-                self.hot_spread * own.standard_normal(int(np.count_nonzero(hot)))
+                self.hot_spread * hot_rng.standard_normal(int(np.count_nonzero(hot)))
             )
             factors *= self.ordinary_mean
         return factors

@@ -27,9 +27,9 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import VELOCITIES, Motion
 
-_MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
+_MAX_CACHED_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
 REACH = 3  # cells beyond an interval that its weights reach
-_OF_SAMPLES = (
+_QUINTIC_B_SPLINE = (
     66 / 120,
     52 / 120,
     2 / 120,
@@ -59,7 +59,7 @@ class Moving:
         """The path along its longer axis."""
         return max(map(abs, self.path_um))
 
-    def of_exposures(self, count: int) -> list[Moving]:
+    def subexposures(self, count: int) -> list[Moving]:
         """Return that of each exposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)
         places = np.arange(count) - (count - 1) / 2
@@ -82,7 +82,7 @@ def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) 
 
 @dataclass(frozen=True)
 class _SlantedSpectrum:
-    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for
+    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `averaged`, for
     a path of length 1.
 
     direction : down and across, the larger one 1 or -1
@@ -109,10 +109,10 @@ class _SlantedSpectrum:
             squares[row, column] = np.inf
             np.divide(spectrum[rows], squares, out=over[rows])
             near.append((row + rows.start, column))
-        row, column = (np.concatenate(each) for each in zip(*near, strict=True))
+        row, column = (np.concatenate(places) for places in zip(*near, strict=True))
         return cls(direction, over, (row, column), spectrum[row, column])
 
-    def kept(self, length: float) -> tuple[Array, Array]:
+    def averaged(self, length: float) -> tuple[Array, Array]:
         """Return what a path leaves of the spectrum as products of cosines, and as products of
         sines, (H, W) each.
 
@@ -128,34 +128,34 @@ class _SlantedSpectrum:
         )
         down, across = length * unit_down, length * unit_across
         (sin_down, cos_down), (sin_across, cos_across) = (
-            (np.sin(each), np.cos(each)) for each in (down, across)
+            (np.sin(angle), np.cos(angle)) for angle in (down, across)
         )
-        of_cosines = (
+        cosine_factors = (
             unit_down * sin_down / length,
             cos_across,
             cos_down / length,
             unit_across * sin_across,
         )
-        of_sines = (
+        sine_factors = (
             sin_down / length,
             unit_across * cos_across,
             unit_down * cos_down / length,
             sin_across,
         )
-        even, odd = empty_planes(*self.over.shape), empty_planes(*self.over.shape)
+        cosines, sines = empty_planes(*self.over.shape), empty_planes(*self.over.shape)
         for rows, spare in strips_of(self.over.shape):
-            _two_products(of_cosines, rows, spare, even[rows])
-            even[rows] *= self.over[rows]
+            _two_products(cosine_factors, rows, spare, cosines[rows])
+            cosines[rows] *= self.over[rows]
             later = slice(rows.start + 1, min(rows.stop + 1, height))
-            to = odd[rows.start : later.stop - 1]
-            _two_products(of_sines, later, spare[: len(to)], to)
-            to *= self.over[later]
-        odd[-1] = 0.0
+            part = sines[rows.start : later.stop - 1]
+            _two_products(sine_factors, later, spare[: len(part)], part)
+            part *= self.over[later]
+        sines[-1] = 0.0
         row, column = self.near
         plus, minus = (np.sinc((down[row] + sign * across[column]) / math.pi) for sign in (1, -1))
-        even[self.near] = self.near_spectrum * (plus + minus) / 2
-        odd[row - 1, column] = np.where(row, self.near_spectrum * (minus - plus) / 2, 0.0)
-        return even, odd
+        cosines[self.near] = self.near_spectrum * (plus + minus) / 2
+        sines[row - 1, column] = np.where(row, self.near_spectrum * (minus - plus) / 2, 0.0)
+        return cosines, sines
 
 
 def _two_products(
@@ -186,14 +186,14 @@ class LightSpectrum:
     )
 
     @cached_property
-    def of_samples(self) -> Array:
+    def samples_dct(self) -> Array:
         """DCT-II of the samples, (H, W)."""
         plane = empty_planes(*self.samples.shape)
         plane[...] = self.samples
         return dct(plane)
 
     @cached_property
-    def of_spline(self) -> Array:
+    def spline_dct(self) -> Array:
         """DCT-II of the coefficients of the quartic spline whose means over the cells are the
         samples, (H, W).
         """
@@ -201,43 +201,47 @@ class LightSpectrum:
         for count in self.samples.shape:
             angle = math.pi * np.arange(count) / count
             filters.append(
-                _OF_SAMPLES[0] + _OF_SAMPLES[1] * np.cos(angle) + _OF_SAMPLES[2] * np.cos(2 * angle)
+                _QUINTIC_B_SPLINE[0]
+                + _QUINTIC_B_SPLINE[1] * np.cos(angle)
+                + _QUINTIC_B_SPLINE[2] * np.cos(2 * angle)
             )
-        return self.of_samples / filters[0][:, None] / filters[1]
+        return self.samples_dct / filters[0][:, None] / filters[1]
 
     def back(
         self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Array, Array | None]:
-        """Return `of_spline` of the picture averaged along a path, back down the columns (0) or
+        """Return `spline_dct` of the picture averaged along a path, back down the columns (0) or
         along the rows: cosines and sines.
 
         None in place of sines that are 0, as along the rows, for which no path is slanted. The
         pixels of one exposure time share those of its path.
         """
         key = axis, path_cells
-        if (found := self._back.get(key)) is not None:
-            return found
+        if (spectra := self._back.get(key)) is not None:
+            return spectra
         for other in [
             other for other in self._back if any(path_cells) and any(other[1])
         ]:  # the still ones stay
             del self._back[other]  # before the next ones, which take their memory
         if all(path_cells):
-            even, odd = self._of_direction(_direction(path_cells)).kept(_length(path_cells))
-            found = _cosines(even, axis), _sines(odd, axis)
+            cosines, sines = self._slanted_along(_direction(path_cells)).averaged(
+                _length(path_cells)
+            )
+            spectra = _cosines(cosines, axis), _sines(sines, axis)
         else:
-            found = _cosines(_kept_along(self.of_spline, path_cells), axis), None
-        if self.samples.size <= _MAX_KEPT_SAMPLES:
-            self._back[key] = found
-        return found
+            spectra = _cosines(_averaged_along(self.spline_dct, path_cells), axis), None
+        if self.samples.size <= _MAX_CACHED_SAMPLES:
+            self._back[key] = spectra
+        return spectra
 
-    def _of_direction(self, direction: tuple[float, float]) -> _SlantedSpectrum:
+    def _slanted_along(self, direction: tuple[float, float]) -> _SlantedSpectrum:
         """Return what slanted paths of a direction share; the last one is kept."""
         if self._slanted and self._slanted[0].direction == direction:
             return self._slanted[0]
-        found = _SlantedSpectrum.of(self.of_spline, direction)
-        if self.samples.size <= _MAX_KEPT_SAMPLES:
-            self._slanted[:] = [found]
-        return found
+        slanted = _SlantedSpectrum.of(self.spline_dct, direction)
+        if self.samples.size <= _MAX_CACHED_SAMPLES:
+            self._slanted[:] = [slanted]
+        return slanted
 
     def blurred(self, path_cells: tuple[float, float]) -> Array:
         """Return the samples averaged along a path, (H, W); isolated points ring, also below zero.
@@ -247,11 +251,13 @@ class LightSpectrum:
         if not any(path_cells := _rounded(path_cells)):
             return self.samples
         if not all(path_cells):
-            return _cosines(_cosines(_kept_along(self.of_samples, path_cells), 0), 1)
-        even, odd = _SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(
+            return _cosines(_cosines(_averaged_along(self.samples_dct, path_cells), 0), 1)
+        cosines, sines = _SlantedSpectrum.of(self.samples_dct, _direction(path_cells)).averaged(
             _length(path_cells)
         )
-        return _cosines(_cosines(even, 0), 1) + _sines(_without_first(_sines(odd, 0)), 1)
+        return _cosines(_cosines(cosines, 0), 1) + _sines(
+            _drop_first_frequency(_sines(sines, 0)), 1
+        )
 
     def integrals(
         self,
@@ -284,7 +290,7 @@ class LightSpectrum:
         cosines, sines = _shifted(cosines, sines, shift_cells[1])
         light = _cosines(cosines, 1)
         if sines is not None:
-            light += _sines(_without_first(sines), 1)
+            light += _sines(_drop_first_frequency(sines), 1)
         return transposed(columns @ transposed(light))
 
 
@@ -298,7 +304,7 @@ def shifted_rows(picture: Array, shift_cells: Array) -> Array:
 
     cosines, sines = _shifted(dct_along(picture, axis=1), None, shift_cells)
     assert sines is not None
-    return _cosines(cosines, 1) + _sines(_without_first(sines), 1)
+    return _cosines(cosines, 1) + _sines(_drop_first_frequency(sines), 1)
 
 
 def _cycles(count: int) -> Array:
@@ -325,7 +331,7 @@ def _length(path_cells: tuple[float, float]) -> float:
 def _direction(path_cells: tuple[float, float]) -> tuple[float, float]:
     """Return a path over its length, the same for all times."""
     length = _length(path_cells)
-    down, across = (round(each / length, _DIRECTION_DIGITS) for each in path_cells)
+    down, across = (round(cells / length, _DIRECTION_DIGITS) for cells in path_cells)
     return down, across
 
 
@@ -334,23 +340,24 @@ def _rounded(path_cells: tuple[float, float]) -> tuple[float, float]:
     if not all(path_cells):
         return path_cells
     down, across = (
-        each if own else 0.0 for each, own in zip(path_cells, _direction(path_cells), strict=True)
+        cells if component else 0.0
+        for cells, component in zip(path_cells, _direction(path_cells), strict=True)
     )
     return down, across
 
 
-def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
+def _averaged_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
     """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a plane of its
     own.
     """
     down, across = _angles(spectrum.shape, path_cells)
-    kept = empty_planes(*spectrum.shape)
+    result = empty_planes(*spectrum.shape)
     np.multiply(
         spectrum,
         np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi),
-        out=kept,
+        out=result,
     )
-    return kept
+    return result
 
 
 def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[Array, Array | None]:
@@ -359,9 +366,9 @@ def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[A
     """
     if not shift_cells.any():
         return cosines, sines
-    turned = _phases(2 * math.pi * shift_cells, cosines.shape[1])
-    turned *= cosines if sines is None else cosines + 1j * sines
-    return np.ascontiguousarray(turned.real), np.ascontiguousarray(turned.imag)
+    spectrum = _phases(2 * math.pi * shift_cells, cosines.shape[1])
+    spectrum *= cosines if sines is None else cosines + 1j * sines
+    return np.ascontiguousarray(spectrum.real), np.ascontiguousarray(spectrum.imag)
 
 
 def _phases(shift_angle: Array, count: int) -> NDArray[np.complex128]:
@@ -396,7 +403,7 @@ def _sines(spectrum: Array, axis: int) -> Array:
     return np.asarray(idst(spectrum, axis=axis, overwrite_x=True, workers=threads()))
 
 
-def _without_first(spectrum: Array) -> Array:
+def _drop_first_frequency(spectrum: Array) -> Array:
     """Return the frequencies of rows from the second one, with 0 for the last."""
     later = empty_planes(*spectrum.shape)
     later[:, :-1] = spectrum[:, 1:]
@@ -496,11 +503,11 @@ def border_with_room_um(
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um, least_um = (
+    spare_um, die_side_um = (
         room_um(motion, exposure, camera, pixels),
         1e3 * min(camera.die_mm, camera.height_mm),
     )
-    if spare_um and 2 * (border_um + spare_um) >= least_um:
+    if spare_um and 2 * (border_um + spare_um) >= die_side_um:
         got = (
             f"a path of up to {2 * spare_um:.4g} µm on the sensor"
             if motion.margin_um is None
@@ -508,7 +515,7 @@ def border_with_room_um(
         )
         allowed = (
             "one that leaves something to score, a path below"
-            f" {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"
+            f" {max(0.0, die_side_um - 2 * border_um):.4g} µm, twice its margin"
         )
         hint = (
             "Shorten exposure.max_integration_s, state exposure.integration_s, or slow it down"

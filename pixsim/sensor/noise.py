@@ -64,8 +64,8 @@ class NoiseSource:
         column, of a fixed pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
-    undrawn : of a pattern that grows, the reading of a pixel without the numbers from which
-        `sample_sensor` draws its map
+    silence : of a pattern that grows with charge, changes a readout so that `sample_sensor` draws no
+        map of it
     """
 
     name: str
@@ -74,18 +74,20 @@ class NoiseSource:
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
-    undrawn: Callable[[Any], Any] | None = field(default=None, compare=False)
+    silence: Callable[[Any], Any] | None = field(default=None, compare=False)
 
-    def of_frame(self, readout: _NoisyReadout) -> float:
+    def frame_deviation(self, readout: _NoisyReadout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
         What is another value in each adds up by squares, what is the same in each by itself; what
         grows with the charge of all exposures together does so already.
         """
-        own, count = self.deviation(readout), readout.exposures
+        deviation = self.deviation(readout)
+        count = readout.exposures
         if count == 1 or self.grows_with:
-            return own
-        return own * (math.sqrt(count) if self.is_temporal else count)
+            return deviation
+
+        return deviation * (math.sqrt(count) if self.is_temporal else count)
 
 
 SOURCES = (
@@ -99,28 +101,31 @@ SOURCES = (
         is_rare=True,
     ),
     NoiseSource(
-        "PRNU", lambda r: r.prnu, grows_with="light", undrawn=lambda r: r.with_physics(prnu=0.0)
+        "PRNU", lambda r: r.prnu, grows_with="light", silence=lambda r: r.with_physics(prnu=0.0)
     ),
     NoiseSource(
         "DSNU",
         lambda r: r.dark_spread.deviation,
         grows_with="dark",
-        undrawn=lambda r: r.with_physics(dsnu=0.0, hot_pixel_fraction=0.0),
+        silence=lambda r: r.with_physics(dsnu=0.0, hot_pixel_fraction=0.0),
     ),
     NoiseSource("offset FPN", lambda r: r.physics.offset_fpn_e),
     NoiseSource("column FPN", lambda r: r.physics.column_fpn_e, along="column"),
 )
 
 
-def chosen(
+def selected_sources(
     readout: _NoisyReadout, is_temporal: bool | None, along: Along | None
 ) -> list[NoiseSource]:
     """Return the sources of a readout that are temporal or fixed, and shared in that way; None for
     both, and for any way.
     """
-    own = [each for each in SOURCES if each.name not in readout.silent]
-    own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
-    return [each for each in own if along is None or each.along == along]
+    sources = [source for source in SOURCES if source.name not in readout.silent]
+    if is_temporal is not None:
+        sources = [source for source in sources if source.is_temporal == is_temporal]
+    if along is not None:
+        sources = [source for source in sources if source.along == along]
+    return sources
 
 
 def constant_e(
@@ -140,16 +145,16 @@ def constant_e(
     """
     return math.hypot(
         *(
-            each.of_frame(readout)
-            for each in chosen(readout, is_temporal, along)
-            if not each.grows_with
+            source.frame_deviation(readout)
+            for source in selected_sources(readout, is_temporal, along)
+            if not source.grows_with
         )
     )
 
 
 def variance_e2(
     readout: _NoisyReadout,
-    start: Array | float = 0.0,
+    variance: Array | float = 0.0,
     *,
     light_e: Array | float = 0.0,
     dark_e: Array | float = 0.0,
@@ -159,43 +164,46 @@ def variance_e2(
     """Return the variance of sources together, in electrons squared, in the shape (...) of the
     charges.
 
-    start : variance to which they are added, as that of shot noise
+    variance : to which theirs is added, such as the variance of shot noise
     light_e, dark_e : mean charge of light and of the dark, with which some sources grow
     is_temporal, along : of which sources; None means all
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
-    for each in chosen(readout, is_temporal, along):
-        start = start + (each.of_frame(readout) * charge[each.grows_with]) ** 2
-    return start
+    for source in selected_sources(readout, is_temporal, along):
+        variance = variance + (source.frame_deviation(readout) * charge[source.grows_with]) ** 2
+    return variance
 
 
 def variances_e2(
     readout: _NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0
 ) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
-    others = {
-        each: tuple(other.name for other in SOURCES if other is not each)
-        for each in chosen(readout, None, None)
-    }
-    alone = {each.name: readout.with_silent(names) for each, names in others.items()}
-    return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
+    variances: dict[str, Array | float] = {}
+    for source in selected_sources(readout, None, None):
+        others = tuple(other.name for other in SOURCES if other is not source)
+        alone = readout.with_silent(others)
+        variances[source.name] = variance_e2(alone, light_e=light_e, dark_e=dark_e)
+    return variances
 
 
 def without_source(readout: _AnyReadout, name: str) -> _AnyReadout:
     """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before,
     but for their random numbers.
     """
-    (source,) = (each for each in SOURCES if each.name == name)
+    source = next(source for source in SOURCES if source.name == name)
     silent = readout.with_silent((*readout.silent, name))
-    undrawn: _AnyReadout = silent if source.undrawn is None else source.undrawn(silent)
-    return undrawn
+    if source.silence is None:
+        return silent
+
+    without_map: _AnyReadout = source.silence(silent)
+    return without_map
 
 
-def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
+def signal_at_snr_e(snr: float, dark_variance_e2: float, gain_spread: float) -> float:
     """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below
     that.
     """
-    square = wanted**-2 - gain_spread**2
+    square = snr**-2 - gain_spread**2
     if square <= 0:
         return math.nan
     return (1 + math.sqrt(1 + 4 * square * dark_variance_e2)) / (2 * square)

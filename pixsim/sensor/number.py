@@ -19,9 +19,9 @@ class Number(Words):
     stands_for : fields in whose place it may be given: it is another word for them, of data sheets
         or of the layout
     part_of : words of data sheets for a sum that holds it, and in whose place it may be given
-    of_technology : whether a technology may have it, where the pixel does not state it
-    otherwise : value of a technology that does not state it; None: the technology's record declares
-        it
+    in_technology : whether a technology may state it, where the pixel does not
+    technology_default : value of a technology that does not state it; None: the technology's record
+        declares it
     scales_with_area : whether a data sheet states it for its own pitch, and that of other pitches
         follows from their area
     is_certain : whether it can have no [pixel.uncertainty], since the user sets it
@@ -30,16 +30,18 @@ class Number(Words):
     example: Any = None
     stands_for: tuple[str, ...] = ()
     part_of: tuple[str, ...] = ()
-    of_technology: bool = False
-    otherwise: float | None = None
+    in_technology: bool = False
+    technology_default: float | None = None
     scales_with_area: bool = False
     is_certain: bool = False
 
 
 def numbers_of(record: type[BaseModel]) -> dict[str, Number]:
-    """Return what is known of the fields of a record that have a `Number`."""
-    found = {
-        name: [each for each in field.metadata if isinstance(each, Number)]
-        for name, field in record.model_fields.items()
-    }
-    return {name: of_field[0] for name, of_field in found.items() if of_field}
+    """Return the `Number` of each field of a record that has one, by the name of the field."""
+    numbers: dict[str, Number] = {}
+    for name, field in record.model_fields.items():
+        for annotation in reversed(field.metadata):
+            if isinstance(annotation, Number):
+                numbers[name] = annotation
+
+    return numbers

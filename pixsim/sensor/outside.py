@@ -33,7 +33,7 @@ EDGES_NM = np.arange(300.0, 1111.0, 10.0)
 CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
 # entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
 _COMPUTED = "computed_nm"
-_SEEN_BEYOND = (
+_MIN_SHARE_BEYOND = (
     1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
 )
 SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
@@ -56,9 +56,9 @@ def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
             continue
         for channel in (channel for physics in pixels for channel in physics.channels):
             electrons = cells * _response(channel)
-            least = _SEEN_BEYOND * float(electrons.sum())
-            low = WIDEST.low_nm if electrons[CENTRES_NM < LOW_NM].sum() > least else low
-            high = WIDEST.high_nm if electrons[CENTRES_NM > HIGH_NM].sum() > least else high
+            min_electrons = _MIN_SHARE_BEYOND * float(electrons.sum())
+            low = WIDEST.low_nm if electrons[CENTRES_NM < LOW_NM].sum() > min_electrons else low
+            high = WIDEST.high_nm if electrons[CENTRES_NM > HIGH_NM].sum() > min_electrons else high
     return Span(low, high)
 
 
@@ -69,9 +69,9 @@ def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str,
     computed = {} if span == VISIBLE else {_COMPUTED: [span.low_nm, span.high_nm]}
     cells = [lamp.cell_means(EDGES_NM) for lamp in lamps]
     beyond = [
-        [float(f"{value:.{DIGITS}g}") for value in each]
-        for each in cells
-        if each[~inside(span)].any()
+        [float(f"{value:.{DIGITS}g}") for value in values]
+        for values in cells
+        if values[~inside(span)].any()
     ]
     return computed | ({OUTSIDE: beyond} if beyond else {})
 

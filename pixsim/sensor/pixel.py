@@ -459,8 +459,8 @@ def given_efficiency(wavelength_nm: Positives, given: float | EfficiencyCurve) -
             given,
             "a number, or at least two pairs of wavelength in nm and quantum efficiency",
         )
-    known_nm, efficiency = np.array(given).T
-    return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
+    table_nm, efficiency = np.array(given).T
+    return np.interp(nm, table_nm, efficiency, left=0.0, right=0.0)
 
 
 ABSORPTION_DEPTH_UM = 5.0  # of silicon that collects charge, where a data sheet states none
@@ -579,9 +579,9 @@ class Charge:
     @property
     def content_hash(self) -> str:
         """Hash of what acts; the temperature does so on what diffuses."""
-        own = self.stack.content_hash
+        stack_hash = self.stack.content_hash
         warm = self.diffusion_um is not None and self.temperature_k != _REFERENCE_TEMPERATURE_K
-        return content_hash([own, self.temperature_k]) if warm else own
+        return content_hash([stack_hash, self.temperature_k]) if warm else stack_hash
 
 
 @checked_methods
@@ -668,8 +668,8 @@ class PixelPhysics:
         """Distances, down and across, of a border of what is read from the die's centre, in its
         pitches; or `CENTRED`.
         """
-        own = self.pixel.registration
-        return CENTRED if own is None else (own[1], own[0])
+        stated = self.pixel.registration
+        return CENTRED if stated is None else (stated[1], stated[0])
 
     @property
     def is_centred(self) -> bool:
@@ -724,13 +724,17 @@ class PixelPhysics:
         """
         if self.stack is None:
             return None
-        own, process = self.pixel, self.technology
-        of_lens = "microlens" if self.stack.microlens else "photodiode"
-        default = of_lens if self._efficiency_is_of_sheet else process.quantum_efficiency_includes
-        if (own.quantum_efficiency_includes or default) == "photodiode":
+        pixel, process = self.pixel, self.technology
+        sheet_area = "microlens" if self.stack.microlens else "photodiode"
+        default = (
+            sheet_area if self._efficiency_is_of_sheet else process.quantum_efficiency_includes
+        )
+        if (pixel.quantum_efficiency_includes or default) == "photodiode":
             return None
         return (
-            own.quantum_efficiency_f_number or process.quantum_efficiency_f_number or USUAL_F_NUMBER
+            pixel.quantum_efficiency_f_number
+            or process.quantum_efficiency_f_number
+            or USUAL_F_NUMBER
         )
 
     @property
@@ -744,17 +748,17 @@ class PixelPhysics:
         """
         if self.stack is None or self.efficiency_f_number is None:
             return None
-        own = self.pixel
+        pixel = self.pixel
         sheet_um = (
-            own.data_sheet_pitch_um
+            pixel.data_sheet_pitch_um
             if self._efficiency_is_of_sheet
             else self.technology.quantum_efficiency_pitch_um
         )
-        pitch_um = own.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
+        pitch_um = pixel.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
             fill_factor = _fill_factor_at(
-                pitch_um, own, self.technology, "quantum_efficiency_pitch_um"
+                pitch_um, pixel, self.technology, "quantum_efficiency_pitch_um"
             )
             side_um = math.sqrt(fill_factor) * pitch_um
         stated_um = (
@@ -770,10 +774,10 @@ class PixelPhysics:
         """Whether the quantum efficiency is that of a data sheet, and not a number in place of the
         technology's.
         """
-        own = self.pixel
-        stated = own.quantum_efficiency is not None or bool(efficiencies_of(own.colour))
+        pixel = self.pixel
+        stated = pixel.quantum_efficiency is not None or bool(efficiencies_of(pixel.colour))
         return stated and (
-            self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None
+            self.technology.name == NO_TECHNOLOGY or pixel.data_sheet_pitch_um is not None
         )
 
     @property
@@ -781,8 +785,8 @@ class PixelPhysics:
         """Temperature rise that doubles the dark current: of the data sheet, or of the
         technology.
         """
-        of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
-        return of_sheet or self.technology.dark_doubling_k
+        sheet_k = self.pixel.dark_current and self.pixel.dark_current.doubling_k
+        return sheet_k or self.technology.dark_doubling_k
 
     def number(self, quantity: str) -> float:
         """Return a number that pixels and technologies may state: the pixel's own, or that of its
@@ -898,14 +902,14 @@ def _dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
 
     Raises PixsimError if it is out of range at that temperature.
     """
-    given = pixel.dark_current
-    if given is None:
+    sheet = pixel.dark_current
+    if sheet is None:
         return pixel.dark_current_e_per_s
-    above_k = pixel.temperature_k + ABSOLUTE_ZERO_C - given.at_c
-    current = given.e_per_s * 2 ** (above_k / (given.doubling_k or doubling_k))
+    above_k = pixel.temperature_k + ABSOLUTE_ZERO_C - sheet.at_c
+    current = sheet.e_per_s * 2 ** (above_k / (sheet.doubling_k or doubling_k))
     if current > _MAX_CURRENT_E_PER_S:
         got = (
-            f"{given.e_per_s:g} e-/s at {given.at_c:g} °C, which is {current:.2g} at"
+            f"{sheet.e_per_s:g} e-/s at {sheet.at_c:g} °C, which is {current:.2g} at"
             f" {pixel.temperature_k:g} K"
         )
         raise invalid(
@@ -927,8 +931,10 @@ def _prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
     """
     if pixel.prnu_percent is not None:
         return pixel.prnu_percent / 100
-    own = pixel.prnu is not None or pixel.prnu_um is not None
-    prnu, prnu_um = (pixel.prnu, pixel.prnu_um) if own else (technology.prnu, technology.prnu_um)
+    is_stated = pixel.prnu is not None or pixel.prnu_um is not None
+    prnu, prnu_um = (
+        (pixel.prnu, pixel.prnu_um) if is_stated else (technology.prnu, technology.prnu_um)
+    )
     if prnu is not None:
         return prnu
     assert prnu_um is not None  # the record's validator
@@ -943,7 +949,7 @@ def _prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
             f" {(prnu_um / _MAX_PRNU) ** 2:.3g} µm²."
         )
         raise invalid(
-            "pixel.prnu_um" if own else f"prnu_um of {technology.name}",
+            "pixel.prnu_um" if is_stated else f"prnu_um of {technology.name}",
             got,
             f"a PRNU of at most {_MAX_PRNU:g}",
             hint,
@@ -976,14 +982,14 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
     """
     if pixel.offset_fpn is not None:
         return pixel.offset_fpn
-    own = pixel.a_vt_mv_um is not None or pixel.follower_area_um2 is not None
-    if not own and technology.offset_fpn is not None:
+    is_stated = pixel.a_vt_mv_um is not None or pixel.follower_area_um2 is not None
+    if not is_stated and technology.offset_fpn is not None:
         return technology.offset_fpn
     a_vt_mv_um = technology.a_vt_mv_um if pixel.a_vt_mv_um is None else pixel.a_vt_mv_um
     gate_um2 = (
         technology.follower_area_um2 if pixel.follower_area_um2 is None else pixel.follower_area_um2
     )
-    place = "pixel." if own else f"{technology.name}: "
+    source = "pixel." if is_stated else f"{technology.name}: "
     if a_vt_mv_um is None or gate_um2 is None:
         names = (
             ("a_vt_mv_um", "follower_area_um2")
@@ -991,7 +997,7 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
             else ("follower_area_um2", "a_vt_mv_um")
         )
         raise invalid(
-            f"{place}{names[0]}",
+            f"{source}{names[0]}",
             f"no {names[1]} beside it",
             "both of them",
             "Or give offset_fpn in place of both.",
@@ -1004,7 +1010,7 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
         )
         hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
         raise invalid(
-            f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint
+            f"{source}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint
         )
     share = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff) / process_well.full_well_e
     return share
@@ -1016,12 +1022,12 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
     Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
     """
     names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
-    own = [getattr(pixel, name) for name in names]
+    stated = [getattr(pixel, name) for name in names]
     fraction, median, spread = (number_of(pixel, technology, name) for name in names)
     if fraction and median == 1 and not spread:
         name = (
             f"hot_pixel_fraction of {technology.name}"
-            if own[0] is None
+            if stated[0] is None
             else "pixel.hot_pixel_fraction"
         )
         got, allowed = (
@@ -1035,9 +1041,9 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
             "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.",
         )
     if (
-        own[0] is None
+        stated[0] is None
         and not fraction
-        and (tail := [name for name, value in zip(names, own, strict=True) if value is not None])
+        and (tail := [name for name, value in zip(names, stated, strict=True) if value is not None])
     ):
         raise invalid(
             f"pixel.{tail[0]}",
@@ -1058,14 +1064,14 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     values = technology.stack.model_dump(exclude_none=True, exclude={"enabled"})
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
-    own = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
-    restated = restated_by(StackOptions, own)
+    stated = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
+    restated = restated_by(StackOptions, stated)
     options = StackOptions(
-        **{name: value for name, value in values.items() if name not in restated} | own
+        **{name: value for name, value in values.items() if name not in restated} | stated
     )
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
-        got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(own)}" if own else "")
+        got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(stated)}" if stated else "")
         raise invalid("pixel.stack", got, "a height and an index of refraction", hint)
     if (options.depletion_um is None) != (options.diffusion_length_um is None):
         got = "depletion_um" if options.diffusion_length_um is None else "diffusion_length_um"
@@ -1169,8 +1175,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         technology or load_technology(pixel.technology), pixel.fill_factor_law
     )
 
-    def given(value: float | None, otherwise: float) -> float:
-        return otherwise if value is None else value
+    def given(value: float | None, technology_default: float) -> float:
+        return technology_default if value is None else value
 
     fill_factor = _fill_factor_at(pixel.pitch_um, pixel, technology, "pixel.pitch_um")
     area_um2 = fill_factor * pixel.pitch_um**2

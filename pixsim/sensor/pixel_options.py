@@ -57,11 +57,11 @@ def excluded_by(names: Iterable[str]) -> set[str]:
     return excluded
 
 
-def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
-    """The names of `DATA_SHEET` that neither stand among `given` nor under another word of
+def missing_of_data_sheet(stated: Iterable[str]) -> list[str]:
+    """The names of `DATA_SHEET` that neither stand among `stated` nor under another word of
     `STANDS_FOR`.
     """
-    names = set(given).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(given)))
+    names = set(stated).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(stated)))
     return [name for name in DATA_SHEET if name not in names]
 
 
@@ -73,9 +73,9 @@ def is_data_sheet(values: dict[str, Any], pitch: str) -> bool:
 
     pitch : name of the data sheet's pitch
     """
-    given = {name for name, value in values.items() if value is not None}
-    return pitch in given and not missing_of_data_sheet(
-        given | efficiencies_of(values.get("colour"))
+    stated = {name for name, value in values.items() if value is not None}
+    return pitch in stated and not missing_of_data_sheet(
+        stated | efficiencies_of(values.get("colour"))
     )
 
 
@@ -157,7 +157,7 @@ class PixelOptions(Record):
     )
     quantum_efficiency: Annotated[
         QuantumEfficiency | None,
-        Number(0.62, of_technology=True, also=("qe", "peak_qe", "quantum_efficiency_percent")),
+        Number(0.62, in_technology=True, also=("qe", "peak_qe", "quantum_efficiency_percent")),
     ] = Field(
         None,
         description=(
@@ -233,7 +233,7 @@ class PixelOptions(Record):
         Well | None,
         Number(
             10500.0,
-            of_technology=True,
+            in_technology=True,
             scales_with_area=True,
             also=("full_well", "full_well_capacity", "well_capacity"),
         ),
@@ -282,7 +282,7 @@ class PixelOptions(Record):
         ),
     )
     dark_current_e_per_s: Annotated[
-        Current | None, Number(3.0, of_technology=True, scales_with_area=True)
+        Current | None, Number(3.0, in_technology=True, scales_with_area=True)
     ] = Field(None, description="dark current of one pixel")
     dark_current: Annotated[
         DarkCurrent | None,
@@ -308,7 +308,7 @@ class PixelOptions(Record):
     )
     read_noise_e: Annotated[
         NoiseElectrons | None,
-        Number(2.3, part_of=TEMPORAL, of_technology=True, also=("read_noise", "readout_noise")),
+        Number(2.3, part_of=TEMPORAL, in_technology=True, also=("read_noise", "readout_noise")),
     ] = Field(
         None,
         description=(
@@ -317,7 +317,8 @@ class PixelOptions(Record):
         ),
     )
     read_noise_after_gain_e: Annotated[
-        NoiseElectrons | None, Number(4.0, part_of=TEMPORAL, of_technology=True, otherwise=0.0)
+        NoiseElectrons | None,
+        Number(4.0, part_of=TEMPORAL, in_technology=True, technology_default=0.0),
     ] = Field(
         None,
         description=(
@@ -326,7 +327,8 @@ class PixelOptions(Record):
         ),
     )
     row_noise_e: Annotated[
-        NoiseElectrons | None, Number(0.5, part_of=TEMPORAL, of_technology=True, otherwise=0.0)
+        NoiseElectrons | None,
+        Number(0.5, part_of=TEMPORAL, in_technology=True, technology_default=0.0),
     ] = Field(
         None,
         description=(
@@ -343,7 +345,8 @@ class PixelOptions(Record):
         ),
     )
     reset_noise_factor: Annotated[
-        ResetFactor | None, Number(0.0, part_of=TEMPORAL, of_technology=True, otherwise=1.0)
+        ResetFactor | None,
+        Number(0.0, part_of=TEMPORAL, in_technology=True, technology_default=1.0),
     ] = Field(
         None,
         description=(
@@ -353,7 +356,7 @@ class PixelOptions(Record):
     )
     prnu: Annotated[
         GainSpread | None,
-        Number(0.005, of_technology=True, hint=lambda path, value: slip_hint("prnu", value)),
+        Number(0.005, in_technology=True, hint=lambda path, value: slip_hint("prnu", value)),
     ] = Field(None, description="standard deviation of the gain over its mean (PRNU)")
     prnu_percent: Annotated[Annotated[float, Field(ge=0, le=30)] | None, Number(0.5, ("prnu",))] = (
         Field(None, description="in place of prnu: the same in per cent")
@@ -365,7 +368,7 @@ class PixelOptions(Record):
             " at 1 µm²"
         ),
     )
-    dsnu: Annotated[DarkSpread | None, Number(0.2, of_technology=True)] = Field(
+    dsnu: Annotated[DarkSpread | None, Number(0.2, in_technology=True)] = Field(
         None,
         description=(
             "standard deviation of the dark current over its mean, without hot pixels (DSNU in"
@@ -373,7 +376,7 @@ class PixelOptions(Record):
         ),
     )
     hot_pixel_fraction: Annotated[
-        UnitInterval | None, Number(0.001, of_technology=True, otherwise=0.0)
+        UnitInterval | None, Number(0.001, in_technology=True, technology_default=0.0)
     ] = Field(
         None,
         description=(
@@ -381,10 +384,10 @@ class PixelOptions(Record):
         ),
     )
     hot_pixel_median: Annotated[
-        HotMedian | None, Number(30.0, of_technology=True, otherwise=1.0)
+        HotMedian | None, Number(30.0, in_technology=True, technology_default=1.0)
     ] = Field(None, description="median dark current of hot pixels, over the mean of the others")
     hot_pixel_spread: Annotated[
-        HotSpread | None, Number(1.0, of_technology=True, otherwise=0.0)
+        HotSpread | None, Number(1.0, in_technology=True, technology_default=0.0)
     ] = Field(
         None,
         description="standard deviation of the natural logarithm of the dark current of hot pixels",
@@ -396,7 +399,7 @@ class PixelOptions(Record):
             " (DSNU1288 of EMVA 1288); none of it is spread of the dark current (dsnu)"
         ),
     )
-    offset_fpn: Annotated[OffsetSpread | None, Number(0.0002, of_technology=True)] = Field(
+    offset_fpn: Annotated[OffsetSpread | None, Number(0.0002, in_technology=True)] = Field(
         None, description="standard deviation of the pixel offsets, as a fraction of the full well"
     )
     a_vt_mv_um: Annotated[VoltageMismatch | None, Number(8.0, ("offset_fpn",))] = Field(
@@ -413,7 +416,7 @@ class PixelOptions(Record):
             "with a_vt_mv_um: gate area W·L of the source follower, the same at every pitch"
         ),
     )
-    column_fpn: Annotated[OffsetSpread | None, Number(0.0001, of_technology=True)] = Field(
+    column_fpn: Annotated[OffsetSpread | None, Number(0.0001, in_technology=True)] = Field(
         None, description="standard deviation of the column offsets, as a fraction of the full well"
     )
     bits: Annotated[

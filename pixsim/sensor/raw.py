@@ -348,7 +348,7 @@ def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None
     be, no layout of the frame.
     """
     try:
-        layout = Layout.of_text(str(metadata[LAYOUT]))
+        layout = Layout.parse(str(metadata[LAYOUT]))
     except (KeyError, ValueError):
         return None
     return None if shape[0] % layout.planes else layout

@@ -66,7 +66,7 @@ BLACK_SIGMAS = (
 )
 # Of bursts: what is farther from both ends clips 1e-12 of a normal signal, and some electrons more
 # of few Poisson counts; and the noise that makes rounding a noise.
-CLIP_SIGMAS, FEW_E, LEAST_DITHER_DN = 7.0, 10.0, 0.6
+CLIP_SIGMAS, FEW_E, MIN_DITHER_DN = 7.0, 10.0, 0.6
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
@@ -145,12 +145,12 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
     that all other maps are those of a sensor without them.
     """
     p, dark_spread = readout.burst(1), readout.dark_spread
-    uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
-    of_pixels_e, of_columns_e = (
+    uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_uniform
+    pixel_spread_e, column_spread_e = (
         constant_e(p, is_temporal=False, along=along) for along in ("pixel", "column")
     )
     gain, dark_gain, offset_e = (
-        np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, of_pixels_e)
+        np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, pixel_spread_e)
     )
 
     def draw(block: slice, rng: np.random.Generator) -> None:
@@ -163,12 +163,12 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
             dark_gain[block] = dark_spread.sample(dark_gain[block].shape, rng)
         if offset_e is not None:
             for part in _rows_of(offset_e[block]):
-                _draw_gaussian(of_pixels_e, part, rng)
+                _draw_gaussian(pixel_spread_e, part, rng)
 
     _by_block(draw, shape, rng)
-    column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
+    column_offset_e = np.empty((1, shape[1])) if column_spread_e else None
     if column_offset_e is not None:
-        _draw_gaussian(of_columns_e, column_offset_e, rng)
+        _draw_gaussian(column_spread_e, column_offset_e, rng)
     return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
@@ -376,18 +376,18 @@ def _expose(
     integration_s: float,
     sensor: Sensor,
     rng: np.random.Generator,
-    each_e: Sequence[Array] = (),
+    subexposures_e: Sequence[Array] = (),
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
     """Return the frame of `read_out`, its saturated pixels and their fraction, as `Frame` defines
     them.
 
-    each_e : mean electrons in each exposure of a burst, if they differ; else none
+    subexposures_e : mean electrons in each exposure of a burst, if they differ; else none
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
     before its read noise.
     """
     if sensor.readout.exposures > 1:
-        return _expose_burst(mean_e, integration_s, sensor, rng, each_e)
+        return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
     if mean_e.shape != sensor.shape:
         raise invalid(
             "mean_e",
@@ -396,7 +396,7 @@ def _expose(
         )
     p, generated, dn = sensor.readout, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
     mean_dark_e = p.dark_current_e_per_s * integration_s
-    of_pixels_e, of_rows_e = (
+    pixel_sigma_e, row_sigma_e = (
         constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row")
     )
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the
@@ -428,11 +428,11 @@ def _expose(
             saturating, charge_e = level >= full_e, level
             level = stored_signal_e(level, integration_s, p)
             full = full_pixels(charge_e, level, p)
-            if of_pixels_e:
-                _draw_gaussian(of_pixels_e, noise, rng)
+            if pixel_sigma_e:
+                _draw_gaussian(pixel_sigma_e, noise, rng)
                 level += noise
-            if of_rows_e:
-                level += of_rows_e * rng.standard_normal((level.shape[0], 1))
+            if row_sigma_e:
+                level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
             for added_e in (
                 None if sensor.offset_e is None else sensor.offset_e[rows],
                 sensor.column_offset_e,
@@ -534,7 +534,7 @@ def _expose_burst(
             free = (
                 (low_dn > 0)
                 & (high_dn < top_dn)
-                & (gain * np.sqrt(least + of_pixels_e**2) >= LEAST_DITHER_DN)
+                & (gain * np.sqrt(least + of_pixels_e**2) >= MIN_DITHER_DN)
             )
             free &= most + CLIP_SIGMAS * np.sqrt(most) + FEW_E < (full_e if is_linear else 0.0)
             level = np.asarray(
@@ -612,11 +612,11 @@ def frame_variance_dn2(
     """
     p, signal_e = readout, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
-    of_frames_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
+    temporal_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
-        return np.asarray(of_frames_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
-    of_all_e2 = variance_e2(p, of_frames_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
-    return np.asarray(of_all_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
+        return np.asarray(temporal_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
+    total_e2 = variance_e2(p, temporal_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
+    return np.asarray(total_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
 
 
 def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
@@ -627,9 +627,9 @@ def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
     cuts off.
     """
     dark_e = readout.dark_current_e_per_s * integration_s * readout.dark_spread.ordinary_mean
-    of_frames_e2 = variance_e2(readout, dark_e, is_temporal=True)
-    without_hot = readout.with_physics(hot_pixel_fraction=0.0)
-    return math.sqrt(variance_e2(without_hot, of_frames_e2, dark_e=dark_e, is_temporal=False))
+    temporal_e2 = variance_e2(readout, dark_e, is_temporal=True)
+    ordinary = readout.with_physics(hot_pixel_fraction=0.0)
+    return math.sqrt(variance_e2(ordinary, temporal_e2, dark_e=dark_e, is_temporal=False))
 
 
 def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
@@ -724,8 +724,8 @@ def _mean_e(
     """Return the mean photo-electrons of an exposure. Raises PixsimError if they, or the dark
     charge, would be infinite.
     """
-    most_e = (brightest_e_per_s + readout.dark_current_e_per_s) * time_s
-    if not most_e <= float(
+    brightest_e = (brightest_e_per_s + readout.dark_current_e_per_s) * time_s
+    if not brightest_e <= float(
         np.finfo(np.result_type(signal_e_per_s, 1.0)).max
     ):  # single precision stays that
         raise invalid(
@@ -814,7 +814,7 @@ def capture(
     moving, exposure = metered_motion(
         still, sensor.readout, exposure, velocity_um_per_s(motion, camera, physics.pitch_um)
     )
-    signal, each = moved_signals(
+    signal, subexposure_rates = moved_signals(
         lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames
     )
-    return capture_from_rates(signal, sensor, exposure, rng, each)
+    return capture_from_rates(signal, sensor, exposure, rng, subexposure_rates)

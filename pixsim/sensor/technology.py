@@ -87,17 +87,19 @@ def _declared_by_pixels() -> dict[str, Any]:
     where a process has none.
     """
     fields = PixelOptions.model_fields
-    known = {
-        name: number.otherwise for name, number in NUMBERS.items() if number.otherwise is not None
+    defaults = {
+        name: number.technology_default
+        for name, number in NUMBERS.items()
+        if number.technology_default is not None
     }
     # A process has numbers, a pixel those or None.
     types = {
         name: next(kind for kind in get_args(fields[name].annotation) if kind is not type(None))
-        for name in known
+        for name in defaults
     }
     return {
         name: (types[name], Field(value, description=fields[name].description))
-        for name, value in known.items()
+        for name, value in defaults.items()
     }
 
 
@@ -443,23 +445,25 @@ def load_technology(name: str) -> Technology:
     """
     if name == NO_TECHNOLOGY:
         return _NO_PROCESS
-    known = packaged("data/technologies")
-    if name in known:
-        return _read(known[name], ())
+    packaged_files = packaged("data/technologies")
+    if name in packaged_files:
+        return _read(packaged_files[name], ())
     path = Path(name)
     if path.suffix != ".toml" or not name:
         sensors = packaged("data/sensors")
-        hint = f"{did_you_mean(name, [*known, *sensors])} Or give the path of a TOML file."
+        hint = f"{did_you_mean(name, [*packaged_files, *sensors])} Or give the path of a TOML file."
         if name in sensors:
             hint = f"It is a packaged sensor, a file of settings: {setting('config', name)}."
-        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint.strip())
+        raise invalid(
+            "technology", f"'{name}'", ", ".join([*packaged_files, NO_TECHNOLOGY]), hint.strip()
+        )
     check_name(name)
     status = path.stat() if path.is_file() else None
     return _read(path, (status.st_mtime_ns, status.st_size) if status else ())
 
 
 _NUMBERS_OF_FILE = {*Technology.model_fields, *Junction.model_fields}
-_OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
+_ENTRY_KEYS = ("value", "range", "distribution", "confidence", "source")  # of a file
 
 
 @lru_cache
@@ -468,13 +472,13 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     for key, entry in numbers.items():
-        if unknown := next((name for name in entry if name not in _OF_ENTRY), None):
+        if unknown := next((name for name in entry if name not in _ENTRY_KEYS), None):
             number = key if key in _NUMBERS_OF_FILE else "a table"
             raise invalid(
                 f"{path}: {number}",
                 excerpt(unknown),
-                ", ".join(_OF_ENTRY),
-                did_you_mean(unknown, _OF_ENTRY),
+                ", ".join(_ENTRY_KEYS),
+                did_you_mean(unknown, _ENTRY_KEYS),
             )
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}

@@ -106,7 +106,7 @@ class LitCase:
             electrons_per_joule(channel, self.scenes.irradiance).tobytes()
             for channel in physics.channels
         )
-        return electrons, self.border_um, f"{charge} {Layout.of_pixels(physics.pixel) or ''}"
+        return electrons, self.border_um, f"{charge} {Layout.unbinned(physics.pixel) or ''}"
 
     @property
     def light_id(self) -> tuple[int, tuple[bytes, float, str]]:

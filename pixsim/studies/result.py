@@ -19,7 +19,7 @@ from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.collection import least_fresnel_number
+from pixsim.sensor.collection import min_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.labels import labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens
@@ -101,7 +101,7 @@ class StudyResult(Result):
         ):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
             fresnel = np.array(
-                [least_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um],
+                [min_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um],
                 float,
             )
         name = ", ".join(filter(None, (label, words)))

@@ -15,7 +15,7 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import exposure_time
 from pixsim.base.errors import invalid
 from pixsim.sensor.collection import Collection, ColourCollection, collections_of
-from pixsim.sensor.colour import of_channels
+from pixsim.sensor.colour import channel_map
 from pixsim.sensor.correction import correct
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import array_signal, centred_pixels, moved_signals
@@ -217,7 +217,7 @@ class ImagingChain:
         levels = (
             None
             if layout is None
-            else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
+            else channel_map(whites / whites.max(), layout, self.signal_e_per_s.shape)
         )
         return correct(
             frame, sensor, correction, make_correction_rng(), self.development.flat_field, levels

@@ -29,7 +29,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, mixed
-from pixsim.sensor.colour import Layout, of_channels
+from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
@@ -408,10 +408,10 @@ def _white_balance(picture: Array, c: Developing) -> Array:
     if c.shading is not None:
         picture /= c.shading
     if layout.is_stacked:
-        picture /= of_channels(by_channel, layout, (len(picture), 1))
+        picture /= channel_map(by_channel, layout, (len(picture), 1))
     else:  # whole rows, which take a third of the time of pixels apart
         height = layout.period[0]
-        for row, divisors in enumerate(of_channels(by_channel, layout, (height, picture.shape[1]))):
+        for row, divisors in enumerate(channel_map(by_channel, layout, (height, picture.shape[1]))):
             picture[row::height] /= divisors
     # menon2007 compares sums: rounding would decide where they are nearly equal.
     if c.single and c.method != "menon2007" and fits_single(frame, float(by_channel.min())):

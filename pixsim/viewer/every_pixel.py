@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.sensor.collection import Collection, ColourCollection, read_as_one
+from pixsim.sensor.collection import Collection, ColourCollection, bin_pixels
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.integration import Moves, array_on, integrate_pixels
@@ -41,7 +41,7 @@ def at_every_pixel(
             / collection.relative((rows, columns))
         )
     side = physics.pixel.bin_side
-    return read_as_one(mean, side) / side**2
+    return bin_pixels(mean, side) / side**2
 
 
 def _aperture_means(
@@ -83,7 +83,7 @@ def mixed_at_every_pixel(
         _aperture_means(
             channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, moving
         )
-        for channel_light, channel in zip(light.lights, collection.each, strict=True)
+        for channel_light, channel in zip(light.lights, collection.collections, strict=True)
     ]
     flat_fields = [np.full(means[0].shape, rate) for rate in collection.rates]
     side = physics.pixel.bin_side
@@ -93,15 +93,15 @@ def mixed_at_every_pixel(
             sum(
                 share_with_neighbours(values, channel.shares * weight)
                 for values, channel, weight in zip(
-                    channel_values, collection.each, weights, strict=True
+                    channel_values, collection.collections, weights, strict=True
                 )
                 if weight.any()
             )
             for channel_values in (means, flat_fields)
         )
         recorded, white = (
-            read_as_one(np.asarray(recorded), side),
-            read_as_one(np.asarray(white), side),
+            bin_pixels(np.asarray(recorded), side),
+            bin_pixels(np.asarray(white), side),
         )
         planes.append(
             recorded / (white if is_shaded else white[white.shape[0] // 2, white.shape[1] // 2])

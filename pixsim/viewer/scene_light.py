@@ -192,11 +192,11 @@ class PreparedScene:
         self, physics: PixelPhysics, collections: Sequence[Collection]
     ) -> ColourCollection:
         """Return the collection of the pixels of a colour sensor with a stack."""
-        layout = Layout.of_pixels(physics.pixel)
+        layout = Layout.unbinned(physics.pixel)
         assert layout is not None
         last = self._collections[-1] if self._collections else None
         if last is None or any(
-            one is not other for one, other in zip(last.each, collections, strict=True)
+            one is not other for one, other in zip(last.collections, collections, strict=True)
         ):
             side = physics.pixel.bin_side
             # The registrations of a pitch, which follow one another, share what is expensive of it.
@@ -391,7 +391,7 @@ class RecentScenes:
         records = [
             imaging.camera.model_dump(mode="json"),
             stack,
-            str(Layout.of_pixels(pixel)),
+            str(Layout.unbinned(pixel)),
             charge,
         ]
         key_of_light = id(irradiance), content_hash(records), electrons

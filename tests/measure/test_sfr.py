@@ -156,7 +156,7 @@ GAINS = {"R": 0.6, "G": 1.0, "B": 0.4, "W": 1.6}
 
 
 def mosaic(layout: str, edge: np.ndarray) -> np.ndarray:
-    cell = Layout.of_text(layout)
+    cell = Layout.parse(layout)
     return edge * np.array([GAINS[letter] for letter in cell.channels])[cell.numbers(edge.shape)]
 
 
@@ -230,7 +230,7 @@ def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_pat
     path = tmp_path / f"raw{suffix}"
     write_frame(
         path,
-        RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.of_text("GR/BG")),
+        RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.parse("GR/BG")),
     )
     with pytest.raises(PixsimError, match="one channel"):
         sfr(path)

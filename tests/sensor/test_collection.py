@@ -29,7 +29,7 @@ from pixsim.sensor.collection import (
     check_efficiency,
     collected_fraction,
     collection_of,
-    even_light,
+    emva_illumination,
     half_sizes_um,
     scale_error,
     stack_shares,
@@ -342,7 +342,7 @@ def test_efficiency_of_the_whole_pixel_is_not_counted_twice() -> None:
         ratio, rel=1e-12
     )
     bare = derive(Pixel(**QUIET, **given, stack=STACKS["lens"] | {"microlens": "none"}))
-    light = even_light(np.array([550.0]), np.ones(1))
+    light = emva_illumination(np.array([550.0]), np.ones(1))
     assert collected_fraction(bare, light) < 0.4 * collected_fraction(
         physics, light
     )  # a fill factor of .28, where the lens has 1
@@ -356,7 +356,10 @@ def test_efficiency_was_measured_at_its_own_pitch() -> None:
     smaller one less, by the ratio of what the lenses pass. A data sheet's pitch is
     data_sheet_pitch_um, a technology's its own, and the pixel's word goes first.
     """
-    light, pupil = even_light(np.array([550.0]), np.ones(1)), disc_pupil(numerical_aperture(8.0))
+    light, pupil = (
+        emva_illumination(np.array([550.0]), np.ones(1)),
+        disc_pupil(numerical_aperture(8.0)),
+    )
 
     def passed(pitch_um: float) -> float:
         return float(
@@ -421,9 +424,9 @@ def test_efficiency_beyond_the_stack_raises() -> None:
         r" or quantum_efficiency_f_number"
     )
     with pytest.raises(PixsimError, match=message):
-        collected_fraction(derive(pixel), even_light(NM, np.ones(NM.size)))
+        collected_fraction(derive(pixel), emva_illumination(NM, np.ones(NM.size)))
     on_photodiode = pixel.model_copy(update={"quantum_efficiency_includes": "photodiode"})
-    assert collected_fraction(derive(on_photodiode), even_light(NM, np.ones(NM.size))) < 0.9
+    assert collected_fraction(derive(on_photodiode), emva_illumination(NM, np.ones(NM.size))) < 0.9
 
 
 EDGE_DEG, CELLS = 5.0, 6
@@ -514,7 +517,7 @@ def test_published_crosstalk_is_what_four_neighbours_collect() -> None:
     with_it, without = (
         derive(Pixel(**QUIET, stack=STACKS[name])) for name in ("crosstalk", "optimal")
     )
-    light = even_light(NM, np.ones(NM.size))
+    light = emva_illumination(NM, np.ones(NM.size))
     shares, plain = (collection_of(physics, light, (1, 1)) for physics in (with_it, without))
     assert shares is not None
     assert plain is not None
@@ -579,7 +582,7 @@ def test_microlens_of_a_technology_is_switched_off_by_the_pixel() -> None:
         derive(Pixel(**QUIET, stack=stack), LENSED)
         for stack in (None, {"microlens": "none", "shift_um": [0.1, 0.0]})
     )
-    light = even_light(np.array([550.0]), np.ones(1))
+    light = emva_illumination(np.array([550.0]), np.ones(1))
     assert bare.stack is not None
     pupil = disc_pupil(numerical_aperture(8.0))
     of_lens = collected_shares(lens.stack, pupil, [550.0]).sum()
@@ -686,7 +689,7 @@ def test_bare_pixel_may_be_wider_than_a_microlens() -> None:
     """
     bare = {"microlens": "none"}
     widths = 7.08, 7.1, 12.0  # an ideal lens at 4 µm may be 7.09 µm wide
-    light = even_light(np.array([550.0]), np.ones(1))
+    light = emva_illumination(np.array([550.0]), np.ones(1))
     pixels = [
         derive(Pixel(pitch_um=um, fill_factor=0.4, infrared_cut_nm=720.0, stack=bare), LENSED)
         for um in widths

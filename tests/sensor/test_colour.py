@@ -16,7 +16,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract_sum, diffract_sums
 from pixsim.sensor.camera_data import camera_sensitivities
-from pixsim.sensor.collection import shared
+from pixsim.sensor.collection import collected_signal
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.correction import correct
@@ -207,9 +207,9 @@ def test_neighbours_get_what_a_pixel_loses() -> None:
     light_e_per_s[3:-3, 3:-3] = rng.random((24, 25))
     shares = rng.random((3, 5, 5))
     shares /= shares.sum(axis=(1, 2), keepdims=True)
-    assert shared(light_e_per_s, list(shares), Layout(("GR", "BG"))).sum() == pytest.approx(
-        light_e_per_s.sum(), rel=1e-12
-    )
+    assert collected_signal(
+        light_e_per_s, list(shares), Layout(("GR", "BG"))
+    ).sum() == pytest.approx(light_e_per_s.sum(), rel=1e-12)
 
 
 def binned() -> Pixel:
@@ -297,7 +297,7 @@ def test_unknown_layout_of_a_file_is_left_out(text: str, tmp_path: Path) -> None
     np.savez(tmp_path / "raw.npz", dn=np.ones((2, 2), np.uint8), layout=text)
     assert read_frame(tmp_path / "raw.npz").layout is None
     with pytest.raises(ValueError, match="allowed: rows of capital letters"):
-        Layout.of_text(text)
+        Layout.parse(text)
 
 
 def test_planes_that_do_not_divide_a_frame_are_no_layout(tmp_path: Path) -> None:

@@ -230,7 +230,7 @@ def test_exposures_of_a_burst_follow_one_another() -> None:
     np.testing.assert_allclose(mean_e(light, burst, motion), whole, rtol=1e-9)
     score = evaluate(light, CAMERA, PIXEL, burst, Display(white_cd_per_m2=100), motion=motion)
     assert score.frame.exposures == 2
-    first, second = moving_in((4e4, 0.0), 1e-3, burst).of_exposures(2)
+    first, second = moving_in((4e4, 0.0), 1e-3, burst).subexposures(2)
     assert (first.path_um, first.shift_um, second.shift_um) == (
         (0.0, 20.0),
         (0.0, -10.0),

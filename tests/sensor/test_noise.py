@@ -167,7 +167,7 @@ def test_new_number_is_one_field_and_its_use() -> None:
         if "row_noise_e" in path.read_text("utf-8")
     }
     assert naming == {"sensor/pixel_options.py", "sensor/noise.py"}
-    assert NUMBERS["row_noise_e"].of_technology
+    assert NUMBERS["row_noise_e"].in_technology
 
 
 def test_standard_errors_of_a_data_sheet_cover_row_noise() -> None:

@@ -272,7 +272,7 @@ def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pat
     """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue;
     none for other colours.
     """
-    frame = RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.of_text(layout))
+    frame = RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.parse(layout))
     write_frame(tmp_path / "raw.tiff", frame)
     with Image.open(tmp_path / "raw.tiff") as picture:
         tags = picture.tag_v2

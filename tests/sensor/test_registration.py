@@ -13,10 +13,10 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import (
     any_hard_edge,
+    cell_spline,
     first_edge_um,
     integrate_pixels,
     interval_weights,
-    knots_of,
     mean_signal_rate,
     pixel_count,
     pixels_on,
@@ -148,7 +148,7 @@ def test_running_integral_both_ways_gives_the_same_integrals() -> None:
             integrate_pixels(smooth, 1.0, pitch_um, side_um, running), one, rtol=1e-11
         )
     ends = np.array([0.0, 1e-3, 7.4, 61.0])
-    weights = interval_weights(ends[:-1], ends[1:], knots_of(61))
+    weights = interval_weights(ends[:-1], ends[1:], cell_spline(61))
     assert weights.sum() == pytest.approx(weights.sum(axis=0).sum(), rel=1e-15)
     steep = np.exp(np.linspace(0, 7 * np.log(10), 200))[:, None] * np.ones(
         8

@@ -18,7 +18,7 @@ PINNED = ["4t-bsi", "4t-fsi"]
 # Fields with a default that a file may leave out.
 OPTIONAL = {
     *("response_curve", "fill_factor_inset_features", "dark_current_perimeter_pa_per_cm"),
-    *(name for name, number in NUMBERS.items() if number.otherwise is not None),
+    *(name for name, number in NUMBERS.items() if number.technology_default is not None),
     *("prnu", "prnu_um", "a_vt_mv_um", "follower_area_um2"),  # one in place of another
 }
 OPTIONAL |= {

@@ -135,7 +135,7 @@ def test_neighbours_of_each_channel_are_those_of_the_unit_cell(pattern: dict[str
     """Of even light their shares add up to what the mosaic's pixels collect, channel by channel;
     rounding.
     """
-    layout = Layout.of_pixels(
+    layout = Layout.unbinned(
         Pixel(technology="4t-bsi", pitch_um=2.0, colour=pattern | {"quantum_efficiencies": FILTERS})
     )
     assert layout is not None
