@@ -18,9 +18,8 @@ _MAX_SHOWN = 80  # characters of a value in a message
 
 # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
 SMALLEST = 1e-30
-LARGEST = (
-    1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
-)
+# of any number: no quantity reaches it in any unit, and the square of it is one still
+LARGEST = 1e30
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,6 @@ def _refusal(got: object, allowed: str) -> Exception:
 
 
 # --- kinds of values
-# --------------------------------------------------------------------------------------------------------------
 
 
 def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
@@ -321,7 +320,6 @@ def _list(value: Any) -> Any:
 
 
 # --- what pydantic says
-# -----------------------------------------------------------------------------------------------------------
 
 KIND = re.compile(
     r"str|[a-z-]*\[.*\]", re.DOTALL

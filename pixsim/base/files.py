@@ -303,7 +303,6 @@ def _digest_of(path: Path, _: tuple[int, ...]) -> str:
 
 
 # --- output folders
-# ---------------------------------------------------------------------------------------------------------------
 
 LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
 LIST_OF_1_1 = "provenance.json"

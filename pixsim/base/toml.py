@@ -18,9 +18,8 @@ from pixsim.base.files import read_text
 from pixsim.base.schema import KEY, SCHEMA, check_not_newer
 
 MAX_BYTES = 1 << 20
-MAX_DIGITS = (
-    250  # in any base: larger numbers exceed a float, and Python does not convert them to text
-)
+# in any base: larger numbers exceed a float, and Python does not convert them to text
+MAX_DIGITS = 250
 MAX_DOTS = 64  # in a key: the time of tomllib grows with their square
 MAX_DEPTH = 16  # of nested tables; those of pixsim have up to 4 levels
 

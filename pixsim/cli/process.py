@@ -24,12 +24,10 @@ _ENDING = {
     getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)
 }  # Windows has no SIGHUP
 _IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
-_SIGNAL_EXIT = (
-    128  # the exit code of a shell for a process that a signal ended, less the signal's number
-)
-_PATIENCE_S = (
-    5.0  # for the clean-up after a signal; another one after that ends the process at once
-)
+# the exit code of a shell for a process that a signal ended, less the signal's number
+_SIGNAL_EXIT = 128
+# for the clean-up after a signal; another one after that ends the process at once
+_PATIENCE_S = 5.0
 _WAIT_S = 0.02  # before another try to raise
 _LONGEST_WAIT_S = 3.0
 _IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames

@@ -170,7 +170,6 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
 
 # --- files
-# ------------------------------------------------------------------------------------------------------------------------
 
 
 def comparison_files(job: ComparisonJob) -> set[str]:
@@ -245,7 +244,6 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
 
 
 # --- the page
-# ---------------------------------------------------------------------------------------------------------------------
 
 
 def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Document:
@@ -401,7 +399,6 @@ def scores_plate(result: Comparison) -> Drawing:
 
 
 # --- numbers for programs
-# ---------------------------------------------------------------------------------------------------------
 
 
 def numbers(result: Comparison) -> dict[str, Any]:
@@ -576,7 +573,6 @@ def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[st
 
 
 # --- sections of the page
-# -------------------------------------------------------------------------------------------------------
 
 
 _PAIRED = (

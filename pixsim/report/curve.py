@@ -149,12 +149,10 @@ def interval_words(curve: Curve) -> str:
 
 
 # --- its figure
-# ------------------------------------------------------------------------------------------------------------------
 
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
-_BAND_POINTS = (
-    150  # of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
-)
+# of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
+_BAND_POINTS = 150
 
 
 def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
@@ -289,7 +287,6 @@ def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
 
 
 # --- its numbers
-# -----------------------------------------------------------------------------------------------------------------
 
 
 def curve_data(curve: Curve) -> dict[str, Any]:
@@ -363,7 +360,6 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
 
 
 # --- its page
-# --------------------------------------------------------------------------------------------------------------------
 
 
 def _curve_document(curve: Curve) -> Document:

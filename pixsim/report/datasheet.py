@@ -462,7 +462,13 @@ def datasheet_document(sheet: DataSheet) -> Document:
 
 
 _PLATES = (
-    *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate),
-    *(dark_current_plate, histogram_plate, spectrogram_plate, profile_plate),
+    photon_transfer_plate,
+    responsivity_plate,
+    snr_plate,
+    linearity_plate,
+    dark_current_plate,
+    histogram_plate,
+    spectrogram_plate,
+    profile_plate,
 )
 PRESENTER = Presenter(document=datasheet_document, figure=photon_transfer_plate, csv=_datasheet_csv)

@@ -313,8 +313,7 @@ def colour_plate(data: LensData) -> Drawing:
     return _curve_drawing(data, "colour")
 
 
-# The document
-# ----------------------------------------------------------------------------------------------------------------
+# --- The document
 
 
 def lens_document(data: LensData) -> Document:

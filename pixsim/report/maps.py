@@ -46,9 +46,8 @@ if TYPE_CHECKING:
 MAX_PANELS = 6  # of a figure, or lines: as many looks that a reader tells apart
 _MAX_ROWS = 3  # of panels of axes that are moved alone
 _MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
-_LOG_SPAN = (
-    10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
-)
+# ratio of listed values, or of those of a map, above which their scale is logarithmic
+_LOG_SPAN = 10.0
 _MAP_SIZES = 41  # pixel sizes of a map
 _CONTOURS = 7
 WIDTH_IN = 6.4
@@ -56,9 +55,8 @@ _PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
 SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
-_MIN_COLOUR_SPAN = (
-    0.02  # of a value, for the colours of a map: rounding errors would look like changes
-)
+# of a value, for the colours of a map: rounding errors would look like changes
+_MIN_COLOUR_SPAN = 0.02
 _DODGE_PT = 3.0  # between lines, whose bars would hide each other
 _PIXEL_SIZE = "optimal pixel size (µm)"
 
@@ -69,7 +67,6 @@ def short(text: str, max_characters: int = SHORT) -> str:
 
 
 # --- the values of an axis
-# -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -167,7 +164,6 @@ class Scale:
 
 
 # --- the curves of a study by axes
-# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -290,26 +286,23 @@ def case_columns(
 
 
 _RESERVED_COLUMNS = (
-    *(
-        "technology",
-        "condition",
-        "axis",
-        "value",
-        "optimum_um",
-        "interval_low_um",
-        "interval_high_um",
-        "between_sizes_share",
-    ),
+    "technology",
+    "condition",
+    "axis",
+    "value",
+    "optimum_um",
+    "interval_low_um",
+    "interval_high_um",
+    "between_sizes_share",
     "inside",
-    *(
-        "mean_delta_e",
-        "mean_delta_e_low",
-        "mean_delta_e_high",
-        "pitch_um",
-        "within_1_percent_low_um",
-        "within_1_percent_high_um",
-    ),
-    *("cutoff_pitch_um", "fresnel_number"),
+    "mean_delta_e",
+    "mean_delta_e_low",
+    "mean_delta_e_high",
+    "pitch_um",
+    "within_1_percent_low_um",
+    "within_1_percent_high_um",
+    "cutoff_pitch_um",
+    "fresnel_number",
 )
 
 
@@ -384,7 +377,6 @@ def _best_column(curve: Curve) -> str:
 
 
 # --- figures of axes
-# -----------------------------------------------------------------------------------------------------
 
 
 def plate_names(study: Study) -> list[str]:
@@ -680,7 +672,6 @@ def draw_maps(
 
 
 # --- axes moved alone
-# ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

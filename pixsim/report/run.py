@@ -87,17 +87,16 @@ if TYPE_CHECKING:
     from pixsim.viewer.setting import Run
 
 FILES = (  # next to the page
-    *(
-        "score.json",
-        ROWS_FILE,
-        "irradiance.exr",
-        "raw.exr",
-        "ideal.png",
-        "image.png",
-        "delta_e.exr",
-        "delta_e.png",
-    ),
-    *(SETTINGS_FILE, "pixsim.json"),
+    "score.json",
+    ROWS_FILE,
+    "irradiance.exr",
+    "raw.exr",
+    "ideal.png",
+    "image.png",
+    "delta_e.exr",
+    "delta_e.png",
+    SETTINGS_FILE,
+    "pixsim.json",
 )
 _MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
@@ -281,7 +280,6 @@ def _run_csv(result: RunResult) -> str:
 
 
 # --- numbers for programs
-# ---------------------------------------------------------------------------------------------------------
 
 
 def data(result: RunResult) -> dict[str, Any]:
@@ -366,7 +364,6 @@ def data(result: RunResult) -> dict[str, Any]:
 
 
 # --- notes
-# ------------------------------------------------------------------------------------------------------------------------
 
 
 def notes(result: RunResult) -> list[Note]:
@@ -402,7 +399,6 @@ def assumption(result: RunResult) -> str:
 
 
 # --- words
-# ------------------------------------------------------------------------------------------------------------------------
 
 
 def run_answer(result: RunResult) -> Answer:
@@ -564,7 +560,6 @@ def _light_words(result: RunResult) -> list[str]:
 
 
 # --- the page
-# ---------------------------------------------------------------------------------------------------------------------
 
 
 def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:

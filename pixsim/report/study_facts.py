@@ -104,7 +104,6 @@ def study_facts(result: StudyResult) -> list[Block]:
 
 
 # --- notes
-# ----------------------------------------------------------------------------------------------------------------------
 
 
 def cause_notes(result: StudyResult) -> list[Note]:

@@ -53,15 +53,16 @@ _SENSOR_SHOWN = tuple(
     for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu")
 )
 _STUDY_SHOWN = (
-    *("name", "title", "technologies", "repeats"),
-    *(
-        "pitch.count",
-        "pitch.max_um",
-        "pitch.min_fill_factor",
-        "scene.file",
-        "camera.f_number",
-        "display.white_cd_per_m2",
-    ),
+    "name",
+    "title",
+    "technologies",
+    "repeats",
+    "pitch.count",
+    "pitch.max_um",
+    "pitch.min_fill_factor",
+    "scene.file",
+    "camera.f_number",
+    "display.white_cd_per_m2",
 )
 _SENSOR_HEAD = """
 A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # --- a pair
-# -----------------------------------------------------------------------------------------------------------------------
 
 
 def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
@@ -101,7 +100,6 @@ def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) 
 
 
 # --- a comparison of sensors
-# ------------------------------------------------------------------------------------------------------
 
 
 def asked_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
@@ -249,7 +247,6 @@ def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
 
 
 # --- what the sensors have in common
-# ----------------------------------------------------------------------------------------------
 
 
 def sensor_words(sensor: Case[Run]) -> str:

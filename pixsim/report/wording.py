@@ -65,7 +65,6 @@ def weighted_answer(regrets: Regrets) -> Answer:
 
 
 # --- the light, the film and the display behind a result
-# --------------------------------------------------------------------------
 
 
 def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:

@@ -78,9 +78,8 @@ _TERMS = {
     "dot": ("display dot", LINE_STYLES[7]),
 }
 _MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
-ISO_SMOOTHING_DOTS = (
-    8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
-)
+# about one cycle at the middle frequencies, since ΔE peaks in each dark bar
+ISO_SMOOTHING_DOTS = 8.0
 
 
 def plain_powers(axis: Axis) -> None:

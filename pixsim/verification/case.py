@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 
 _Quantity = ArrayLike | Callable[..., ArrayLike]
-ANSWERS = (
-    None  # as expected values: the last of the arguments of each call, which `call` does not get
-)
+# as expected values: the last of the arguments of each call, which `call` does not get
+ANSWERS = None
 
 
 @dataclass(frozen=True)

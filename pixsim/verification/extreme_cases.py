@@ -77,9 +77,8 @@ OTFS = (
     (1 - 1e-10, 1.2004e-15),
 )
 _ROUNDED = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
-_TRANSFORMED = (
-    1e-14  # rounding of a cosine transform and its inverse, relative to the brightest sample
-)
+# rounding of a cosine transform and its inverse, relative to the brightest sample
+_TRANSFORMED = 1e-14
 
 
 def blurred(picture: Array, f_number: float) -> Array:
@@ -339,9 +338,8 @@ GREEN = QUIET | {
     "pitch_um": 5.0,
 }
 CAMERA = Camera(die_mm=0.08)
-GREEN_E_PER_S = (
-    1226.317856665  # of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
-)
+# of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
+GREEN_E_PER_S = 1226.317856665
 _LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 FRAME = (200, 500)  # pixels of a frame of random samples
 COUNT = 100_000
