@@ -56,7 +56,7 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
 from pixsim.viewer.without_effect import (
     TABLES,
-    GivenSettings,
+    UserSettings,
     fields_of,
     warn_of_settings_without_effect,
 )
@@ -392,7 +392,7 @@ def datasheet_settings(
         files, {name: value for name, value in options.items() if value is not None}
     )
     imaging = Imaging.of(settings, Camera())
-    stated = GivenSettings.of_setting(
+    stated = UserSettings.from_setting(
         imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False
     )
     warn_of_settings_without_effect({"": [stated]})

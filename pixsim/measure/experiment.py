@@ -41,7 +41,7 @@ from pixsim.sensor.readout import (
 from pixsim.sensor.technology import load_technology
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
-LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
+MIN_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
 _DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
 _BEYOND_SATURATION = (
@@ -327,9 +327,9 @@ def make_experiment(
     Raises PixsimError for a wavelength without response, for too few bits for the black level, and
     for too few pixels.
     """
-    if min(shape) < LEAST_SIDE:
+    if min(shape) < MIN_SIDE:
         raise invalid(
-            "shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}"
+            "shape", f"{shape[0]} × {shape[1]} pixels", f"at least {MIN_SIDE} × {MIN_SIDE}"
         )
     derived = derive(pixel, load_technology(pixel.technology))
     for note in pixel_notes(derived):

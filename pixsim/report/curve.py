@@ -162,7 +162,7 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
     colour, best = line_style.colour, curve.optimum
     mean, ci95 = first_metric_and_ci95(curve)
     low, high, fitted = map(
-        curve.metrics[0].of_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
+        curve.metrics[0].from_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
     )
     name = literal(curve.label)
     label = (
@@ -238,7 +238,7 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
 
 def fitted_at(curve: Curve, pitch_um: Array) -> Array:
     """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
-    values = curve.metric.of_loss(curve.fit.delta_e)
+    values = curve.metric.from_loss(curve.fit.delta_e)
     return np.interp(
         np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan
     )

@@ -84,7 +84,7 @@ def metrics_against_pitch(curve: Curve) -> Drawing:
         half = (high - low) / 2
         axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=colour)
         if fit := fits.get(metric.name):
-            axes.plot(fit.pitch_um, metric.of_loss(fit.delta_e), lw=1.2, color=colour)
+            axes.plot(fit.pitch_um, metric.from_loss(fit.delta_e), lw=1.2, color=colour)
             axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=colour)
         axes.set_title(f"{metric.label}: {metric.better} is better", fontsize=8)
         axes.grid(alpha=0.25)

@@ -284,7 +284,9 @@ class Curve(Result):
         order = np.argsort(pitch_um, kind="stable")
         return (
             pitch_um[order],
-            np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order],
+            np.append(self.metric.from_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[
+                order
+            ],
         )
 
     @property
@@ -480,7 +482,7 @@ def first_metric_and_ci95(curve: Curve) -> tuple[Array, Array]:
     )
     mean, half = mean_and_ci95(curve.delta_e[told])
     shown[told], ci95[told] = (
-        curve.metric.of_loss(mean),
+        curve.metric.from_loss(mean),
         half if curve.metric.better == "less" else half / mean**2,
     )
     return shown, ci95

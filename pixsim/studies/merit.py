@@ -31,7 +31,7 @@ from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
 from pixsim.viewer.display import picture_size_um
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.mtf import mtf_terms, of_sensor
+from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import INFORMATION, neq_along
 
@@ -154,7 +154,7 @@ def system_mtf(
     what takes its place.
     """
     terms = study_mtf_terms(result, physics, frequency_cy_per_mm, path_um)
-    return np.asarray(math.prod(of_sensor(terms).values()))
+    return np.asarray(math.prod(terms_to_sensor(terms).values()))
 
 
 def shown_mtf(
@@ -207,7 +207,7 @@ def detail_terms(
     frequency, name = detail_frequency_lp_per_mm(irradiance, imaging.pixel.pitch_um)
     at = mtf_terms(imaging, irradiance, np.array(frequency), path_um=path_um)
     terms = {term: float(mtf) for term, mtf in at.items()}
-    sensor = of_sensor(terms)
+    sensor = terms_to_sensor(terms)
     return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}
 
 

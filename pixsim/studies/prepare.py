@@ -84,7 +84,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import (
     DELTA_E,
-    OF_PIXEL,
+    ROW_COLUMNS,
     Metric,
     MetricContext,
     MetricRequest,
@@ -97,7 +97,7 @@ from pixsim.viewer.without_effect import (
     SOLVE_FOR,
     TABLES,
     Default,
-    GivenSettings,
+    UserSettings,
     record_with,
     warn_of_settings_without_effect,
 )
@@ -124,7 +124,7 @@ def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
 
 
 @dataclass(frozen=True)
-class _GivenSizes(GivenSettings):
+class _GivenSizes(UserSettings):
     """Settings of one technology of a study, at one of its pixel sizes; what changes the list of
     sizes has an effect, too.
 
@@ -178,7 +178,7 @@ def settings_of_technology(
     settings = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
-        at_size = GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
+        at_size = UserSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
         names = tuple(
             name for name in at_size.names if technology != NO_TECHNOLOGY or name != _OF_THE_SHEET
         )
@@ -700,7 +700,7 @@ def check_axis_names(study: Study, metrics: Sequence[Metric], *labels: str) -> N
 
     labels : further columns
     """
-    columns = *OF_PIXEL, *columns_of_metrics(metrics), KEY, *labels
+    columns = *ROW_COLUMNS, *columns_of_metrics(metrics), KEY, *labels
     if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
 

@@ -72,7 +72,7 @@ from pixsim.viewer.score import Cause, FrameScore, LightError, Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import UserSettings, warn_of_settings_without_effect
 
 # --- where a target is just seen
 # --------------------------------------------------------------------------------------------------
@@ -386,7 +386,7 @@ def prepare(
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
         warn_of_settings_without_effect(
-            {"": [GivenSettings.of_setting(imaging, settings, picture=picture)]}
+            {"": [UserSettings.from_setting(imaging, settings, picture=picture)]}
         )
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY

@@ -73,7 +73,7 @@ from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 from pixsim.viewer.without_effect import (
     SOLVE_FOR,
-    GivenSettings,
+    UserSettings,
     changed_settings,
     warn_of_settings_without_effect,
 )
@@ -450,7 +450,7 @@ def _warn_of_settings_without_effect(
     Motion, display, correction and development are those of the first sensor; so is the lens,
     unless each has its own.
     """
-    sensors: dict[str, list[GivenSettings]] = {}
+    sensors: dict[str, list[UserSettings]] = {}
     for sensors_of_condition, found in zip(given, complete, strict=True):
         first = sensors_of_condition[0].settings
         for sensor, case in zip(sensors_of_condition, found, strict=True):
@@ -461,7 +461,7 @@ def _warn_of_settings_without_effect(
             run = sensor.settings.model_copy(update=shared)
             imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
             other_lens = () if match == "own" else _changed_lens(run, first)
-            settings = GivenSettings.of_setting(
+            settings = UserSettings.from_setting(
                 imaging, run, not_taken=(*STUDY_ALONE, SOLVE_FOR, *other_lens)
             )
             settings = replace(settings, names=(*settings.names, *unused))

@@ -61,7 +61,7 @@ from pixsim.viewer.scene_light import SceneLight
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import IdealFacts, warn_of_clipping, white_header, with_white
 from pixsim.viewer.setting import Run
-from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settings_without_effect
 
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
@@ -270,7 +270,7 @@ def _prepare_cases(
     Raises PixsimError with the name of the pixel.
     """
     cases: list[Case[Run]] = []
-    given: list[GivenSettings] = []
+    given: list[UserSettings] = []
     for place in (place for under in circumstances(plan) for place in under):
         labels = {name: ", ".join(filter(None, (f"pixel {name}", place.words))) for name in pixels}
         group: list[Case[Run]] = []
@@ -299,14 +299,14 @@ def _prepare_cases(
 
 def _given_settings(
     case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool
-) -> GivenSettings:
+) -> UserSettings:
     """Return the settings of a sensor, of which some may have no effect.
 
     unused : names of settings that change nothing in a sweep
     has_background : whether light without the target is given, so that a file of it does not count
     """
     run = case.settings
-    settings = GivenSettings.of_records(_imaging_of_case(case), light)
+    settings = UserSettings.from_records(_imaging_of_case(case), light)
     names = *settings.names, *unused, *(name for name in _OF_RENDER if name in run.model_fields_set)
     names = tuple(dict.fromkeys(names))
     not_taken = *NOT_TAKEN, SOLVE_FOR

@@ -35,7 +35,7 @@ from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
 from pixsim.viewer.metrics import (
     DELTA_E,
-    OF_PIXEL,
+    ROW_COLUMNS,
     PIXEL_STATISTICS,
     Metric,
     columns_of_metrics,
@@ -179,7 +179,7 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
 # ------------------------------------------------------------------------------------------------------------------
 
 ROWS_FILE = "results.csv"  # a row for each evaluation
-COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
+COLUMNS = (*ROW_COLUMNS, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
 MAX_BYTES = 1 << 31  # eight million rows
 _MAX_LINE = 1 << 14
 CHECK = "check"  # the last column, which shows whether a row is as it was written
@@ -191,8 +191,8 @@ def _row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) 
     """Return the columns of results.csv, with further labels after the repeat, and those of some
     metrics at the end.
     """
-    after = OF_PIXEL.index("repeat") + 1
-    return *OF_PIXEL[:after], *labels, *OF_PIXEL[after:], *columns_of_metrics(metrics)
+    after = ROW_COLUMNS.index("repeat") + 1
+    return *ROW_COLUMNS[:after], *labels, *ROW_COLUMNS[after:], *columns_of_metrics(metrics)
 
 
 class Store:
@@ -370,7 +370,7 @@ class Store:
             }
             names = [
                 name
-                for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics))
+                for name in (*ROW_COLUMNS[2:], *columns_of_metrics(self.metrics))
                 if name not in optional
             ]
             return all(math.isfinite(float(row[name])) for name in names)

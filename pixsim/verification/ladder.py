@@ -37,7 +37,7 @@ from pixsim.viewer.score import NOT_MEASURED, LightError
 from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import GivenSettings, fields_of, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import UserSettings, fields_of, warn_of_settings_without_effect
 
 EFFORTS, QUICK_EFFORTS = (
     (0.25, 0.5, 1.0),
@@ -221,7 +221,7 @@ def measure_accuracy(
         sensor=sensor,
     )
     camera = scene.camera(settings.camera, settings.lens)
-    settings_in_use = GivenSettings.of_setting(
+    settings_in_use = UserSettings.from_setting(
         Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN
     )
     warn_of_settings_without_effect({"": [settings_in_use]})

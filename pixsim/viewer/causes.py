@@ -27,13 +27,13 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import xyz_to_lab
 from pixsim.viewer.score import NOTHING, Cause
 
-_FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
+_MIN_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
 _SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
 ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 _LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
-_LEAST_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
+_MIN_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
 _ALL_FULL = 1.0 - 1e-6  # of the pixels
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
@@ -55,16 +55,20 @@ def causes_of(
     saturated_fraction : of the pixels of a frame
     """
     readout = imaging.readout
-    of_frame = white_e, integration_s, lightness[1]
+    darkest, lightest = lightness
     modulation = burst_modulation(imaging.exposure, integration_s)
-    full = _full(
-        _range_e(readout, integration_s), white_e, lightness[1], saturated_fraction, modulation
-    )
-    of_sensor = _codes(readout, *of_frame) or full
-    if tells_nothing(readout, *of_frame, saturated_fraction):
-        of_sensor = _nothing(of_sensor, saturated_fraction)
-    contrast = _contrast(*lightness, setting_of_white(header, imaging.display))
-    causes = [contrast, of_sensor, _light(outside_share(header, imaging.physics))]
+
+    # Of the sensor there is one cause: too few codes explain more than full pixels do.
+    sensor_cause = _codes(readout, white_e, integration_s, lightest)
+    if sensor_cause is None:
+        range_e = _range_e(readout, integration_s)
+        sensor_cause = _full(range_e, white_e, lightest, saturated_fraction, modulation)
+    if tells_nothing(readout, white_e, integration_s, lightest, saturated_fraction):
+        sensor_cause = _nothing(sensor_cause, saturated_fraction)
+
+    contrast = _contrast(darkest, lightest, setting_of_white(header, imaging.display))
+    light = _light(outside_share(header, imaging.physics))
+    causes = [contrast, sensor_cause, light]
     return tuple(sorted(filter(None, causes), key=lambda cause: -cause.delta_e))
 
 
@@ -89,8 +93,8 @@ def _lightness_of(luminance: Array) -> Array:
 def _luminance_of_lightness(lightness: float) -> float:
     """Return the luminance relative to white of a CIE L*, the inverse of `_lightness_of`.
 
-    >>> [round(float(lightness_of(np.array(luminance_of_lightness(each)))), 9) for each in (0.0, 5.0, 50.0, 100.0)]
-    [0.0, 5.0, 50.0, 100.0]
+    >>> [round(_luminance_of_lightness(lightness), 6) for lightness in (0.0, 50.0, 100.0)]
+    [0.0, 0.184187, 1.0]
     """
     return float(
         ((lightness + 16) / 116) ** 3 if lightness > _LINEAR_BELOW else lightness * 27 / 24389
@@ -144,7 +148,7 @@ def tells_nothing(
         variance_e2(exposure, charge_e, light_e=charge_e - dark_e, dark_e=dark_e)
     )
     mean_dn, variance_dn2, _ = moments_of_codes(level_dn, np.maximum(sigma_dn, NO_NOISE_DN))
-    return bool(mean_dn[1] - mean_dn[0] <= _LEAST_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
+    return bool(mean_dn[1] - mean_dn[0] <= _MIN_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
 
 
 def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
@@ -175,7 +179,7 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
         _range_e(readout, integration_s),
     )
     signal = _codes_to_white(readout, white_e * _luminance_of_lightness(lightest), integration_s)
-    if codes >= _FEWEST_CODES * (1 - ROUNDING) and (
+    if codes >= _MIN_CODES * (1 - ROUNDING) and (
         signal >= 1 or lightest < _SEEN_LIGHTNESS
     ):  # black has no contrast
         return None
@@ -183,7 +187,7 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
     hint = (
         f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
     )
-    if codes >= _FEWEST_CODES:
+    if codes >= _MIN_CODES:
         return Cause(
             f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint
         )

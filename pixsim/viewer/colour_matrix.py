@@ -188,16 +188,19 @@ def fit_matrix(
     from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
     basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
-    kept = sizes > (RANK_TOLERANCE if covariance is None else _NOISE_TOLERANCE) * sizes[0]
-    basis, turns = basis[:, kept], turns[kept] / sizes[kept, None] @ orthogonal
+    is_independent = sizes > (RANK_TOLERANCE if covariance is None else _NOISE_TOLERANCE) * sizes[0]
+    basis, turns = (
+        basis[:, is_independent],
+        turns[is_independent] / sizes[is_independent, None] @ orthogonal,
+    )
     wanted = target if covariance is None else np.vstack([target, np.zeros((channels, 3))])
     free = (basis.T @ (wanted - from_equal)).ravel()
     patches = slice(0, len(target))
     error = _MeanError(basis[patches], turns, from_equal[patches], target, covariance)
     options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
     for smoothing in _SMOOTHING_DELTA_E:
-        found = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
-        free, curvature = found.x, (found.hess_inv + found.hess_inv.T) / 2
+        optimum = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
+        free, curvature = optimum.x, (optimum.hess_inv + optimum.hess_inv.T) / 2
         # After a search that rounding stopped, it may be of no use.
         useful = np.isfinite(curvature).all() and np.linalg.eigvalsh(curvature)[0] > 0
         options["hess_inv0"] = curvature if useful else None

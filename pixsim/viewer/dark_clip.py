@@ -56,12 +56,12 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     if count > 1:
         clip = dark_clip(readout.burst(1), integration_s / count, white_e / count)
         spread_e = dark_spread_e(readout, integration_s)
-        of_frame = {
+        frame_values = {
             "spread_e": spread_e,
             "spread_dn": readout.dn_per_e * spread_e,
             "too_bright_e": count * clip["too_bright_e"],
         }
-        return clip | of_frame
+        return clip | frame_values
     p, dark, gain = readout, readout.dark_spread, readout.dn_per_e
     noise_dn = gain * math.sqrt(variance_e2(p))
     ordinary_e = p.dark_current_e_per_s * integration_s * dark.ordinary_mean
@@ -72,9 +72,9 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     share = np.full(dark_e.size, 1.0 / dark_e.size)
     if dark.hot_fraction:
         logarithm = dark.hot_spread * ndtri((np.arange(_DARK_NODES) + 0.5) / _DARK_NODES)
-        of_hot = np.full(_DARK_NODES, dark.hot_fraction / _DARK_NODES)
+        hot_share = np.full(_DARK_NODES, dark.hot_fraction / _DARK_NODES)
         dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
-        share = np.concatenate([(1 - dark.hot_fraction) * share, of_hot])
+        share = np.concatenate([(1 - dark.hot_fraction) * share, hot_share])
     is_few = dark_e <= FEW_E
     many, first_notes = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(_POISSON_TERMS)
@@ -91,14 +91,14 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
         moments_of_codes(-level_dn, sigma_dn)[0],
     )  # codes below 0, mirrored
     too_bright_e = float(weight @ excess_dn) / gain
-    of_white = min(too_bright_e / white_e, 1.0)
+    white_fraction = min(too_bright_e / white_e, 1.0)
     return {
         "spread_e": dark_spread_e(p, integration_s),
         "spread_dn": gain * dark_spread_e(p, integration_s),
         "at_zero_fraction": float(weight @ at_zero),
         "too_bright_e": too_bright_e,
-        "of_display_white": of_white,
-        "lightness": float(xyz_to_lab([of_white] * 3, np.ones(3))[0]),
+        "of_display_white": white_fraction,
+        "lightness": float(xyz_to_lab([white_fraction] * 3, np.ones(3))[0]),
         "least_black_level_dn": least_black_level_dn(p, integration_s),
         "gain_db": p.gain_db,
     }
@@ -127,11 +127,11 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     """
     black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
     fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
-    lacking = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
+    remedy = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
     hint = (
         f"set pixel.black_level_dn = {needed} to avoid this"
         if fits
-        else f"avoiding this takes {lacking}"
+        else f"avoiding this takes {remedy}"
     )
     excess_e, lightness = rounded(dark["too_bright_e"]), rounded(dark["lightness"])
     share = 100 * dark["at_zero_fraction"]

@@ -20,32 +20,33 @@ def percentiles(
     largest : of the values, if it is known
     """
     largest = float(values.max()) if largest is None else largest
-    scale = (HISTOGRAM_BINS - 1) / max(largest, float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
-    values, bins, counts = (
-        values.ravel(),
-        np.empty(values.size, np.uint16),
-        np.zeros(HISTOGRAM_BINS, np.intp),
-    )
+    smallest_scale = float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS
+    scale = (HISTOGRAM_BINS - 1) / max(largest, smallest_scale)
+
+    values = values.ravel()
+    bins = np.empty(values.size, np.uint16)
+    counts = np.zeros(HISTOGRAM_BINS, np.intp)
     for part in strips(values.size, 1, _COUNTED):
         np.multiply(values[part], scale, out=bins[part], casting="unsafe")
         counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
     up_to = counts.cumsum()
-    at = [percentage / 100 * (values.size - 1) for percentage in percent]
+    positions = [percentage / 100 * (values.size - 1) for percentage in percent]
     ranks = np.array(
-        [[int(place), min(int(place) + 1, values.size - 1)] for place in at]
+        [[int(position), min(int(position) + 1, values.size - 1)] for position in positions]
     )  # 0 for the smallest value
-    own = np.searchsorted(up_to, ranks, "right")
-    wanted = np.array(sorted(set(own.ravel().tolist())))
-    chosen = np.zeros(bins.shape, bool)
-    for one in wanted.tolist():  # a number of Python does not widen the bins
-        chosen |= bins == one
-    smallest = np.sort(values[chosen])  # bins increase with the values
+    rank_bins = np.searchsorted(up_to, ranks, "right")
+    needed_bins = np.array(sorted(set(rank_bins.ravel().tolist())))
+    is_needed = np.zeros(bins.shape, bool)
+    for bin_number in needed_bins.tolist():  # a number of Python does not widen the bins
+        is_needed |= bins == bin_number
+    smallest = np.sort(values[is_needed])  # bins increase with the values
     skipped = (
-        up_to[wanted] - counts[wanted].cumsum()
+        up_to[needed_bins] - counts[needed_bins].cumsum()
     )  # values in bins that are not wanted, below each one that is
-    found = smallest.astype(float)[ranks - skipped[np.searchsorted(wanted, own)]]
+    ranked_values = smallest.astype(float)[ranks - skipped[np.searchsorted(needed_bins, rank_bins)]]
     return [
-        float(low + place % 1 * (high - low)) for place, (low, high) in zip(at, found, strict=True)
+        float(low + position % 1 * (high - low))
+        for position, (low, high) in zip(positions, ranked_values, strict=True)
     ]
 
 

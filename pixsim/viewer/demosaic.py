@@ -45,8 +45,8 @@ Products = tuple[tuple[float, tuple[float, ...]], ...]
 WHITE: Products = ((1.0, (1.0,)),)  # of no filter
 MAX_VALUE = 1e300  # sums of these do not overflow
 # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
-_MENON_REACH = 8
-_SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
+_MENON_MARGIN_PX = 8
+_SPLINE_RANGE_PX = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
 # Weights of |difference(x) - difference(x + 2)| around a pixel in the change along x; transposed,
 # along y.
 _MENON_CHANGES = np.array(
@@ -126,8 +126,8 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
             f"finite numbers up to {MAX_VALUE:g}",
         )
     if method == "menon2007":
-        planes = _menon(np.pad(values, _MENON_REACH, mode="reflect"), cell)[
-            :, _MENON_REACH:-_MENON_REACH, _MENON_REACH:-_MENON_REACH
+        planes = _menon(np.pad(values, _MENON_MARGIN_PX, mode="reflect"), cell)[
+            :, _MENON_MARGIN_PX:-_MENON_MARGIN_PX, _MENON_MARGIN_PX:-_MENON_MARGIN_PX
         ]
     elif is_linear:
         planes = _filtered(values, _weights(cell, method))
@@ -175,10 +175,14 @@ def demosaic_covariance(
     """
     cell, values = unit_cell(pattern), np.asarray(variance, float)
     if correlations is not None:
-        own = _correlated(cell, method, dot_px, interpolation, remosaiced, products, correlations)
+        per_variance = _correlated_covariance(
+            cell, method, dot_px, interpolation, remosaiced, products, correlations
+        )
     else:
-        own = _covariance_per_variance(cell, method, dot_px, interpolation, remosaiced, products)
-    return np.asarray(np.einsum("cdk,...k->...cd", own, values))
+        per_variance = _covariance_per_variance(
+            cell, method, dot_px, interpolation, remosaiced, products
+        )
+    return np.asarray(np.einsum("cdk,...k->...cd", per_variance, values))
 
 
 def demosaic_column_covariance(
@@ -206,8 +210,8 @@ def demosaic_column_covariance(
     [0.75, 0.6875, 0.75]
     """
     cell, values = unit_cell(pattern), np.asarray(deviation, float)
-    own = _column_products(cell, method, dot_px, interpolation, remosaiced, products)
-    return np.asarray(np.einsum("cdkl,...k,...l->...cd", own, values, values))
+    per_deviations = _column_products(cell, method, dot_px, interpolation, remosaiced, products)
+    return np.asarray(np.einsum("cdkl,...k,...l->...cd", per_deviations, values, values))
 
 
 def demosaic_row_covariance(
@@ -226,12 +230,22 @@ def demosaic_row_covariance(
     The arguments and the errors are those of `demosaic_column_covariance`, of which it is the
     transpose.
     """
-    cell, values = unit_cell(pattern), np.asarray(deviation, float)
-    turned = tuple("".join(letters) for letters in zip(*cell, strict=True))
-    place = [channels_of(turned).index(channel) for channel in channels_of(cell)]
-    own = method, values[..., np.argsort(place)], dot_px, interpolation
-    found = demosaic_column_covariance(turned, *own, remosaiced=remosaiced, products=products)
-    return np.asarray(found[..., place, :][..., place])
+    cell = unit_cell(pattern)
+    values = np.asarray(deviation, float)
+
+    # Rows are the columns of the transposed cell, whose channels may stand in another order.
+    transposed = tuple("".join(letters) for letters in zip(*cell, strict=True))
+    order = [channels_of(transposed).index(channel) for channel in channels_of(cell)]
+    covariance = demosaic_column_covariance(
+        transposed,
+        method,
+        values[..., np.argsort(order)],
+        dot_px,
+        interpolation,
+        remosaiced=remosaiced,
+        products=products,
+    )
+    return np.asarray(covariance[..., order, :][..., order])
 
 
 def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
@@ -291,8 +305,8 @@ def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
             f"{height} × {width} pixels",
             f"at least the unit cell of {rows} × {columns} pixels",
         )
-    taps, reach = _remosaic_taps(cell), max(rows, columns)
-    padded, inside = np.pad(mosaic, reach), np.pad(np.ones_like(mosaic), reach)
+    taps, margin_px = _remosaic_taps(cell), max(rows, columns)
+    padded, inside = np.pad(mosaic, margin_px), np.pad(np.ones_like(mosaic), margin_px)
     result = mosaic.copy()
     for y, x in np.ndindex(rows, columns):
         if set(taps[y, x]) == {(0, 0)}:
@@ -300,7 +314,7 @@ def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
         into = result[y::rows, x::columns]
         total, weight = np.zeros_like(into), np.zeros_like(into)
         for (dy, dx), share in taps[y, x].items():
-            at = np.s_[reach + y + dy :: rows, reach + x + dx :: columns]
+            at = np.s_[margin_px + y + dy :: rows, margin_px + x + dx :: columns]
             total += share * padded[at][: into.shape[0], : into.shape[1]]
             weight += share * inside[at][: into.shape[0], : into.shape[1]]
         into[...] = total / weight
@@ -314,47 +328,58 @@ def _remosaic_taps(cell: tuple[str, ...]) -> dict[tuple[int, int], dict[tuple[in
     """
     single = binned_cell(cell)
 
-    def beside(line: Sequence[str], at: int, channel: str) -> dict[int, float]:
-        """Return the nearest samples on either side along a line that repeats, with weights linear
-        in their distances.
-        """
-        if channel not in line:
-            return {}
-        before = next(d for d in range(1, len(line) + 1) if line[(at - d) % len(line)] == channel)
-        after = next(d for d in range(1, len(line) + 1) if line[(at + d) % len(line)] == channel)
-        return {-before: after / (before + after), after: before / (before + after)}
-
-    found = {}
+    taps: dict[tuple[int, int], dict[tuple[int, int], float]] = {}
     for y, x in np.ndindex(len(cell), len(cell[0])):
-        channel, row, column = (
-            single[y % len(single)][x % len(single[0])],
-            cell[y],
-            [line[x] for line in cell],
-        )
-        in_row, in_column = beside(row, x, channel), beside(column, y, channel)
-        ways = [
-            {(0, dx): share for dx, share in in_row.items()},
-            {(dy, 0): share for dy, share in in_column.items()},
-        ]
-        ways = [way for way in ways if way]
+        channel = single[y % len(single)][x % len(single[0])]
         if cell[y][x] == channel:
-            ways = [{(0, 0): 1.0}]
-        elif not ways:
-            down = beside([channel if channel in line else "" for line in cell], y, channel)
-            across = {dy: beside(cell[(y + dy) % len(cell)], x, channel) for dy in down}
-            ways = [
-                {
-                    (dy, dx): share * part
-                    for dy, share in down.items()
-                    for dx, part in across[dy].items()
-                }
-            ]
-        found[y, x] = {
-            place: sum(way.get(place, 0.0) for way in ways) / len(ways)
-            for way in ways
-            for place in way
+            taps[y, x] = {(0, 0): 1.0}
+            continue
+
+        # Along the row and along the column, as far as these have the channel.
+        column = [row[x] for row in cell]
+        in_row = _neighbour_weights(cell[y], x, channel)
+        in_column = _neighbour_weights(column, y, channel)
+        candidates = [
+            {(0, dx): weight for dx, weight in in_row.items()},
+            {(dy, 0): weight for dy, weight in in_column.items()},
+        ]
+        interpolations = [weights for weights in candidates if weights]
+        if not interpolations:
+            interpolations = [_neighbour_row_weights(cell, y, x, channel)]
+        taps[y, x] = {
+            offset: sum(weights.get(offset, 0.0) for weights in interpolations)
+            / len(interpolations)
+            for weights in interpolations
+            for offset in weights
         }
-    return found
+    return taps
+
+
+def _neighbour_weights(line: Sequence[str], index: int, channel: str) -> dict[int, float]:
+    """Return the nearest samples on either side along a line that repeats, with weights linear in
+    their distances; none where the line lacks the channel.
+    """
+    if channel not in line:
+        return {}
+    distances = range(1, len(line) + 1)
+    before = next(d for d in distances if line[(index - d) % len(line)] == channel)
+    after = next(d for d in distances if line[(index + d) % len(line)] == channel)
+    return {-before: after / (before + after), after: before / (before + after)}
+
+
+def _neighbour_row_weights(
+    cell: tuple[str, ...], y: int, x: int, channel: str
+) -> dict[tuple[int, int], float]:
+    """Return the nearest samples in the rows above and below that have a channel, with weights
+    linear in their distances, (dy, dx) -> weight.
+    """
+    rows_with_channel = [channel if channel in row else "" for row in cell]
+    weights = {}
+    for dy, row_weight in _neighbour_weights(rows_with_channel, y, channel).items():
+        row = cell[(y + dy) % len(cell)]
+        for dx, weight in _neighbour_weights(row, x, channel).items():
+            weights[dy, dx] = row_weight * weight
+    return weights
 
 
 def _check_method(cell: Sequence[str], method: Method) -> None:
@@ -414,18 +439,20 @@ def _weights_behind(cell: tuple[str, ...], method: Method, remosaiced: bool) -> 
     if not remosaiced:
         return _weights(cell, method)
     taps, single = _remosaic_taps(cell), _weights(binned_cell(cell), method)
-    (high, wide), (ry, rx), reach = (
+    (high, wide), (ry, rx), margin_px = (
         single.shape[:2],
         (single.shape[3] // 2, single.shape[4] // 2),
         max(len(cell), len(cell[0])),
     )
     rows, columns = len(cell), len(cell[0])
-    weights = np.zeros((rows, columns, single.shape[2], 2 * (ry + reach) + 1, 2 * (rx + reach) + 1))
+    weights = np.zeros(
+        (rows, columns, single.shape[2], 2 * (ry + margin_px) + 1, 2 * (rx + margin_px) + 1)
+    )
     for y, x, c, i, j in np.ndindex(rows, columns, *single.shape[2:]):
         share = single[y % high, x % wide, c, i, j]
         at = (y + i - ry) % rows, (x + j - rx) % columns
         for (dy, dx), part in taps[at].items() if share else ():
-            weights[y, x, c, i + reach + dy, j + reach + dx] += share * part
+            weights[y, x, c, i + margin_px + dy, j + margin_px + dx] += share * part
     weights.flags.writeable = False
     return weights
 
@@ -437,8 +464,8 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     four phases, and what is summed are whole phases, displaced.
     """
     height, width = mosaic.shape
-    reach = weights.shape[-1] // 2
-    padded = np.pad(mosaic, reach, mode="reflect")
+    margin_px = weights.shape[-1] // 2
+    padded = np.pad(mosaic, margin_px, mode="reflect")
     phase = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
     planes = empty_planes(
         weights.shape[2], height, width, dtype=mosaic.dtype
@@ -483,14 +510,14 @@ def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
 
     planes = np.empty((len(channels_of(cell)), height, width))
     for plane, channel in zip(planes, channels_of(cell), strict=True):
-        own = letters == channel
-        np.divide(blurred(mosaic * own), blurred(own.astype(float)), out=plane)
-        np.copyto(plane, mosaic, where=own)
+        is_sampled = letters == channel
+        np.divide(blurred(mosaic * is_sampled), blurred(is_sampled.astype(float)), out=plane)
+        np.copyto(plane, mosaic, where=is_sampled)
     return planes
 
 
 def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
-    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `_MENON_REACH` pixels at
+    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `_MENON_MARGIN_PX` pixels at
     each edge are void.
     """
     height, width = mosaic.shape
@@ -530,11 +557,11 @@ def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
                 along_choice(blue - green, three),
             )
             green = np.where(is_red, red - from_red, np.where(is_blue, blue - from_blue, green))
-        for plane, own in (
+        for plane, has_channel in (
             (red, is_red),
             (blue, is_blue),
         ):  # at green pixels, from the two pixels of its colour beside
-            difference, in_row = plane - green, own.any(axis=1)[:, None]
+            difference, in_row = plane - green, has_channel.any(axis=1)[:, None]
             mean = np.where(in_row, along(1, difference, beside), along(0, difference, beside))
             np.copyto(plane, green + mean, where=is_green)
         mean = along_choice(red - blue, taps)  # red at blue pixels, and blue at red pixels
@@ -558,22 +585,24 @@ def _covariance_per_variance(
     place in the unit cell. With dots, neighbours weigh with the mean product of their weights in a
     dot.
     """
-    channels, left = channels_of(cell), _left(cell, method, remosaiced)
-    rows, columns, _, ky, kx = left.shape
-    shared = left
+    channels, responses = channels_of(cell), _responses(cell, method, remosaiced)
+    rows, columns, _, ky, kx = responses.shape
+    shared = responses
     if dot_px is not None or products != WHITE:
-        shared = np.zeros_like(left)
+        shared = np.zeros_like(responses)
         for factor, taps in products:
             along = _filtered_products(dot_px, interpolation, max(ky, kx), taps)
-            shared += factor * (_toeplitz(along[:ky]) @ left @ _toeplitz(along[:kx]))
-    each = np.einsum("yxcij,yxdij->yxcd", left, shared) / (rows * columns)
+            shared += factor * (_toeplitz(along[:ky]) @ responses @ _toeplitz(along[:kx]))
+    place_covariance = np.einsum("yxcij,yxdij->yxcd", responses, shared) / (rows * columns)
     letters = np.array([list(row) for row in cell])
-    covariance = np.stack([each[letters == channel].sum(axis=0) for channel in channels], axis=-1)
+    covariance = np.stack(
+        [place_covariance[letters == channel].sum(axis=0) for channel in channels], axis=-1
+    )
     covariance.flags.writeable = False
     return covariance
 
 
-def _left(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
+def _responses(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
     """Return what a pixel at each place of the unit cell leaves in the channels around it, (rows,
     columns, C, ky, kx).
     """
@@ -585,7 +614,7 @@ def _left(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
     )
 
 
-def _correlated(
+def _correlated_covariance(
     cell: tuple[str, ...],
     method: Method,
     dot_px: float | None,
@@ -597,44 +626,45 @@ def _correlated(
     """Return `_covariance_per_variance` of pixels that are correlated with those at the same place
     of other unit cells.
     """
-    left, letters = _left(cell, method, remosaiced), "".join(cell)
-    rows, columns, count, ky, kx = left.shape
-    found = np.zeros((count, count, count))
+    responses, letters = _responses(cell, method, remosaiced), "".join(cell)
+    rows, columns, count, ky, kx = responses.shape
+    covariance = np.zeros((count, count, count))
     for place, (letter, correlation) in enumerate(zip(letters, correlations, strict=True)):
-        own = left[divmod(place, columns)]
+        response = responses[divmod(place, columns)]
         for factor, taps in products:
-            reach = len(taps) // 2 + (
+            range_px = len(taps) // 2 + (
                 0
                 if dot_px is None
-                else int(np.ceil(dot_px)) + (2 * _SPLINE_REACH if interpolation == "cubic" else 2)
+                else int(np.ceil(dot_px))
+                + (2 * _SPLINE_RANGE_PX if interpolation == "cubic" else 2)
             )
             sides = []
             for axis, size, step in ((0, ky, rows), (1, kx, columns)):
                 middle = correlation.shape[axis] // 2
                 cells = np.arange(
-                    -min(middle, (size + reach) // step + 1),
-                    min(middle, (size + reach) // step + 1) + 1,
+                    -min(middle, (size + range_px) // step + 1),
+                    min(middle, (size + range_px) // step + 1) + 1,
                 )
                 along = _filtered_products(
-                    dot_px, interpolation, size + reach + step * int(cells.max()) + 1, taps
+                    dot_px, interpolation, size + range_px + step * int(cells.max()) + 1, taps
                 )
                 at = np.arange(size)
                 sides.append(
                     (middle + cells, along[np.abs(at[:, None] - at + step * cells[:, None, None])])
                 )
-            (down, of_rows), (across, of_columns) = sides
+            (down, row_products), (across, column_products) = sides
             shared = np.einsum(
                 "uv,uij,cjk,vlk->cil",
                 correlation[np.ix_(down, across)],
-                of_rows,
-                own,
-                of_columns,
+                row_products,
+                response,
+                column_products,
                 optimize=True,
             )
-            found[:, :, channels_of(cell).index(letter)] += factor * np.einsum(
-                "cil,dil->cd", own, shared
+            covariance[:, :, channels_of(cell).index(letter)] += factor * np.einsum(
+                "cil,dil->cd", response, shared
             )
-    return found / (rows * columns)
+    return covariance / (rows * columns)
 
 
 @lru_cache(maxsize=64)
@@ -659,29 +689,33 @@ def _column_products(
     source = letters[
         (y + dy - ky // 2) % rows, (x + dx - kx // 2) % columns
     ]  # of each sample of each place
-    own = np.stack(
+    channel_weights = np.stack(
         [(weights * (source == channel)[:, :, None]).sum(axis=3) for channel in channels], axis=-1
     )
     u, at = np.ogrid[:columns, :kx]
-    left = own[
+    responses = channel_weights[
         :, (u - at + kx // 2) % columns, :, at
     ]  # from each column to those around, (columns, kx, rows, C, C)
     if dot_px is None and products == WHITE:
         return np.asarray(
-            np.einsum("uipck,uiqdl,pq->cdkl", left, left, np.eye(rows) / rows) / columns
+            np.einsum("uipck,uiqdl,pq->cdkl", responses, responses, np.eye(rows) / rows) / columns
         )
-    found = np.zeros((len(channels),) * 4)
+    covariance = np.zeros((len(channels),) * 4)
     for factor, taps in products:
-        reach = len(taps) // 2 + (0 if dot_px is None else int(np.ceil(dot_px)) + 2 * _SPLINE_REACH)
-        along = _filtered_products(
-            dot_px, interpolation, max(kx, reach if taps == (1.0,) else reach + 1), taps
+        range_px = len(taps) // 2 + (
+            0 if dot_px is None else int(np.ceil(dot_px)) + 2 * _SPLINE_RANGE_PX
         )
-        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(along[:kx]), left)
-        apart = np.arange(1 - along.size, along.size)
-        shares = np.bincount(apart % rows, along[np.abs(apart)], rows) / rows
+        along = _filtered_products(
+            dot_px, interpolation, max(kx, range_px if taps == (1.0,) else range_px + 1), taps
+        )
+        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(along[:kx]), responses)
+        distance = np.arange(1 - along.size, along.size)
+        shares = np.bincount(distance % rows, along[np.abs(distance)], rows) / rows
         between = shares[np.arange(rows)[:, None] - np.arange(rows)]
-        found += factor * np.einsum("uipck,uiqdl,pq->cdkl", along_x, left, between) / columns
-    return found
+        covariance += (
+            factor * np.einsum("uipck,uiqdl,pq->cdkl", along_x, responses, between) / columns
+        )
+    return covariance
 
 
 def _filtered_products(
@@ -690,16 +724,16 @@ def _filtered_products(
     """Return `_dot_products` behind a symmetric filter along the axis; without dots, the filter
     alone.
     """
-    reach = len(taps) // 2
+    half_width = len(taps) // 2
     if dot_px is None:
-        own = np.zeros(count + reach)
-        own[0] = 1.0
+        products = np.zeros(count + half_width)
+        products[0] = 1.0
     else:
-        own = _dot_products(dot_px, interpolation, count + reach)
-    if not reach:
-        return own * taps[0]
-    both = np.concatenate([own[:0:-1], own])
-    middle = own.size - 1
+        products = _dot_products(dot_px, interpolation, count + half_width)
+    if not half_width:
+        return products * taps[0]
+    both = np.concatenate([products[:0:-1], products])
+    middle = products.size - 1
     return np.asarray(np.convolve(both, taps, mode="same")[middle : middle + count])
 
 
@@ -718,8 +752,8 @@ def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
     polynomials of degree 4 or less: Gauss-Legendre nodes are exact.
     """
     degree = SPLINE_DEGREE[interpolation]
-    reach = _SPLINE_REACH if degree > 1 else 1
-    pixels = 2 * (reach + count) + int(np.ceil(dot_px)) + 1
+    margin_px = _SPLINE_RANGE_PX if degree > 1 else 1
+    pixels = 2 * (margin_px + count) + int(np.ceil(dot_px)) + 1
     knots = np.unique(
         np.concatenate([[0.0, 1.0], (np.array([0.0, 0.5, -dot_px, 0.5 - dot_px])) % 1])
     )
@@ -727,7 +761,7 @@ def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
     products = np.zeros(count)
     for low, high in pairwise(knots):
         for node, part in zip(nodes, parts, strict=True):
-            start = reach + count + (low + high + node * (high - low)) / 2
+            start = margin_px + count + (low + high + node * (high - low)) / 2
             dot = average_axis(
                 np.eye(pixels), 1.0, 0.0, np.array([start, start + dot_px]), degree, 0
             )[0]
@@ -735,6 +769,8 @@ def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
                 part
                 * (high - low)
                 / 2
-                * np.array([(dot[: pixels - apart] * dot[apart:]).sum() for apart in range(count)])
+                * np.array(
+                    [(dot[: pixels - distance] * dot[distance:]).sum() for distance in range(count)]
+                )
             )
     return products

@@ -35,7 +35,7 @@ MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
 _ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
 _ToneTable = tuple[_ToneRow, ...]
-_OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}"
+_FUNCTION_HINT = "the function of one's own is given in Python: develop={'denoise': my_function}"
 
 
 def _as_gains(value: object) -> object:
@@ -47,7 +47,7 @@ def _as_gains(value: object) -> object:
 
 
 @dataclass(frozen=True)
-class _OwnDenoiser:
+class _UserDenoiser:
     """A user's function of a plane, whose noise has variance 1, and of the strength, that returns
     the plane with less noise.
 
@@ -58,22 +58,22 @@ class _OwnDenoiser:
     text: str
 
     def __call__(self, plane: Array, strength: float) -> Array:
-        found: Array = self.function(plane, strength)
-        return found
+        denoised: Array = self.function(plane, strength)
+        return denoised
 
-    def __reduce__(self) -> tuple[type[_OwnDenoiser], tuple[object, str]]:
-        return _OwnDenoiser, (by_value(self.function), self.text)
+    def __reduce__(self) -> tuple[type[_UserDenoiser], tuple[object, str]]:
+        return _UserDenoiser, (by_value(self.function), self.text)
 
 
 _functions: dict[
-    str, _OwnDenoiser
+    str, _UserDenoiser
 ] = {}  # that this process was given, by their texts, as which settings are handed on
 
 
-def _own_denoiser(function: Callable[[Any, float], Any]) -> _OwnDenoiser:
+def _user_denoiser(function: Callable[[Any, float], Any]) -> _UserDenoiser:
     """Return the denoiser of a function, which this process knows from now on."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    denoiser = _OwnDenoiser(
+    denoiser = _UserDenoiser(
         function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}"
     )
     _functions[denoiser.text] = denoiser
@@ -82,20 +82,20 @@ def _own_denoiser(function: Callable[[Any, float], Any]) -> _OwnDenoiser:
 
 def _as_denoiser(value: object) -> object:
     if callable(value):
-        return value if isinstance(value, _OwnDenoiser) else _own_denoiser(value)
+        return value if isinstance(value, _UserDenoiser) else _user_denoiser(value)
     if isinstance(value, str) and value not in _DENOISERS:
         if value in _functions:
             return _functions[value]
-        raise ValueError(f"got {brief(value)}; allowed: {', '.join(_DENOISERS)}; {_OF_FUNCTIONS}")
+        raise ValueError(f"got {brief(value)}; allowed: {', '.join(_DENOISERS)}; {_FUNCTION_HINT}")
     return value
 
 
 def _text_of(value: object) -> object:
-    return value.text if isinstance(value, _OwnDenoiser) else value
+    return value.text if isinstance(value, _UserDenoiser) else value
 
 
 _Denoise = Annotated[
-    Literal["none", "wiener_bound", "nlm", "wavelet"] | _OwnDenoiser,
+    Literal["none", "wiener_bound", "nlm", "wavelet"] | _UserDenoiser,
     BeforeValidator(_as_denoiser),
     PlainSerializer(_text_of),
     WithJsonSchema({"enum": [*_DENOISERS], "type": "string"}),
@@ -131,9 +131,9 @@ def _read_tone_table(path: Path) -> _ToneTable:
     cells = read_cells(path, "tone curve", _ALLOWED_TONE, MAX_FILE_BYTES)
     rows = []
     for place, (number, row) in enumerate(cells.rows):
-        found = [as_number(cell, cells.decimal) for cell in row[:2]]
-        if len(found) == 2 and None not in found:
-            rows.append((float(found[0] or 0), float(found[1] or 0)))
+        numbers = [as_number(cell, cells.decimal) for cell in row[:2]]
+        if len(numbers) == 2 and None not in numbers:
+            rows.append((float(numbers[0] or 0), float(numbers[1] or 0)))
         elif place:  # the first row may have titles
             raise ValueError(
                 f"got no two numbers in line {number} of '{path}'; allowed: {_ALLOWED_TONE}"
@@ -277,7 +277,7 @@ class Develop(Record):
         """Name of the noise reduction, without the hash of a function."""
         return (
             self.denoise.text.partition("#")[0]
-            if isinstance(self.denoise, _OwnDenoiser)
+            if isinstance(self.denoise, _UserDenoiser)
             else self.denoise
         )
 
@@ -307,12 +307,12 @@ class Develop(Record):
         """
         if self.tone_curve == "none":
             return {}
-        own = {
+        parameters = {
             "gamma": {"tone_gamma": self.tone_gamma},
             "reinhard": {"tone_white": self.tone_white},
         }
         return {"tone_curve": self.tone_curve} | (
-            own.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {}
+            parameters.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {}
         )
 
     @property

@@ -129,7 +129,7 @@ def _is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
 
 
 @dataclass(frozen=True)
-class _PixelNoise:
+class _ChannelNoise:
     """The noise of the channels of even patches on its way through linear steps, in closed form.
 
     cell : rows of the unit cell; one letter where every pixel has every channel
@@ -163,60 +163,73 @@ class _PixelNoise:
         dot_px : side of a dot in pixels; None: dots are pixels
         interpolation : between pixel centres
         """
-        found = (
+        covariance = (
             self._of_planes(dot_px, interpolation)
             if self.method is None
             else self._of_mosaic(dot_px, interpolation)
         )
         if self.matrix is None:
-            return found
+            return covariance
         return np.asarray(
-            np.einsum("ic,pcd,jd->pij", self.matrix, found, self.matrix, optimize=False)
+            np.einsum("ic,pcd,jd->pij", self.matrix, covariance, self.matrix, optimize=False)
         )
 
     def _of_planes(
         self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
     ) -> Array:
         """Every pixel has every channel; the layers of a pixel are read by one column."""
-        own: tuple[Any, ...] = ["R"], "interpolate", np.ones(1), dot_px, interpolation
-        of_columns = float(demosaic_column_covariance(*own, products=self.products)[0, 0])
+        count = self.columns.size
+
+        def pixel_factor(correlations: Sequence[Array] | None) -> float:
+            """Return the variance of a mean over a dot, of pixels of variance 1."""
+            covariance = demosaic_covariance(
+                ["R"],
+                "interpolate",
+                np.ones(1),
+                dot_px,
+                interpolation,
+                products=self.products,
+                correlations=correlations,
+            )
+            return float(covariance[0, 0])
+
         if self.correlations is None:
-            of_pixels = np.full(
-                self.columns.size, float(demosaic_covariance(*own, products=self.products)[0, 0])
-            )
+            pixel_factors = np.full(count, pixel_factor(None))
         else:
-            each = (
-                demosaic_covariance(*own, products=self.products, correlations=(one,))
-                for one in self.correlations
-            )
-            of_pixels = np.array([float(one[0, 0]) for one in each])
+            pixel_factors = np.array([pixel_factor((plane,)) for plane in self.correlations])
+        line_factor = float(
+            demosaic_column_covariance(
+                ["R"], "interpolate", np.ones(1), dot_px, interpolation, products=self.products
+            )[0, 0]
+        )
+
         # A line of columns averages as one of rows; the rows of each layer are read by themselves.
-        alone = (of_pixels * self.variance)[:, :, None] * np.eye(
-            self.columns.size
-        ) + of_columns * np.diag(self.rows**2)
-        return np.asarray(alone + of_columns * np.multiply.outer(self.columns, self.columns))
+        pixels = (pixel_factors * self.variance)[:, :, None] * np.eye(count)
+        rows = line_factor * np.diag(self.rows**2)
+        columns = line_factor * np.multiply.outer(self.columns, self.columns)
+        return np.asarray(pixels + rows + columns)
 
     def _of_mosaic(
         self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
     ) -> Array:
         """Each channel is interpolated; the weights of menon2007 depend on the picture."""
         linear: Any = "malvar2004" if self.method == "menon2007" else self.method
-        filters: dict[str, Any] = {"remosaiced": self.remosaiced, "products": self.products}
-        own = dot_px, interpolation
-        independent = demosaic_covariance(
-            self.cell, linear, self.variance, *own, **filters, correlations=self.correlations
+        chain: dict[str, Any] = {
+            "dot_px": dot_px,
+            "interpolation": interpolation,
+            "remosaiced": self.remosaiced,
+            "products": self.products,
+        }
+        covariance = demosaic_covariance(
+            self.cell, linear, self.variance, **chain, correlations=self.correlations
         )
         if self.rows.any():
-            independent = independent + demosaic_row_covariance(
-                self.cell, linear, self.rows, *own, **filters
-            )
-        return np.asarray(
-            independent
-            + demosaic_column_covariance(self.cell, linear, self.columns, *own, **filters)
-        )
+            covariance = covariance + demosaic_row_covariance(self.cell, linear, self.rows, **chain)
+        columns = demosaic_column_covariance(self.cell, linear, self.columns, **chain)
+        return np.asarray(covariance + columns)
 
 
-def _unchanged(noise: _PixelNoise, _: Developing) -> _PixelNoise:
+def _unchanged(noise: _ChannelNoise, _: Developing) -> _ChannelNoise:
     return noise
 
 
@@ -233,14 +246,14 @@ class Step:
     apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over
         dots, or light of the dots, (H, W) or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
-    of_noise : what it makes of noise; None if that has no closed form, so that frames tell it
+    propagate_noise : what it makes of noise; None if that has no closed form, so that frames tell it
     """
 
     name: str
     works_on: str
     apply: Callable[[Any, Developing], Any] = field(repr=False)
     is_on: Callable[[Developing], bool] = field(default=_always, repr=False)
-    of_noise: Callable[[_PixelNoise, Developing], _PixelNoise] | None = field(
+    propagate_noise: Callable[[_ChannelNoise, Developing], _ChannelNoise] | None = field(
         default=None, repr=False
     )
 
@@ -256,14 +269,14 @@ def white_noise_e2(readout: Readout, integration_s: float, correction: Correctio
     Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of
     theirs. Row noise and fixed patterns are none of it: they are not white, or not known.
     """
-    own_e2 = (
+    pixel_e2 = (
         float(variance_e2(readout, is_temporal=True, along="pixel"))
         + readout.rounding_variance_dn2 / readout.dn_per_e**2
     )
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
-    of_dark = (own_e2 + readout.dark_current_e_per_s * integration_s) * (1 + rows)
-    return own_e2 * (1 + rows) + (
-        of_dark / correction.dark_frames if correction.dark_frames else 0.0
+    dark_frame_e2 = (pixel_e2 + readout.dark_current_e_per_s * integration_s) * (1 + rows)
+    return pixel_e2 * (1 + rows) + (
+        dark_frame_e2 / correction.dark_frames if correction.dark_frames else 0.0
     )
 
 
@@ -300,9 +313,11 @@ def noise_of_expected_e2(
     if rows:
         dark_e = readout.dark_current_e_per_s * integration_s
         rounding_e2 = readout.rounding_variance_dn2 / readout.dn_per_e**2
-        of_rows = float(variance_e2(readout, dark_e + rounding_e2, is_temporal=True, along="pixel"))
-        of_pattern = float(variance_e2(readout, dark_e=dark_e, is_temporal=False, along="pixel"))
-        column = (of_rows * temporal + (0.0 if frames else of_pattern * pattern_left)) / rows
+        temporal_e2 = float(
+            variance_e2(readout, dark_e + rounding_e2, is_temporal=True, along="pixel")
+        )
+        pattern_e2 = float(variance_e2(readout, dark_e=dark_e, is_temporal=False, along="pixel"))
+        column = (temporal_e2 * temporal + (0.0 if frames else pattern_e2 * pattern_left)) / rows
     return np.maximum(total - row - column, 0.0), column, row
 
 
@@ -315,14 +330,14 @@ def _wiener_responses(c: Developing) -> list[Array]:
     variance, column_e2, row_e2 = noise_of_expected_e2(
         expected_e, c.readout, c.frame.integration_s, c.imaging.correction
     )
-    found = []
-    for expected, own in zip(c.parts(expected_e), c.parts(variance), strict=True):
-        noise = wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
-        found.append(wiener.response(wiener.signal_power(expected), noise))
-    return found
+    responses = []
+    for part_e, pixel_e2 in zip(c.parts(expected_e), c.parts(variance), strict=True):
+        noise = wiener.noise_power(pixel_e2, column_variance=column_e2, row_variance=row_e2)
+        responses.append(wiener.response(wiener.signal_power(part_e), noise))
+    return responses
 
 
-def _denoised_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
+def _denoised_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
     """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose
     in the mean.
 
@@ -335,19 +350,22 @@ def _denoised_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
     layout = c.layout
     letters = "R" if layout is None else "".join(layout.cell)
     channels = ("R",) if layout is None else layout.channels
-    of_channels = [
-        [one for one, letter in zip(responses, letters, strict=True) if letter == channel]
-        for channel in channels
-    ]
-    columns, rows = (
-        np.array(
-            [np.sqrt(np.mean([np.mean(one[lines] ** 2) for one in each])) for each in of_channels]
-        )
-        for lines in (np.s_[0], np.s_[:, 0])
-    )
-    left = tuple(map(autocorrelation, responses))
+
+    # An offset of a column is constant along y: its coefficients are those of row 0.
+    column_factors, row_factors = [], []
+    for channel in channels:
+        parts = [
+            factors for factors, letter in zip(responses, letters, strict=True) if letter == channel
+        ]
+        column_power = np.mean([np.mean(factors[0] ** 2) for factors in parts])
+        row_power = np.mean([np.mean(factors[:, 0] ** 2) for factors in parts])
+        column_factors.append(np.sqrt(column_power))
+        row_factors.append(np.sqrt(row_power))
     return replace(
-        noise, columns=noise.columns * columns, rows=noise.rows * rows, correlations=left
+        noise,
+        columns=noise.columns * np.array(column_factors),
+        rows=noise.rows * np.array(row_factors),
+        correlations=tuple(map(autocorrelation, responses)),
     )
 
 
@@ -419,7 +437,7 @@ def _white_balance(picture: Array, c: Developing) -> Array:
     return picture
 
 
-def _balanced_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
+def _balanced_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
     by_channel = c.white_e if c.layout is None else balance(c.develop, c.layout, c.white_e)
     return replace(
         noise,
@@ -473,7 +491,7 @@ def _sharpen(planes: list[Array], c: Developing) -> list[Array]:
     return [unsharp_mask(plane, c.develop.sharpen_amount, c.sharpen_px) for plane in planes]
 
 
-def _sharpened_noise(noise: _PixelNoise, c: Developing) -> _PixelNoise:
+def _sharpened_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
     return replace(noise, products=unsharp_products(c.develop.sharpen_amount, c.sharpen_px))
 
 
@@ -497,21 +515,26 @@ STEPS: Mapping[str, Step] = {
             works_on=RAW,
             is_on=lambda c: c.develop.denoises,
             apply=_denoise,
-            of_noise=_denoised_noise,
+            propagate_noise=_denoised_noise,
         ),
-        Step(name="white_balance", works_on=RAW, apply=_white_balance, of_noise=_balanced_noise),
+        Step(
+            name="white_balance",
+            works_on=RAW,
+            apply=_white_balance,
+            propagate_noise=_balanced_noise,
+        ),
         Step(
             name="remosaic",
             works_on=RAW,
             is_on=lambda c: _is_remosaiced(c.develop, c.layout),
             apply=_remosaic,
-            of_noise=lambda noise, c: replace(noise, remosaiced=True),
+            propagate_noise=lambda noise, c: replace(noise, remosaiced=True),
         ),
         Step(
             name="demosaic",
             works_on=RAW,
             apply=_demosaic,
-            of_noise=lambda noise, c: replace(
+            propagate_noise=lambda noise, c: replace(
                 noise, method=c.method
             ),  # of menon2007 that of malvar2004
         ),
@@ -520,20 +543,20 @@ STEPS: Mapping[str, Step] = {
             works_on=PLANES,
             is_on=lambda c: c.full is not None and bool(c.full.any()),
             apply=_highlights,
-            of_noise=_unchanged,
+            propagate_noise=_unchanged,
         ),
         Step(
             name="sharpen",
             works_on=PLANES,
             is_on=lambda c: c.develop.sharpens,
             apply=_sharpen,
-            of_noise=_sharpened_noise,
+            propagate_noise=_sharpened_noise,
         ),
         Step(
             name="matrix",
             works_on=SHOWN,
             apply=_matrix,
-            of_noise=lambda noise, c: replace(noise, matrix=c.matrix),
+            propagate_noise=lambda noise, c: replace(noise, matrix=c.matrix),
         ),
         Step(
             name="tone_curve",
@@ -602,21 +625,25 @@ def noise_covariance(
     """
     readout, integration_s, layout = c.readout, c.frame.integration_s, c.layout
     electrons = np.maximum(levels, 0.0) * c.white_e
-    of_columns_e, of_rows_e = (constant_e(readout, along=along) for along in ("column", "row"))
-    pixels = (
+    column_offset_e, row_offset_e = (
+        constant_e(readout, along=along) for along in ("column", "row")
+    )
+    pixel_e2 = (
         frame_variance_dn2(electrons, integration_s, readout) / readout.dn_per_e**2
-        - of_columns_e**2
-        - of_rows_e**2
+        - column_offset_e**2
+        - row_offset_e**2
     )
     count = len(c.white_e)
-    lines = np.full(count, of_columns_e), np.full(count, of_rows_e)
+    lines = np.full(count, column_offset_e), np.full(count, row_offset_e)
     is_mosaic = layout is not None and not layout.is_stacked
-    noise = _PixelNoise(
-        layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines
+    noise = _ChannelNoise(
+        layout.cell if layout is not None and is_mosaic else ("R",),
+        np.maximum(pixel_e2, 0.0),
+        *lines,
     )
     for step in STEPS.values():
         if step.works_on in works_on and step.is_on(c):
-            assert step.of_noise is not None  # of a linear step
-            noise = step.of_noise(noise, c)
+            assert step.propagate_noise is not None  # of a linear step
+            noise = step.propagate_noise(noise, c)
     dot_px = None if dot_um is None else min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)
     return noise.covariance(dot_px, c.imaging.display.interpolation)

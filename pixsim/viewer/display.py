@@ -258,7 +258,9 @@ def dot_edges_um(
     pixels = pixels_on(array_um or size_um, pitch_um, registration)
     if display.raster == "one_to_one":
         lines = zip(size_um, pixels, registration, strict=True)
-        rows, columns = (pixel_edges_um(um, count, pitch_um, own) for um, count, own in lines)
+        rows, columns = (
+            pixel_edges_um(um, count, pitch_um, shift_px) for um, count, shift_px in lines
+        )
         return rows, columns
     # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same
     # field then have the same dots.
@@ -396,18 +398,18 @@ def _mean_weights(
     outermost ones extend to infinity. Their integral up to an edge has a closed form, and few of
     them overlap an interval.
     """
-    edges, reach = (
+    edges, half_width = (
         _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um),
         0.5 if degree == 0 else 1.0,
     )
-    first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
-    last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
+    first = np.clip(np.floor(edges[:-1] - half_width), 0, n - 1).astype(int)
+    last = np.clip(np.ceil(edges[1:] + half_width), 0, n - 1).astype(int)
     value = first[:, None] + np.arange((last - first).max() + 1)
 
     def part_below(edge: Array) -> Array:
         at = edge[:, None] - value
-        near = np.clip(at, -reach, reach)
-        part = near + reach if degree == 0 else 0.5 + near - near * np.abs(near) / 2
+        near = np.clip(at, -half_width, half_width)
+        part = near + half_width if degree == 0 else 0.5 + near - near * np.abs(near) / 2
         return np.where(((value == 0) & (at < 0)) | ((value == n - 1) & (at > 0)), at + 0.5, part)
 
     weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
@@ -603,8 +605,8 @@ def shown_luminance(
     in_place = (
         in_place and relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
     )
-    shown = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
-    values, out = relative_luminance.reshape(-1), shown.reshape(-1)
+    displayed = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
+    values, out = relative_luminance.reshape(-1), displayed.reshape(-1)
     for part in strips(values.size, 1, STRIP_DOTS):
         luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
         bins = (luminance * (table.size - 1)).astype(np.int32)
@@ -613,7 +615,7 @@ def shown_luminance(
         result[several] = _light_of_codes(display.gamma, top)[
             np.searchsorted(borders, luminance[several], "right")
         ]
-    return shown
+    return displayed
 
 
 @lru_cache(maxsize=4)

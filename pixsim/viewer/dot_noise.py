@@ -69,12 +69,12 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
     amount = develop.sharpen_amount
     weights = np.array([1 + amount, -amount]) if develop.sharpens else np.ones(1)
 
-    def power(of_rows: Array, of_columns: Array) -> Array:
+    def power(row_spectra: Array, column_spectra: Array) -> Array:
         """Return the real part of the sum over both pictures twice; its imaginary part cancels."""
-        weighted = weights[:, None, None] * weights[:, None] * of_rows
-        in_phase = np.einsum("ijk,ijl->kl", weighted.real, of_columns.real, optimize=False)
+        weighted = weights[:, None, None] * weights[:, None] * row_spectra
+        in_phase = np.einsum("ijk,ijl->kl", weighted.real, column_spectra.real, optimize=False)
         return np.asarray(
-            in_phase - np.einsum("ijk,ijl->kl", weighted.imag, of_columns.imag, optimize=False)
+            in_phase - np.einsum("ijk,ijl->kl", weighted.imag, column_spectra.imag, optimize=False)
         )
 
     total = mean * power(down.independent, across.independent)

@@ -37,7 +37,7 @@ from pixsim.viewer.review import review
 from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.score import FrameScore, Score, noise_error_and_limit
 from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
-from pixsim.viewer.without_effect import warn_of_records
+from pixsim.viewer.without_effect import warn_of_settings
 
 S = TypeVar("S", bound=Score)
 MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
@@ -216,7 +216,7 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((28, 28), 1.0)
     """
-    imaging = Imaging.of_records(
+    imaging = Imaging.from_records(
         camera,
         pixel,
         exposure=exposure,
@@ -227,10 +227,10 @@ def evaluate(
         metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
     ).changed(full=full)
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
-    warn_of_records(imaging, irradiance)
-    missing: dict[str, str] = {}
-    score = _evaluate_frame(chain, ("evaluate", seed), missing)
-    for reason in missing.values():
+    warn_of_settings(imaging, irradiance)
+    undefined: dict[str, str] = {}
+    score = _evaluate_frame(chain, ("evaluate", seed), undefined)
+    for reason in undefined.values():
         warn(Note("undefined_metric", words=reason))
 
     frame = score.frame

@@ -68,7 +68,7 @@ class Imaging:
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
         """Return the settings of a run's frames, with the technology that its pixel names."""
-        return cls.of_records(
+        return cls.from_records(
             camera,
             run.pixel,
             exposure=run.exposure,
@@ -79,7 +79,7 @@ class Imaging:
         )
 
     @classmethod
-    def of_records(
+    def from_records(
         cls,
         camera: Camera,
         pixel: Pixel,

@@ -8,24 +8,24 @@ from importlib import metadata
 
 from pixsim.base.errors import did_you_mean, invalid, one_line
 from pixsim.base.schema import KEY
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, columns_of_metrics, own_metric
+from pixsim.viewer.metrics import DELTA_E, ROW_COLUMNS, Metric, columns_of_metrics, user_metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
 from pixsim.viewer.score import Score
 from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
-_NamedOrOwn = str | Callable[[Score], float]
+_NameOrFunction = str | Callable[[Score], float]
 _GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
-OF_FRAMES = DETECTABILITY, INFORMATION, MTF50, NIIRS
-OF_PICTURES = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
+FRAME_METRICS = DETECTABILITY, INFORMATION, MTF50, NIIRS
+PICTURE_METRICS = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
 METRICS: Mapping[str, Metric] = {
-    metric.name: metric for metric in (DELTA_E, *OF_FRAMES, *OF_PICTURES)
+    metric.name: metric for metric in (DELTA_E, *FRAME_METRICS, *PICTURE_METRICS)
 }
 
 
 # No metric of a user's may have the name of a column, or of a metric.
-_TAKEN = {
+_RESERVED_NAMES = {
     KEY,
-    *OF_PIXEL,
+    *ROW_COLUMNS,
     "condition",
     "pair",
     "pixel",
@@ -51,7 +51,7 @@ def _installed_metrics() -> dict[str, metadata.EntryPoint]:
 def installed_metric(entry: metadata.EntryPoint) -> Metric:
     """Return the metric of an entry point. Raises PixsimError if its package fails."""
     try:
-        return own_metric(entry.load(), entry.name)
+        return user_metric(entry.load(), entry.name)
     except Exception as error:  # whatever its package raises
         package = entry.dist.name if entry.dist else entry.module
         got = (
@@ -61,16 +61,16 @@ def installed_metric(entry: metadata.EntryPoint) -> Metric:
         raise invalid("metrics", got, "an entry point that is a function of a Score") from None
 
 
-def metrics_named(names: Sequence[_NamedOrOwn]) -> tuple[Metric, ...]:
+def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
     """Return metrics by their names, and those of functions. Raises PixsimError for an unknown
     name, or one that is there twice.
 
     names : of metrics, or functions of a `pixsim.Score`
     """
-    found: dict[str, Metric] = {}
+    metrics: dict[str, Metric] = {}
     for name in names:
         if not isinstance(name, str):
-            metric = own_metric(name)
+            metric = user_metric(name)
         elif name in METRICS:
             metric = METRICS[name]
         elif name in _functions:
@@ -78,29 +78,29 @@ def metrics_named(names: Sequence[_NamedOrOwn]) -> tuple[Metric, ...]:
         elif name in (installed := _installed_metrics()):
             metric = installed_metric(installed[name])
         else:
-            own = "A function of your own is given in Python: metrics=[…, my_metric]."
-            hint = f"{did_you_mean(name, [*METRICS, *installed])} {own}".strip()
+            function_hint = "A function of your own is given in Python: metrics=[…, my_metric]."
+            hint = f"{did_you_mean(name, [*METRICS, *installed])} {function_hint}".strip()
             raise invalid(
                 "metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint
             )
-        if metric.code and metric.name in _TAKEN:
+        if metric.code and metric.name in _RESERVED_NAMES:
             raise invalid(
                 "metrics",
                 f"a function '{metric.name}', which is a name of pixsim's",
                 "another name for the function",
             )
-        if metric.name in found:
+        if metric.name in metrics:
             raise invalid("metrics", f"'{metric.name}' twice", "metrics of different names")
-        found[metric.name] = metric
-    if not found:
+        metrics[metric.name] = metric
+    if not metrics:
         raise invalid("metrics", "none", f"at least one of {', '.join(METRICS)}")
     _functions.update(
-        {name: metric for name, metric in found.items() if metric.code and name not in names}
+        {name: metric for name, metric in metrics.items() if metric.code and name not in names}
     )
-    return tuple(found.values())
+    return tuple(metrics.values())
 
 
-def names_of(metrics: Sequence[_NamedOrOwn]) -> tuple[str, ...]:
+def names_of(metrics: Sequence[_NameOrFunction]) -> tuple[str, ...]:
     """Return the names of metrics for settings, and keep the functions among them for this process.
 
     metrics : as of `metrics_named`

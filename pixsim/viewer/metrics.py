@@ -26,8 +26,8 @@ PIXEL_STATISTICS = (
     "saturated_fraction",
     "mean_electrons_e",
 )
-OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
-OF_FRAMES = (
+ROW_COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
+_FRAME_REQUIREMENT = (
     "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 )
 
@@ -38,7 +38,7 @@ class NoNumberError(PixsimError):
     """
 
 
-def _lacks_nothing(asked: MetricContext) -> str:
+def _requires_nothing(context: MetricContext) -> str:
     return ""
 
 
@@ -79,7 +79,7 @@ class Metric:
     columns: tuple[str, ...]
     bounds: tuple[float, float]
     compute: Callable[[Any], tuple[float, ...]] = field(repr=False)
-    lacks: Callable[[MetricContext], str] = field(default=_lacks_nothing, repr=False)
+    requirement: Callable[[MetricContext], str] = field(default=_requires_nothing, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
     needs_frame: bool = True
@@ -121,7 +121,7 @@ class Metric:
             return values
         return np.divide(1.0, values, out=np.full(values.shape, np.nan), where=values > 0)
 
-    def of_loss(self, loss: Array) -> Array:
+    def from_loss(self, loss: Array) -> Array:
         """Return the values, (...), of a `loss`."""
         return loss if self.better == "less" else 1 / loss
 
@@ -131,11 +131,15 @@ class Metric:
         """
         return f"{self.name} {self.columns} {self.code}"
 
-    def lacking(self, asked: MetricContext) -> str:
+    def missing(self, context: MetricContext) -> str:
         """Return what a configuration would need for the metric to mean something; empty if it has
         all.
         """
-        return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
+        return (
+            _FRAME_REQUIREMENT
+            if self.needs_frame and not context.has_frame
+            else self.requirement(context)
+        )
 
     def may_lack(self, column: str, value: float) -> bool:
         """Return whether a column's value is the NaN of a variant that means nothing."""
@@ -163,25 +167,25 @@ class MetricContext:
     """What decides whether a metric means something, as far as settings tell.
 
     is_colour : whether the pixel has colour filters
-    has_without : whether there is light of the scene without its target
+    has_background : whether there is light of the scene without its target
     has_frame : whether a sensor made the picture
     has_distance : whether the distance of what the picture shows is stated
     """
 
     is_colour: bool
-    has_without: bool
+    has_background: bool
     has_frame: bool = True
     has_distance: bool = True
 
 
 @dataclass(frozen=True)
-class _OwnFunction:
+class _UserFunction:
     """A user's function of a Score as `Metric.compute`."""
 
     function: Callable[[Score], float]
 
-    def __reduce__(self) -> tuple[type[_OwnFunction], tuple[object]]:
-        return _OwnFunction, (by_value(self.function),)
+    def __reduce__(self) -> tuple[type[_UserFunction], tuple[object]]:
+        return _UserFunction, (by_value(self.function),)
 
     def __call__(self, score: Score) -> tuple[float]:
         value = self.function(score)
@@ -195,7 +199,7 @@ class _OwnFunction:
         return (float(value),)
 
 
-def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
+def user_metric(function: Callable[[Score], float], name: str = "") -> Metric:
     """Return the metric of a user's function, which takes a `pixsim.Score` and returns a number.
 
     The attributes `better` ('less', the default, or 'more'), `unit`, `title` and `unseen` of the
@@ -224,7 +228,7 @@ def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
         unseen=getattr(function, "unseen", "not stated"),
         columns=(name,),
         bounds=(-math.inf, math.inf),
-        compute=_OwnFunction(function),
+        compute=_UserFunction(function),
         needs_frame=False,
         code=code_hash(function),
     )
@@ -318,11 +322,11 @@ class MetricRequest:
     def check(self, context: MetricContext) -> None:
         """Raise PixsimError for a metric that means nothing in a configuration."""
         for metric in self.chosen:
-            if lacking := metric.lacking(context):
+            if requirement := metric.missing(context):
                 others = ", ".join(
-                    other.name for other in self.chosen if not other.lacking(context)
+                    other.name for other in self.chosen if not other.missing(context)
                 )
-                allowed = f"{lacking}; or other metrics" + (f", as {others}" if others else "")
+                allowed = f"{requirement}; or other metrics" + (f", as {others}" if others else "")
                 raise invalid("metrics", f"'{metric.name}'", allowed)
 
 

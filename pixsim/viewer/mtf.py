@@ -116,6 +116,6 @@ def _stack_mtf_terms(
     return terms
 
 
-def of_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:
+def terms_to_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:
     """Return the terms from scene to sensor."""
     return {name: mtf for name, mtf in terms.items() if name not in _OF_DISPLAY}

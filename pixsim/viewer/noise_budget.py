@@ -189,19 +189,21 @@ def _variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]
 
     Valid where nothing clips: at 0 DN and at the well a frame varies less.
     """
-    p, light_e = chain.readout, chain.signal_e_per_s * integration_s
+    p = chain.readout
+    light_e = chain.signal_e_per_s * integration_s
     dark_e = p.dark_current_e_per_s * integration_s
-    of_sources = {
-        name: float(np.mean(value))
-        for name, value in variances_e2(p, light_e=light_e, dark_e=dark_e).items()
-    }
-    of_dark = {DARK: dark_e} if dark_e > 0 else {}
-    found = {name: value for name, value in reversed(of_sources.items()) if value > 0} | of_dark
-    return (
-        {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2}
-        | found
-        | {SHOT: float(np.mean(light_e))}
-    )
+
+    # From the codes back to the light.
+    variances = {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2}
+    sources = variances_e2(p, light_e=light_e, dark_e=dark_e)
+    for name, value in reversed(sources.items()):
+        mean_e2 = float(np.mean(value))
+        if mean_e2 > 0:
+            variances[name] = mean_e2
+    if dark_e > 0:
+        variances[DARK] = dark_e
+    variances[SHOT] = float(np.mean(light_e))
+    return variances
 
 
 def finer_adc(readout: Readout) -> Readout:

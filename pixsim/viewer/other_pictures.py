@@ -77,7 +77,7 @@ def score_pictures(
                 " axis=2)."
             )
         raise invalid("ideal and image", got, "equal shapes", hint)
-    request.check(MetricContext(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
+    request.check(MetricContext(is_colour=ideal.ndim == 3, has_background=False, has_frame=False))
     ideal, image = ideal.astype(float), image.astype(float)
     beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond > CLIPPED_WARNING:

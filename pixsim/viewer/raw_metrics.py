@@ -36,21 +36,21 @@ from pixsim.viewer.judges.sharpness import mtf50
 from pixsim.viewer.judges.snr_illuminance import snr10_lx
 from pixsim.viewer.metric_options import NO_CONTRAST, Detectability
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
-from pixsim.viewer.mtf import mtf_terms, of_sensor
+from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
 
-_LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
-FARTHEST = 1e12  # of d′, and of the factor of a contrast that none makes visible
+_MIN_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
+MAX_D_PRIME = 1e12  # of d′, and of the factor of a contrast that none makes visible
 RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
 _CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
 _START_POINTS = 4097  # signals up to the end of the well, among which a table begins
-MOST_WELLS, WIDER = (
+MAX_WELLS, _TABLE_GROWTH = (
     64.0,
     1.25,
 )  # largest signal of a table; by what it is made longer until pixels are full for sure
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(
     24
 )  # of a panel of up to 12 deviations: errors of 1e-7
-LEAST = 1e-9  # of deviations, in DN
+_MIN_DEVIATION_DN = 1e-9  # of deviations, in DN
 POINTS = 65  # frequencies on an axis of the Nyquist square
 _ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
@@ -164,17 +164,19 @@ class _ClippedExposure:
     def reaches_top(self, signal_e: Array | float) -> NDArray[np.bool_]:
         """Return whether the well or the top code cuts off noise."""
         charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
-        of_well = charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2) >= self.well_e
+        reaches_well = charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2) >= self.well_e
         return np.asarray(
-            of_well | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e)
+            reaches_well
+            | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e)
         )
 
     def is_certain(self, signal_e: float) -> bool:
         """Return whether the well, or the ADC, is full for sure."""
         charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
-        of_well = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
+        is_well_full = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
         return (
-            of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
+            is_well_full
+            or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
         )
 
     def moments(
@@ -194,7 +196,7 @@ class _ClippedExposure:
                 charge_e, np.sqrt(charge_e2)
             )
         else:
-            sigma_dn = np.maximum(p.dn_per_e * np.sqrt(charge_e2 + self.read_e2), LEAST)
+            sigma_dn = np.maximum(p.dn_per_e * np.sqrt(charge_e2 + self.read_e2), _MIN_DEVIATION_DN)
             level_dn = p.dn_per_e * (self.black_e + charge_e)
             mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn, p.top_code_dn)
             signal_slope = slope
@@ -215,7 +217,7 @@ class _ClippedExposure:
         top code.
         """
         p, read_e = self.readout, math.sqrt(self.read_e2)
-        sigma_e = np.maximum(sigma_e, LEAST)  # of no charge, too
+        sigma_e = np.maximum(sigma_e, _MIN_DEVIATION_DN)  # of no charge, too
         full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
         ends_e = np.array(
             [self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e]
@@ -245,16 +247,22 @@ class _ClippedExposure:
         ) / total
         offset_slope = ((weight * slope).sum(axis=(0, 2)) + full * full_slope) / total
         # d/dµ of ∫ f(n) φ((n - µ)/σ) dn is ∫ f z φ dz / σ, and σ φ(z) of the full wells.
-        of_full = np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi) * full_mean * (full > 0)
+        full_density_dn = (
+            np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi) * full_mean * (full > 0)
+        )
         signal_slope = (
-            ((weight * z * mean).sum(axis=(0, 2)) + of_full) / total / (p.dn_per_e * sigma_e)
+            ((weight * z * mean).sum(axis=(0, 2)) + full_density_dn)
+            / total
+            / (p.dn_per_e * sigma_e)
         )
         return mean_dn, variance_dn2, np.maximum(signal_slope, 0.0), offset_slope
 
     def _read(self, stored_e: Array, coarse_dn: float) -> tuple[Array, Array, Array]:
         """Return `moments_of_codes` of stored charges, (n,)."""
         p = self.readout
-        sigma_dn = np.full(stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), LEAST))
+        sigma_dn = np.full(
+            stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), _MIN_DEVIATION_DN)
+        )
         return moments_of_codes(
             p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn
         )
@@ -337,9 +345,9 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
         below_e = np.linspace(0.0, full_e, _START_POINTS)
         start_e = float(below_e[max(int(np.argmax(exposure.reaches_top(below_e))) - 1, 0)])
         width_e = max(full_e - start_e, 1.0)
-        most_e = MOST_WELLS * max(min(exposure.well_e, exposure.top_e), 1.0)
-        while not exposure.is_certain(full_e + width_e) and width_e < most_e:
-            width_e *= WIDER
+        max_width_e = MAX_WELLS * max(min(exposure.well_e, exposure.top_e), 1.0)
+        while not exposure.is_certain(full_e + width_e) and width_e < max_width_e:
+            width_e *= _TABLE_GROWTH
         half = _CODE_POINTS // 2
         beyond_e = full_e + width_e * np.linspace(0.0, 1.0, half + 1) ** 2  # denser near the end
         signal_e = np.concatenate([np.linspace(start_e, full_e, half, endpoint=False), beyond_e])
@@ -409,13 +417,13 @@ def _d_prime(frame: ExpectedFrame) -> float:
     sigma_dn = math.sqrt(
         max(unrounded_dn2, 0.0) / p.exposures
     )  # of an exposure, before it is rounded
-    if sigma_dn < _LEAST_SIGMA_DN:
+    if sigma_dn < _MIN_SIGMA_DN:
         got = (
             f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC"
             " rounds away"
         )
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
-        allowed = f"at least {_LEAST_SIGMA_DN:g} DN, so that rounding is noise"
+        allowed = f"at least {_MIN_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
     column_variance, row_variance = (
         float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")
@@ -432,7 +440,8 @@ def _d_prime(frame: ExpectedFrame) -> float:
     # A pixel with the same certain code in both pictures has no difference and no slope: it counts
     # nothing.
     variance = np.maximum(
-        (with_target.variance_e2 + background.variance_e2) / 2, (LEAST / p.dn_per_e) ** 2
+        (with_target.variance_e2 + background.variance_e2) / 2,
+        (_MIN_DEVIATION_DN / p.dn_per_e) ** 2,
     )
     d_prime = detectability(
         with_target.mean_e - background.mean_e,
@@ -441,7 +450,7 @@ def _d_prime(frame: ExpectedFrame) -> float:
         row_variance=row_variance,
         offset_slopes=np.stack([with_target.offset_slope, background.offset_slope]),
     )
-    return min(d_prime, FARTHEST)
+    return min(d_prime, MAX_D_PRIME)
 
 
 def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
@@ -449,7 +458,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     is no such factor.
 
     d′ is proportional to a small contrast, where no picture clips. Without a factor it is
-    `FARTHEST`; with one the reason is empty.
+    `MAX_D_PRIME`; with one the reason is empty.
     """
     assert frame.background_e is not None
     options, readout, time_s = (
@@ -460,20 +469,20 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     background_e = frame.background_e
     difference_e = frame.signal_e - background_e
     if not difference_e.any():
-        return FARTHEST, "the target changes no pixel"
+        return MAX_D_PRIME, "the target changes no pixel"
     if clips(readout, background_e.max(), time_s):
-        return FARTHEST, "pixels are full without the target"
+        return MAX_D_PRIME, "pixels are full without the target"
 
-    factor = min(options.threshold / d_prime, FARTHEST) if d_prime else FARTHEST
+    factor = min(options.threshold / d_prime, MAX_D_PRIME) if d_prime else MAX_D_PRIME
     lowest_e = float((background_e + factor * difference_e).min())
     is_negative = lowest_e < -RENDER_NOISE * float(background_e.mean())
     if is_negative or factor * _stated_contrast(frame, options) < -1:
-        return FARTHEST, "a target cannot be darker than black"
+        return MAX_D_PRIME, "a target cannot be darker than black"
 
     # A target that is full now has a d′ from which no factor follows.
     if clips(readout, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
         return (
-            FARTHEST,
+            MAX_D_PRIME,
             f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}",
         )
     return factor, ""
@@ -499,9 +508,9 @@ def _detectability(judged: FrameUnderTest) -> tuple[float, float, float]:
     return mean, min(values), factor
 
 
-def needs_target(asked: MetricContext) -> str:
+def needs_target(context: MetricContext) -> str:
     """Return what a metric of a target lacks."""
-    if asked.has_without:
+    if context.has_background:
         return ""
     stated = setting("metric.detectability.without")
     return (
@@ -522,26 +531,26 @@ DETECTABILITY = Metric(
     ),
     unseen="unknown positions of the target, clutter, corrections of the frame, and the display",
     columns=("detectability", "least_detectability", "contrast_factor_at_threshold"),
-    bounds=(0.0, FARTHEST),
+    bounds=(0.0, MAX_D_PRIME),
     compute=_detectability,
     worst=("least_detectability",),
-    lacks=needs_target,
+    requirement=needs_target,
     needs_light=True,
 )
 
 
-def grey(asked: MetricContext) -> str:
+def grey(context: MetricContext) -> str:
     """Return what a metric of monochrome sensors lacks."""
-    return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
+    return "a pixel without colour filters (pixel.colour)" if context.is_colour else ""
 
 
-def _grey_at_a_distance(asked: MetricContext) -> str:
+def _grey_at_a_distance(context: MetricContext) -> str:
     """Return what a metric of the ground lacks, seen by monochrome sensors."""
     stated = (
         f"the distance of the ground: {setting('camera.object_distance_m')}, or"
         f" {setting('metric.niirs.ground_distance_m')}"
     )
-    return grey(asked) or ("" if asked.has_distance else stated)
+    return grey(context) or ("" if context.has_distance else stated)
 
 
 def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
@@ -554,7 +563,7 @@ def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
         along = np.linspace(
             0.0, _HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, _TABLE_POINTS
         )
-        return along, of_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
+        return along, terms_to_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
     return frame.light.cached(("terms", *frame.imaging.pixel_key), compute)
 
@@ -573,7 +582,7 @@ def sensor_mtf(
     """
     along, terms = sensor_terms(frame)
     path_mm = 1e-3 * np.array(frame.moving.path_um)
-    found: Array = (
+    mtf: Array = (
         np.sinc(path_mm[0] * down + path_mm[1] * across)
         if path_mm.any()
         else np.ones(np.broadcast_shapes(across.shape, down.shape))
@@ -583,8 +592,8 @@ def sensor_mtf(
             continue
         at = (np.hypot(across, down),) if name in _RADIAL else (np.abs(across), np.abs(down))
         for frequency in at:
-            found = found * np.interp(frequency, along, values, right=0.0)
-    return found
+            mtf = mtf * np.interp(frequency, along, values, right=0.0)
+    return mtf
 
 
 def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
@@ -601,17 +610,19 @@ def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
         axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
         corner = options.corner_cy_per_mm or 1 / frame.imaging.camera.die_mm
         level = options.contrast**2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
-        of_scene = options.spectrum == "scene"
+        is_scene = options.spectrum == "scene"
 
         def power(down: Array, across: Array) -> Array:
             radius = np.hypot(down, across)
             # The scene's own picture is one behind the lens.
-            own = (
+            spectrum = (
                 np.interp(radius, *frame.light.spectrum, right=0.0)
-                if of_scene
+                if is_scene
                 else natural_spectrum(radius, level, corner)
             )
-            return np.asarray(own * sensor_mtf(frame, across, down, with_lens=not of_scene) ** 2)
+            return np.asarray(
+                spectrum * sensor_mtf(frame, across, down, with_lens=not is_scene) ** 2
+            )
 
         return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, _ORDERS)
 
@@ -626,7 +637,7 @@ class _Veiled(NamedTuple):
     stray : share of what strays in the mean of what pixels see
     """
 
-    kept: float
+    direct: float
     stray: float
 
 
@@ -638,11 +649,12 @@ def veiled(frame: ExpectedFrame) -> _Veiled:
 
     def compute() -> _Veiled:
         weight = electrons_per_joule(physics, light)
-        (of_kept,), (stray,) = split_by_veil(light, camera, [weight])
-        own, kept = (
-            M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept)
+        (direct_weight,), (stray,) = split_by_veil(light, camera, [weight])
+        total, direct = (
+            M2_PER_UM2 * float((spectral_weight * light.mean_spectrum()).sum())
+            for spectral_weight in (weight, direct_weight)
         )
-        return _Veiled(kept / own, stray / (kept + stray)) if own else _Veiled(1.0, 0.0)
+        return _Veiled(direct / total, stray / (direct + stray)) if total else _Veiled(1.0, 0.0)
 
     return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
 
@@ -752,7 +764,7 @@ INFORMATION = Metric(
     bounds=(0.0, 1e15),
     compute=_information,
     variants=("information_low_contrast", "information_high_contrast"),
-    lacks=grey,
+    requirement=grey,
     needs_light=True,
 )
 
@@ -796,7 +808,7 @@ MTF50 = Metric(
     columns=("mtf50_cy_per_mm",),
     bounds=(0.0, 1e7),
     compute=_mtf50,
-    lacks=grey,
+    requirement=grey,
     has_optimum=False,
     needs_light=True,
 )
@@ -810,7 +822,7 @@ def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
         (development.screen.dot_um or readout.physics.read_pitch_um)
         / readout.physics.read_pitch_um,
     )
-    found = snr10_lx(
+    illuminance_lx = snr10_lx(
         development.white_e_per_s * options.integration_s,
         white_cd_per_m2(frame.light.mean, development.screen.display),
         reflectance=options.reflectance,
@@ -824,13 +836,13 @@ def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
         snr=options.snr,
         saturation_e=readout.saturation_e,
     )
-    if found is None:
+    if illuminance_lx is None:
         got = f"pixels of {readout.physics.pitch_um:g} µm, which have it in no light"
         allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
         raise NoNumberError(
             str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr."))
         )
-    return (found,)
+    return (illuminance_lx,)
 
 
 SNR10_LX = Metric(
@@ -844,7 +856,7 @@ SNR10_LX = Metric(
     columns=("snr10_lx",),
     bounds=(0.0, 1e15),
     compute=_snr10_lx,
-    lacks=grey,
+    requirement=grey,
     has_optimum=False,
     needs_light=True,
 )
@@ -857,15 +869,15 @@ def _niirs(judged: FrameUnderTest) -> tuple[float]:
     rer = relative_edge_response(along * 1e-3 * readout.physics.read_pitch_um, mtf)
     veil = veiled(frame)
     stray_e = veil.stray * float(frame.development.signal_e_per_s.mean()) * time_s
-    white_e = veil.kept * frame.white_e
+    white_e = veil.direct * frame.white_e
     darker_e, brighter_e = (
         white_e * reflectance + stray_e for reflectance in sorted(options.reflectances)
     )
-    if brighter_e >= (most_e := full_e(readout, time_s)):
-        brighter, most = (rounded(electrons, 3) for electrons in (brighter_e, most_e))
+    if brighter_e >= (saturation_e := full_e(readout, time_s)):
+        brighter, saturation = (rounded(electrons, 3) for electrons in (brighter_e, saturation_e))
         got = (
             f"{brighter} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm,"
-            f" full at {most} e-"
+            f" full at {saturation} e-"
         )
         allowed = "surfaces that the frame tells apart"
         raise NoNumberError(
@@ -899,6 +911,6 @@ NIIRS = Metric(
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,
-    lacks=_grey_at_a_distance,
+    requirement=_grey_at_a_distance,
     needs_light=True,
 )

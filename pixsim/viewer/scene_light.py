@@ -196,7 +196,8 @@ class PreparedScene:
         assert layout is not None
         last = self._collections[-1] if self._collections else None
         if last is None or any(
-            one is not other for one, other in zip(last.collections, collections, strict=True)
+            cached is not collection
+            for cached, collection in zip(last.collections, collections, strict=True)
         ):
             side = physics.pixel.bin_side
             # The registrations of a pitch, which follow one another, share what is expensive of it.

@@ -245,8 +245,10 @@ def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
 
 
 def _centred_positions(samples_per_deg: float) -> Floats:
-    reach = math.ceil(samples_per_deg / 2) - 1  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
-    return np.arange(-reach, reach + 1.0)
+    half_width = (
+        math.ceil(samples_per_deg / 2) - 1
+    )  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
+    return np.arange(-half_width, half_width + 1.0)
 
 
 Formula = Literal["1976", "1994", "2000"]

@@ -57,21 +57,21 @@ def allows_single(tolerance_delta_e: float | None) -> bool:
 
 
 def perceived_lab(
-    shown: Array, display: Display, full: bool = False, single: bool = False
+    image: Array, display: Display, full: bool = False, single: bool = False
 ) -> Array:
     """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey
     one as a colour image.
 
-    shown : (H, W) luminance, or (H, W, 3) light of the display's primaries
+    image : (H, W) luminance, or (H, W, 3) light of the display's primaries
     single : compute in float32
     """
     view = _viewing_conditions(display) | {"single": single}
-    if shown.ndim == 3:
+    if image.ndim == 3:
         return filtered_lab(
-            displays.rgb_to_xyz(shown.astype(np.float32, copy=False) if single else shown), **view
+            displays.rgb_to_xyz(image.astype(np.float32, copy=False) if single else image), **view
         )
     return (
-        filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
+        filtered_lab(displays.to_xyz(image), **view) if full else filtered_grey_lab(image, **view)
     )
 
 
@@ -338,8 +338,8 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
             f"Set {setting(f'display.{name}')}.",
         )
     white = _rounded_up(estimate, _WHITE_DIGITS)
-    of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
-    source = f"the {_WHITE_FROM} in the sensor's response{of_all}, rounded up"
+    among_sensors = "" if len(seen) == 1 else ", the largest of these sensors'"
+    source = f"the {_WHITE_FROM} in the sensor's response{among_sensors}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
     warn(
         Note(
@@ -437,7 +437,9 @@ class LightLevel(NamedTuple):
         name = (
             stated[0]
             if stated
-            else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
+            else next(
+                field_name for field_name, entry in HEADER_OF_WHITE.items() if entry in header
+            )
         )
         if stated:
             white, source = getattr(display, name), f"display.{name}"

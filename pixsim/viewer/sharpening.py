@@ -24,8 +24,8 @@ def gaussian_taps(sigma_px: Positive) -> Array:
 
     sigma_px : standard deviation in pixels
     """
-    reach = math.ceil(_TRUNCATED * sigma_px)
-    taps = np.exp(-((np.arange(-reach, reach + 1) / sigma_px) ** 2) / 2)
+    half_width = math.ceil(_TRUNCATED * sigma_px)
+    taps = np.exp(-((np.arange(-half_width, half_width + 1) / sigma_px) ** 2) / 2)
     return np.asarray(taps / taps.sum())
 
 

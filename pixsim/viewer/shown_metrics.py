@@ -75,7 +75,7 @@ ACUTANCE = Metric(
     columns=("acutance",),
     bounds=(0.0, 10.0),
     compute=_acutance,
-    lacks=grey,
+    requirement=grey,
     needs_light=True,
 )
 
@@ -137,7 +137,7 @@ VISUAL_NOISE = Metric(
     columns=("visual_noise",),
     bounds=(0.0, 1e4),
     compute=_visual_noise,
-    lacks=grey,
+    requirement=grey,
 )
 
 
@@ -225,16 +225,16 @@ def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
         unclipped = variance_of_pixels_e2(readout, level_e, time_s)
         clipped = code_moments(tables, signal_e, unclipped)
         pixel = np.maximum(pixel - (unclipped - clipped.variance_e2), 0.0)
-        of_offsets = float(np.mean(np.square(clipped.offset_slope)))
-        column, row = column * of_offsets, row * of_offsets
+        offset_factor = float(np.mean(np.square(clipped.offset_slope)))
+        column, row = column * offset_factor, row * offset_factor
     white_e = frame.white_e * np.ones(signal_e.shape)
     if development.shading is not None:
         white_e *= development.shading
     if development.flat_field is not None and correction.flat_frames:
         white_e *= development.flat_field
     pixel = pixel / white_e**2
-    of_lines = float(np.mean(white_e**-2))
-    return RawNoise(pixel, column * of_lines, row * of_lines)
+    white_factor = float(np.mean(white_e**-2))
+    return RawNoise(pixel, column * white_factor, row * white_factor)
 
 
 def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
@@ -254,8 +254,8 @@ def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
     )
 
 
-def _needs_target_in_grey(asked: MetricContext) -> str:
-    return grey(asked) or needs_target(asked)
+def _needs_target_in_grey(context: MetricContext) -> str:
+    return grey(context) or needs_target(context)
 
 
 NPWE = Metric(
@@ -275,12 +275,12 @@ NPWE = Metric(
     bounds=(0.0, 1e12),
     compute=_npwe,
     worst=("least_npwe",),
-    lacks=_needs_target_in_grey,
+    requirement=_needs_target_in_grey,
     needs_light=True,
 )
 
 
-def _needs_flip(asked: MetricContext) -> str:
+def _needs_flip(context: MetricContext) -> str:
     return (
         "" if find_spec(_FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
     )
@@ -291,8 +291,8 @@ def _flip(score: Score) -> tuple[float]:
 
     pair = []
     for picture in (score.ideal, score.image):
-        of_primaries = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
-        pair.append(np.ascontiguousarray(of_primaries, np.float32))
+        rgb = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+        pair.append(np.ascontiguousarray(rgb, np.float32))
     # The shown light is linear, and its primaries are those of sRGB: the package need not decode
     # it.
     _, mean, _ = flip_evaluator.evaluate(
@@ -318,6 +318,6 @@ FLIP = Metric(
     columns=("mean_flip",),
     bounds=(0.0, 1.0),
     compute=_flip,
-    lacks=_needs_flip,
+    requirement=_needs_flip,
     needs_frame=False,
 )

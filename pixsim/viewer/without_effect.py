@@ -71,7 +71,7 @@ _NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 _PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
 PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1  # of what dark charge leaves, of the brightest pixel
 STREAM = ("small light",)
-_KEPT_NOTES = 256  # of calls with records
+_MAX_CACHED_NOTES = 256  # of calls with records
 _SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
 _QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
 SOLVE_FOR = "metric.detectability.solve_for"  # for commands of one frame
@@ -219,13 +219,14 @@ class _SmallLight:
                 *bands, sample_um, factors=(brightness * spectra, planes), header=header
             )
 
+        # The brightness is known once the camera has seen light of unit brightness.
         unit = light(with_target, 1.0)
         small = cls(unit, unit, imaging, scale, dict(_NO_WHITE))
         brightness = small._brightness(small.seen(imaging))
-        lit = replace(
+        scaled = replace(
             small, light=light(with_target, brightness), background=light(background, brightness)
         )
-        return replace(lit, white=lit._white(lit.seen(imaging)))
+        return replace(scaled, white=scaled._white(scaled.seen(imaging)))
 
     def _brightness(self, imaging: Imaging) -> float:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures
@@ -239,8 +240,8 @@ class _SmallLight:
             * collecting_area_um2(self.light, imaging.camera, channel)
             for channel in imaging.physics.channels
         ]
-        of_unit_e_per_s = 1e-12 * max(electrons) * readout.bin_side**2
-        if not of_unit_e_per_s > 0:  # pixels that see nothing of it are refused elsewhere
+        unit_light_e_per_s = 1e-12 * max(electrons) * readout.bin_side**2
+        if not unit_light_e_per_s > 0:  # pixels that see nothing of it are refused elsewhere
             return 1.0
 
         if exposure.integration_s is None:
@@ -254,7 +255,7 @@ class _SmallLight:
             well_e = PART_OF_WELL * readout.saturation_e
             time_s = exposure.times * exposure.integration_s
         light_e = max(well_e - readout.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
-        return light_e / time_s / of_unit_e_per_s
+        return light_e / time_s / unit_light_e_per_s
 
     def _white(self, imaging: Imaging) -> dict[str, float | None]:
         """Return the fields of a display that state a white above all of the light."""
@@ -497,7 +498,7 @@ def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
 
 
 @dataclass(frozen=True)
-class GivenSettings:
+class UserSettings:
     """Settings that hold together, and the names of those that the user gave another value than
     their default.
 
@@ -528,7 +529,7 @@ class GivenSettings:
         return self.picture is None or "camera" in self.picture.header
 
     @classmethod
-    def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> GivenSettings:
+    def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> UserSettings:
         """Return those of tables by their names, as the user gave them, and of the command's
         settings above all tables.
 
@@ -562,7 +563,7 @@ class GivenSettings:
         return cls(imaging, tuple(name for name in names if name not in same), **facts)
 
     @classmethod
-    def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
+    def from_records(cls, imaging: Imaging, light: SpectralImage) -> UserSettings:
         """Return those of a call with records, in light that is given."""
         tables: dict[str, Record] = {
             table: getattr(imaging, table) for table in TABLES if table != "lens"
@@ -571,7 +572,7 @@ class GivenSettings:
         return cls.of(imaging, tables, picture=light)
 
     @classmethod
-    def of_setting(cls, imaging: Imaging, setting: Setting, **facts: Any) -> GivenSettings:
+    def from_setting(cls, imaging: Imaging, setting: Setting, **facts: Any) -> UserSettings:
         """Return those of a command's settings; `facts` are further fields."""
         tables: dict[str, Record] = {table: getattr(setting, table) for table in TABLES}
         return cls.of(imaging, tables, settings=setting, **facts)
@@ -640,10 +641,10 @@ class Row(NamedTuple):
     """
 
     settings: tuple[str, ...]
-    acts: Callable[[GivenSettings, str], bool | None]
+    acts: Callable[[UserSettings, str], bool | None]
 
 
-def _moves(case: GivenSettings, name: str) -> bool:
+def _moves(case: UserSettings, name: str) -> bool:
     """Of motion, which also decides which part of a frame is scored, however far the picture
     moves.
     """
@@ -651,7 +652,7 @@ def _moves(case: GivenSettings, name: str) -> bool:
     return any(motion.velocity_mm_per_s or ()) if name == "motion.distance_m" else motion.is_on
 
 
-def _is_of_lens(case: GivenSettings, name: str) -> bool | None:
+def _is_of_lens(case: UserSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
     is_of_file = (
@@ -660,7 +661,7 @@ def _is_of_lens(case: GivenSettings, name: str) -> bool | None:
     return is_of_file or None
 
 
-def _costs(case: GivenSettings, name: str) -> bool:
+def _costs(case: UserSettings, name: str) -> bool:
     """Of what a render may cost."""
     settings = case.settings
     replaced = (
@@ -669,7 +670,7 @@ def _costs(case: GivenSettings, name: str) -> bool:
     return case.picture is None and not replaced
 
 
-def _is_of_render(case: GivenSettings, name: str) -> bool | None:
+def _is_of_render(case: UserSettings, name: str) -> bool | None:
     """Of what a render depends on: field, focus, brightness and fall-off."""
     has_fall_off = (
         name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
@@ -726,7 +727,7 @@ ROWS = (
 # ------------------------------------------------------------------------------------------------------------
 
 
-def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
+def effect_notes(sensors: Mapping[str, Iterable[UserSettings]]) -> list[Note]:
     """Return notes that name the settings without effect, and the sensors, unless all of them have
     it.
 
@@ -755,7 +756,7 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
     return notes
 
 
-def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
+def warn_of_settings(imaging: Imaging, light: SpectralImage) -> None:
     """Warn of the settings without effect of a call with records, which may come again: they are
     judged once.
     """
@@ -775,9 +776,9 @@ def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
         *header,
     )
     if key not in _notes:
-        while len(_notes) >= _KEPT_NOTES:
+        while len(_notes) >= _MAX_CACHED_NOTES:
             del _notes[next(iter(_notes))]
-        _notes[key] = effect_notes({"": [GivenSettings.of_records(imaging, light)]})
+        _notes[key] = effect_notes({"": [UserSettings.from_records(imaging, light)]})
     for note in _notes[key]:
         warn(note)
 
@@ -785,7 +786,7 @@ def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
 _notes: dict[tuple[object, ...], list[Note]] = {}
 
 
-def warn_of_settings_without_effect(sensors: Mapping[str, Iterable[GivenSettings]]) -> None:
+def warn_of_settings_without_effect(sensors: Mapping[str, Iterable[UserSettings]]) -> None:
     """Warn of each of the `effect_notes`, on behalf of the public function that calls this one."""
     for note in effect_notes(sensors):
         warn(note)

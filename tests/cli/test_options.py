@@ -222,7 +222,7 @@ def two_values(argument: Argument) -> tuple[str, str]:
     if kind in (int, float):
         return "450", "0.5"
     metavar = str(argument.parameter.metavar)
-    return ("a.b=1,2", "c=x") if "=" in metavar else ("delta_e", "own_metric")
+    return ("a.b=1,2", "c=x") if "=" in metavar else ("delta_e", "user_metric")
 
 
 def converted(argument: Argument, *texts: str) -> list[Any]:

@@ -30,9 +30,9 @@ from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
-from pixsim.viewer.metrics import MetricRequest, NoNumberError, own_metric
+from pixsim.viewer.metrics import MetricRequest, NoNumberError, user_metric
 from pixsim.viewer.raw_metrics import (
-    FARTHEST,
+    MAX_D_PRIME,
     _d_prime,
     _mtf_along,
     bottom_table,
@@ -538,7 +538,9 @@ def test_factor_of_a_contrast_is_given_where_such_a_target_may_be(
     factor, cause = contrast_factor(chain.expected(0.02), d_prime)
     assert cause == reason
     assert (
-        column == factor == (FARTHEST if reason else pytest.approx(threshold / d_prime, rel=1e-12))
+        column
+        == factor
+        == (MAX_D_PRIME if reason else pytest.approx(threshold / d_prime, rel=1e-12))
     )
 
 
@@ -1142,13 +1144,13 @@ def test_code_of_a_function_is_part_of_its_metric() -> None:
     def one(score: Any) -> float:
         return 1.0
 
-    first = own_metric(one)
+    first = user_metric(one)
 
     def one(score: Any) -> float:  # type: ignore[no-redef]
         return 2.0
 
-    assert first.code != own_metric(one).code
-    assert own_metric(one).code == own_metric(one).code
+    assert first.code != user_metric(one).code
+    assert user_metric(one).code == user_metric(one).code
 
 
 def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,7 +43,7 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import ROWS, Default, GivenSettings, effect_notes, record_with
+from pixsim.viewer.without_effect import ROWS, Default, UserSettings, effect_notes, record_with
 
 NOTHING = "nothing here"
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0
@@ -410,11 +410,11 @@ def chart() -> Scene:
     return loaded_scene("csf", {}, None, Display())
 
 
-def given_of(run: Run, **facts: Any) -> GivenSettings:
+def given_of(run: Run, **facts: Any) -> UserSettings:
     """Return the given settings of a run of a scene."""
     camera = camera_with_lens(run.camera.over(Camera()), run.camera, run.lens)
     imaging = Imaging.of(run, camera).changed(metrics=metrics_of(run))
-    return GivenSettings.of_setting(imaging, run, **facts)
+    return UserSettings.from_setting(imaging, run, **facts)
 
 
 def said(command: Run | Study, technology: str = "") -> set[str]:

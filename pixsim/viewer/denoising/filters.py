@@ -35,7 +35,7 @@ WAVELET, WAVELET_LEVELS = (
     "db2",
     4,
 )  # whatever the size of the plane, from 48 pixels on: scikit-image's default grows with it
-LEAST_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
+MIN_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 
 def _lacks_packages() -> str:
@@ -67,13 +67,13 @@ def denoised_plane(
     if not strength:
         return raw_e.copy()
     if isinstance(method, str):
-        least = LEAST_SIDE[method]
-        if min(raw_e.shape) < least:
+        min_side = MIN_SIDE[method]
+        if min(raw_e.shape) < min_side:
             got = f"a plane of {' × '.join(map(str, raw_e.shape))} pixels"
             raise invalid(
                 f"denoise '{method}'",
                 got,
-                f"{least} pixels or more along each axis",
+                f"{min_side} pixels or more along each axis",
                 "Take smaller pixels or no filter.",
             )
         if missing := _lacks_packages():

@@ -85,7 +85,7 @@ def response(signal: Power, noise: Power) -> Array:
 
     Raises PixsimError if the shapes differ.
     """
-    _check_alike(signal, noise)
+    _check_shapes(signal, noise)
     total = signal + noise
     return np.divide(signal, total, out=np.ones_like(total), where=total > 0)
 
@@ -107,7 +107,7 @@ def filtered(plane: _Plane, factors: _Plane) -> Array:
 
     Raises PixsimError if the shapes differ.
     """
-    _check_alike(plane, factors, "plane and factors")
+    _check_shapes(plane, factors, "plane and factors")
     coefficients = dct(plane, in_place=False)
     coefficients *= factors
     return inverse_dct(coefficients)
@@ -136,6 +136,6 @@ def wiener_plane(
     return filtered(raw_e, response(signal_power(expected_e), noise))
 
 
-def _check_alike(one: Array, other: Array, names: str = "signal and noise") -> None:
-    if one.shape != other.shape:
-        raise invalid(names, f"shapes {one.shape}, {other.shape}", "equal shapes")
+def _check_shapes(first: Array, second: Array, names: str = "signal and noise") -> None:
+    if first.shape != second.shape:
+        raise invalid(names, f"shapes {first.shape}, {second.shape}", "equal shapes")

@@ -41,12 +41,12 @@ def _axis_weights(frequency: Array) -> Array:
         first, last, step = float(ordered[0]), float(ordered[-1]), float(steps[0])
         tolerance = WITHIN * step
         is_sorted = bool((frequency == ordered).all())
-        of_fft = not is_sorted and bool((frequency == np.fft.ifftshift(ordered)).all())
+        is_fft_order = not is_sorted and bool((frequency == np.fft.ifftshift(ordered)).all())
         # -Nyquist stands for both ends of an even number; an odd one has its ends half a cell
         # inside.
         misses = first + last + step if frequency.size % 2 == 0 else first + last
         if (
-            (of_fft or (is_sorted and frequency.size % 2 == 0))
+            (is_fft_order or (is_sorted and frequency.size % 2 == 0))
             and abs(misses) <= tolerance
             and np.ptp(steps) <= tolerance
         ):

@@ -37,9 +37,9 @@ def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:
     >>> round(niirs(0.35, 0.52832, 50.0), 3)  # the example of the NGA: 20.8 inches, level 5
     5.015
     """
-    sharp = math.log10(rer)
-    of_edge = 3.32 * -math.expm1(-1.9 / snr) * sharp - 2 * sharp**4
-    return 9.57 - 3.32 * math.log10(ground_m / _M_PER_INCH) + of_edge - 1.8 / snr
+    log_rer = math.log10(rer)
+    edge_term = 3.32 * -math.expm1(-1.9 / snr) * log_rer - 2 * log_rer**4
+    return 9.57 - 3.32 * math.log10(ground_m / _M_PER_INCH) + edge_term - 1.8 / snr
 
 
 def relative_edge_response(frequency_cy_per_px: Frequencies, mtf: NotNegativeArray) -> float:

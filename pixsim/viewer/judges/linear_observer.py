@@ -91,17 +91,17 @@ def detectability(
     weight = np.broadcast_to(np.divide(smallest, variance, dtype=float), delta.shape)
     gains = np.ones((1, 1, 1)) if offset_slopes is None else _gains(*offset_slopes)
     # 1 / variance of the offsets, in the unit of the smallest variance
-    of_columns, of_rows = (
-        smallest / each if each > smallest / LARGEST else math.inf
-        for each in (column_variance, row_variance)
+    column_precision, row_precision = (
+        smallest / offset_variance if offset_variance > smallest / LARGEST else math.inf
+        for offset_variance in (column_variance, row_variance)
     )
     if delta.shape[0] > delta.shape[1]:  # offsets of the rows are solved for, which then are fewer
         delta, weight, gains = delta.T, weight.T, gains.transpose(0, 2, 1)
-        of_columns, of_rows = of_rows, of_columns
+        column_precision, row_precision = row_precision, column_precision
     return (
         largest
         / math.sqrt(smallest)
-        * math.sqrt(_squared(delta, weight, gains, of_columns, of_rows))
+        * math.sqrt(_squared(delta, weight, gains, column_precision, row_precision))
     )
 
 
@@ -113,7 +113,9 @@ def _gains(slopes: Array, background_slopes: Array) -> Array:
     return np.stack([mean, half] if half.any() else [mean])
 
 
-def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_rows: float) -> float:
+def _squared(
+    delta: Array, weight: Array, gains: Array, column_precision: float, row_precision: float
+) -> float:
     """Return d′² for weights up to 1, and the reciprocals of the variances of columns and rows.
 
     delta, weight : (rows, columns)
@@ -122,10 +124,10 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
     weighted = weight * gains
     count = len(weighted)
     rows = np.zeros(weighted.shape[:2])
-    columns = _columns(delta, weighted, gains, of_columns)
-    if of_rows < math.inf:
+    columns = _columns(delta, weighted, gains, column_precision)
+    if row_precision < math.inf:
         normal = (weighted[:, None] * gains).sum(axis=3)  # (n, n, rows)
-        normal[range(count), range(count)] += of_rows
+        normal[range(count), range(count)] += row_precision
         diagonal = normal[range(count), range(count)]
         rest = (weighted * (delta - _through(columns[:, None], gains))).sum(
             axis=2
@@ -136,7 +138,7 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
         for _ in range(_STEPS_PER_OFFSET * rows.size):
             if size <= enough:
                 break
-            fitted = _columns(_through(along[..., None], gains), weighted, gains, of_columns)
+            fitted = _columns(_through(along[..., None], gains), weighted, gains, column_precision)
             image = (normal * along).sum(axis=1) - (
                 weighted * _through(fitted[:, None], gains)
             ).sum(axis=2)
@@ -146,10 +148,12 @@ def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_ro
             step = rest / diagonal
             size, before = float((rest * step).sum()), size
             along = step + size / before * along
-        columns = _columns(delta - _through(rows[..., None], gains), weighted, gains, of_columns)
+        columns = _columns(
+            delta - _through(rows[..., None], gains), weighted, gains, column_precision
+        )
     penalty = sum(
         reciprocal * float((offsets**2).sum())
-        for reciprocal, offsets in ((of_columns, columns), (of_rows, rows))
+        for reciprocal, offsets in ((column_precision, columns), (row_precision, rows))
         if reciprocal < math.inf
     )
     left = delta - _through(columns[:, None], gains)
@@ -166,18 +170,18 @@ def _through(offsets: Array, gains: Array) -> Array:
     return np.asarray((offsets * gains).sum(axis=0))
 
 
-def _columns(delta: Array, weighted: Array, gains: Array, of_columns: float) -> Array:
+def _columns(delta: Array, weighted: Array, gains: Array, column_precision: float) -> Array:
     """Return the best offsets of columns for a difference (rows, columns), (n, columns); 0 if there
     are none.
 
     weighted : the gains, (n, rows, columns), times the weights of the pixels
     """
     count, _, size = weighted.shape
-    if of_columns == math.inf:
+    if column_precision == math.inf:
         return np.zeros((count, size))
     right = (weighted * delta).sum(axis=1)
     normal = (weighted[:, None] * gains).sum(axis=2)  # (n, n, columns)
-    normal[range(count), range(count)] += of_columns
+    normal[range(count), range(count)] += column_precision
     if count == 1:
         return np.asarray(right / normal[0])
     # Cramer's rule: the penalty keeps the determinant away from 0.

@@ -130,10 +130,12 @@ def edge_mtf(
     if not total:
         raise invalid("picture", "no step from one side to the other", "an edge between two levels")
 
-    def modulus(one: float) -> float:
-        part, phase = rise * np.sinc(one * width), 2 * np.pi * one * middle
+    def modulus(cy_per_px: float) -> float:
+        part, phase = rise * np.sinc(cy_per_px * width), 2 * np.pi * cy_per_px * middle
         return math.hypot(
             float((part * np.cos(phase)).sum()), float((part * np.sin(phase)).sum())
         ) / abs(total)
 
-    return np.array([modulus(one) for one in frequency.ravel().tolist()]).reshape(frequency.shape)
+    return np.array([modulus(cy_per_px) for cy_per_px in frequency.ravel().tolist()]).reshape(
+        frequency.shape
+    )

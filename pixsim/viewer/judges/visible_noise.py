@@ -77,18 +77,20 @@ def visual_noise(
     x, y, z = np.maximum(
         mixed(np.linalg.inv(to_opponent), list(_filtered(channels, samples_per_deg))), 0.0
     )
-    lightness, sum_of_three, of_white = (
+    lightness, sum_of_three, white_sum = (
         _lightness(y / white[1]),
         x + 15 * y + 3 * z,
         white[0] + 15 * white[1] + 3 * white[2],
     )
     colour = sum_of_three > 0
     deviations = [lightness.std()]
-    for plane, factor, of_light in ((x, 4.0, white[0]), (y, 9.0, white[1])):
+    for plane, factor, white_component in ((x, 4.0, white[0]), (y, 9.0, white[1])):
         chromaticity = np.divide(
-            plane, sum_of_three, out=np.full(y.shape, of_light / of_white), where=colour
+            plane, sum_of_three, out=np.full(y.shape, white_component / white_sum), where=colour
         )
-        deviations.append((13 * lightness * factor * (chromaticity - of_light / of_white)).std())
+        deviations.append(
+            (13 * lightness * factor * (chromaticity - white_component / white_sum)).std()
+        )
     return float(
         sum(weight * deviation for weight, deviation in zip(WEIGHTS, deviations, strict=True))
     )
