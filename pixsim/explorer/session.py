@@ -122,7 +122,7 @@ class Session:
         self.title = first.file if isinstance(self.source, str) else "light in memory"
         if first.cases[0].picture is None:
             scene = first.cases[0].scene
-            lenses = dict.fromkeys([first.asked.lens.file or NO_LENS, *packaged("data/lenses")])
+            lenses = dict.fromkeys([first.stated.lens.file or NO_LENS, *packaged("data/lenses")])
             self.controls = controls_of({*scene.names, *scene.text().defaults}, tuple(lenses))
 
     def hello(self) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def _cost_of(job: ComparisonJob) -> Cost:
         for case in group.cases:
             request = group.request(case, group.film_width)
             frame = frame_cost(
-                case.camera, case.settings.pixel.pitch_um, group.display, *case.others
+                case.camera, case.settings.pixel.pitch_um, group.display, *case.further_displays
             )
             seconds += (
                 render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
@@ -208,7 +208,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
     words += ["--match", job.match] if len(job.matches) == 1 else []
     words += ["--repeats", str(job.repeats)]
     if job.types is not None:
-        words += ["--sobol" if job.types.total else "--uncertainty", str(job.types.asked)]
+        words += ["--sobol" if job.types.total else "--uncertainty", str(job.types.requested_draws)]
     for option, value in (("--sensor", job.sensor), ("--variant", job.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)

@@ -32,7 +32,7 @@ from pixsim.show.figures import (
 )
 from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.curve import Curve
-from pixsim.studies.design import BASE, cutoff_pitch_um, of_technology
+from pixsim.studies.design import BASE, cutoff_pitch_um, single_technology_table
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Axis, Study, setting_path
@@ -815,6 +815,6 @@ def _touching(
     """Return the cases that change a technology's numbers, each of its changes once."""
     changes: dict[str, StudyResult] = {}
     for part in parts:
-        changes.setdefault(content_hash(of_technology(part.study, technology)), part)
-    changes.pop(content_hash(of_technology(base.study, technology)), None)
+        changes.setdefault(content_hash(single_technology_table(part.study, technology)), part)
+    changes.pop(content_hash(single_technology_table(base.study, technology)), None)
     return list(changes.values())

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def run_outline(prepared: Job[Run]) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     planned = planned_run(prepared)
-    return common(prepared, prepared.file, prepared.asked.camera) | planned
+    return common(prepared, prepared.file, prepared.stated.camera) | planned
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:

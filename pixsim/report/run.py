@@ -393,7 +393,7 @@ def assumption(result: RunResult) -> str:
     lens_assumption = (
         ""
         if result.prepared.cases[0].picture
-        else result.prepared.asked.camera.assumption(result.camera)
+        else result.prepared.stated.camera.assumption(result.camera)
     )
     return "; ".join(filter(None, (result.settings.pixel.assumption, lens_assumption)))
 
@@ -702,7 +702,7 @@ def _repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
         "display": job.complete.display,
         "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene),
     }
-    return without_clock(job.asked, irradiance).model_copy(update=view)
+    return without_clock(job.stated, irradiance).model_copy(update=view)
 
 
 def _whole_source(job: Job[Run]) -> str:

@@ -295,9 +295,9 @@ def common_words(job: ComparisonJob) -> list[str]:
     rows, columns = group.scored_dots
     dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
     words.append(f"one display of {dots}; {columns} × {rows} are scored")
-    if group.first.others and judged_by_delta_e(job.base[0]):
+    if group.first.further_displays and judged_by_delta_e(job.base[0]):
         words.append(
-            f"checked on {' and '.join(str(other.dots) for other in group.first.others)} dots"
+            f"checked on {' and '.join(str(other.dots) for other in group.first.further_displays)} dots"
         )
     words += shared_stages(group)
     words += filter(

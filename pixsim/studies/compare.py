@@ -37,14 +37,14 @@ from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import Case, check_number, named, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
+from pixsim.studies.evaluate import RenderedCase, check_ideals, evaluate_points, rendered_cases
 from pixsim.studies.files import tables_of_python
-from pixsim.studies.film_error import kept_steps
+from pixsim.studies.film_error import cached_film_steps
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
-from pixsim.studies.settings import Study, check_asked
+from pixsim.studies.settings import Study, check_supported
 from pixsim.studies.table import (
     CHECK,
     COLUMNS,
@@ -414,7 +414,7 @@ def compare(
     >>> sorted(result.scores), result.difference["4t-bsi"] < 0  # a quieter pixel
     (['0.35um', '4t-bsi'], True)
     """
-    check_asked("comparison", light=light, without=without)
+    check_supported("comparison", light=light, without=without)
     options = tables_of_python(settings, metrics)
     options |= {"scene": dict(parameters)} if parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
@@ -469,7 +469,7 @@ def run_prepared(
         groups, lights = _render_groups(job, stage)
         by_number = {group.first.group: group for group in groups}
         cases = [case for group in groups for case in group.cases]
-        lit = lit_cases(cases, [light for light, _ in lights])
+        lit = rendered_cases(cases, [light for light, _ in lights])
         _check(groups, lit)
         table = evaluate_points(lit, files[ROWS_FILE], workers, lambda: stage("sense and score"))
         for case, rows in zip(cases, table.by_case(), strict=True):
@@ -502,7 +502,7 @@ def run_prepared(
     return replace(result, warned=tuple(notes))
 
 
-def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
+def _check(groups: Sequence[SensorGroup], lit: Sequence[RenderedCase]) -> None:
     """Raise PixsimError for sensors whose ideal images differ; warn of their numbers, their stacks
     and what the display clips.
     """
@@ -591,7 +591,11 @@ def _lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, P
 
 
 def _compared_sensor(
-    group: SensorGroup, lit: LitCase, light: Light, plan: Plan, progress: Progress | None = None
+    group: SensorGroup,
+    lit: RenderedCase,
+    light: Light,
+    plan: Plan,
+    progress: Progress | None = None,
 ) -> ComparedSensor:
     """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and
     errors of the film.
@@ -612,7 +616,7 @@ def _compared_sensor(
     with suppressed_warnings():  # the result itself warns
         of_run = Imaging.of(case.settings, case.camera)
         largest_um = group.border_um(case.camera) / BORDER_PIXELS
-        steps = kept_steps(light.image, of_run, plan.film.chart, largest_um, progress)
+        steps = cached_film_steps(light.image, of_run, plan.film.chart, largest_um, progress)
     return ComparedSensor(
         case=case,
         light=light,
@@ -628,7 +632,7 @@ def _compared_sensor(
 def _differences_of_types(
     types: Types,
     result: Comparison,
-    lit: Sequence[LitCase],
+    lit: Sequence[RenderedCase],
     file: Path | None,
     workers: Workers | None,
     progress: Progress,
@@ -664,20 +668,22 @@ def _differences_of_types(
     lights: list[Light] = []
     for number, one in enumerate(base.values()):
         assert one.case.imaging is not None
-        light = Light(one.scenes.irradiance, one.case.camera, without=one.scenes.light.background)
+        light = Light(
+            one.scenes.irradiance, one.case.camera, background=one.scenes.light.background
+        )
         for draw, imaging in enumerate(types.imagings(one.case.sensor, one.case.imaging)):
             cases.append(
                 replace(
                     one.case,
                     imaging=imaging,
-                    others=(),
+                    further_displays=(),
                     labels=one.case.labels | {"draw": draw},
                     group=(number, draw),
                     sizes={imaging.pixel.pitch_um: FEW_SENSORS},
                 )
             )
             lights.append(light)
-    table = evaluate_points(lit_cases(cases, lights), file, workers, lambda: progress)
+    table = evaluate_points(rendered_cases(cases, lights), file, workers, lambda: progress)
 
     uncertainties = []
     for (other, groups), metric in product(uncertain.items(), table.metrics):
@@ -698,7 +704,7 @@ def _differences_of_types(
             PairUncertainty(
                 names=(first, other),
                 drawn=types.sample,
-                asked=types.asked,
+                asked=types.requested_draws,
                 total=types.total,
                 differences=drawn_differences,
                 scatter_variances=scatter_variances(scatter),

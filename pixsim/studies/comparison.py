@@ -382,7 +382,7 @@ class Comparison(Result):
         group = self.groups_of_pair(other, match)[0]
         found = [DisplayDifference(group.display.dots, stated.difference, stated.interval, film)]
         largest = max(float(stated.a.mean()), float(stated.b.mean()))
-        for display in group.first.others:
+        for display in group.first.further_displays:
             here = self.pairs(other, dots=display.dots, match=match)
             count = here.a.size
             difference = stated.difference + float(

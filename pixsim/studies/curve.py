@@ -48,7 +48,7 @@ from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_w
 from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
 
 if TYPE_CHECKING:
-    from pixsim.studies.evaluate import LitCase
+    from pixsim.studies.evaluate import RenderedCase
 
 # --- the curve of a table
 # ---------------------------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ class Curve(Result):
 
     @property
     def alone(self) -> str:
-        """Axis that is moved alone in the case of the curve; empty for none."""
+        """Name of the axis that varies alone in the case of the curve; empty for none."""
         return self.case.alone
 
     @property
@@ -702,7 +702,7 @@ class Rounds:
     is_refined : whether curves without a target may have additions
     """
 
-    cases: Sequence[LitCase]
+    cases: Sequence[RenderedCase]
     is_refined: bool
     _curves: dict[tuple[int, bytes], Curve | str] = field(
         default_factory=dict, init=False, repr=False

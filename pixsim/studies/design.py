@@ -353,19 +353,19 @@ class Case(Generic[Settings]):
         them
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
-    alone : the axis that is moved alone, or empty
+    alone : name of the axis that varies alone; empty for none
     sensor : its name in rows: of a technology, of a data sheet, or of a comparison's sensor
     file : of a comparison, the sensor's file or technology; else empty
     resolved : the scene with its chart, or the picture of another program; and the camera of the
         window, or of the part of the field that all sensors of a comparison see. None before they
         are looked for
-    without : light without the target, beside a picture, if a metric asks for it
+    background : light without the target, beside a picture, if a metric asks for it
     labels : that tell it from other cases, beside the sensor; they are columns of its rows
     group : cases of a group share white and border, and follow one another: the sensors of a
         combination
     imaging : what lies between the light and the score, at the largest pixel size; None before it
         is found
-    others : further displays on which each frame is shown
+    further_displays : beside the stated one; each frame is shown on them, too
     stream : how the keys of its random streams begin; then follow the pixel size, if
         `stream_has_pitch`, and the repeat
     sizes : pixel size in µm -> number of sensors with which it starts
@@ -380,11 +380,11 @@ class Case(Generic[Settings]):
     sensor: str = ""
     file: str = ""
     resolved: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
-    without: SpectralImage | None = field(default=None, repr=False)
+    background: SpectralImage | None = field(default=None, repr=False)
     labels: dict[str, Label] = field(default_factory=dict)
     group: object = None
     imaging: Imaging | None = field(default=None, repr=False)
-    others: tuple[Display, ...] = ()
+    further_displays: tuple[Display, ...] = ()
     stream: tuple[object, ...] = ()
     stream_has_pitch: bool = True
     sizes: dict[float, int] = field(default_factory=dict, repr=False)
@@ -579,7 +579,7 @@ def with_range_ends(study: Study) -> Study:
     return study.model_copy(update={"axis": tuple(axes)})
 
 
-def of_technology(study: Study, technology: str) -> dict[str, Any]:
+def single_technology_table(study: Study, technology: str) -> dict[str, Any]:
     """Return the settings of a case that one technology depends on: without the other ones and
     their numbers.
     """
@@ -667,7 +667,7 @@ def check_number(cases: int, evaluations: int, agreed: bool) -> None:
 # -------------------------------------------------------------------------------------------------------------------------
 
 REPEATS_PER_TASK = 8  # after which a worker reports
-MOST_REPEATS = 10_000  # of a pitch
+MAX_REPEATS = 10_000  # of a pitch
 # whose frames are shown on further displays, too: enough to see whether an answer depends on the
 # display
 CHECKED_REPEATS = 2

@@ -50,7 +50,7 @@ RECONNECT_SECONDS, LOOK_SECONDS = (
     60.0,
     0.1,
 )  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
-BATCH_SECONDS, MOST_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
+BATCH_SECONDS, MAX_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 IDLE_SECONDS, WATCH_SECONDS = (
     300.0,
@@ -402,7 +402,7 @@ def _replies(
         send()
         for future in sent:
             replies, seconds = future.result()
-            size = min(MOST_CALLS, max(1, round(BATCH_SECONDS * len(replies) / max(seconds, 1e-9))))
+            size = min(MAX_CALLS, max(1, round(BATCH_SECONDS * len(replies) / max(seconds, 1e-9))))
             send()
             yield from replies
     finally:

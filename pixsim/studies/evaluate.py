@@ -30,7 +30,7 @@ from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.design import (
     CHECKED_REPEATS,
     COMPUTED_BY,
-    MOST_REPEATS,
+    MAX_REPEATS,
     OF_FRAME,
     REPEATS_PER_TASK,
     Case,
@@ -64,7 +64,7 @@ _FILES_OF_MEMORY = 2
 
 
 @dataclass(frozen=True)
-class LitCase:
+class RenderedCase:
     """A case with the light behind the lens, which cases that see the same share.
 
     scenes : of the light, made when they are needed
@@ -209,7 +209,7 @@ class LitCase:
         """
         pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
         if row["technology"] != self.case.sensor or not (
-            0 <= repeat < MOST_REPEATS and repeat.is_integer()
+            0 <= repeat < MAX_REPEATS and repeat.is_integer()
         ):
             return False
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
@@ -218,14 +218,14 @@ class LitCase:
         return row["key"] in self.keys(pitch_um, int(repeat) + 1)[first:]
 
 
-def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCase]:
+def rendered_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[RenderedCase]:
     """Return cases with their lights; cases that see the same on the same display share what lies
     behind the lens.
     """
     caches: dict[str, SceneCache] = {}
-    lit: list[LitCase] = []
+    rendered: list[RenderedCase] = []
     for case, light in zip(cases, lights, strict=True):
-        imaging, image, without = case.imaging, light.image, light.without
+        imaging, image, background = case.imaging, light.image, light.background
         assert imaging is not None
         # The header states everything that a render depends on, so that cases of other pixels may
         # have equal ones.
@@ -234,34 +234,39 @@ def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCa
             image.shape,
             image.pitch_um,
             light.camera.model_dump(),
-            None if without is None else without.header,
+            None if background is None else background.header,
         ]
-        displays = [display.content_hash for display in (imaging.display, *case.others)]
+        displays = [display.content_hash for display in (imaging.display, *case.further_displays)]
         key = content_hash(
             [*seen, displays, imaging.metrics.content, imaging.develop.tone, imaging.single]
         )
         if key not in caches:
-            caches[key] = SceneCache(imaging, SceneLight(image, without), others=case.others)
+            caches[key] = SceneCache(
+                imaging, SceneLight(image, background), others=case.further_displays
+            )
         caches[key].channels = max(caches[key].channels, len(imaging.physics.channels))
-        lit.append(LitCase(case, caches[key]))
-    return lit
+        rendered.append(RenderedCase(case, caches[key]))
+    return rendered
 
 
-def check_ideals(cases: Sequence[LitCase]) -> None:
+def check_ideals(cases: Sequence[RenderedCase]) -> None:
     """Raise PixsimError if monochrome and colour sensors among some cases look at one coloured
     scene.
     """
-    grey = [lit.label for lit in cases if lit.imaging.pixel.colour is None]
-    coloured: dict[int, LitCase] = {}
-    for lit in cases:
-        if lit.imaging.pixel.colour is not None:  # the ideal image does not depend on the filters
-            coloured.setdefault(id(lit.scenes), lit)
+    grey = [rendered.label for rendered in cases if rendered.imaging.pixel.colour is None]
+    coloured: dict[int, RenderedCase] = {}
+    for rendered in cases:
+        if (
+            rendered.imaging.pixel.colour is not None
+        ):  # the ideal image does not depend on the filters
+            coloured.setdefault(id(rendered.scenes), rendered)
     if grey:
         ideals = {
-            lit.label: display_image(
-                ideal_light_of_dots(lit.imaging, lit.scenes.irradiance), lit.imaging.display
+            rendered.label: display_image(
+                ideal_light_of_dots(rendered.imaging, rendered.scenes.irradiance),
+                rendered.imaging.display,
             )
-            for lit in coloured.values()
+            for rendered in coloured.values()
         }
         check_one_ideal(grey, ideals)
 
@@ -343,36 +348,38 @@ class FirstFrame(NamedTuple):
     judged: FrameUnderTest
 
 
-def task_of(lit: LitCase, imaging: Imaging, block: int, keys: Mapping[int, str]) -> Task:
+def task_of(rendered: RenderedCase, imaging: Imaging, block: int, keys: Mapping[int, str]) -> Task:
     """Return the task of some evaluations of a block of repeats, whose frames share a file of the
     cache.
 
     imaging : of the case, at the pixel size
     """
-    pitch_um, case = imaging.pixel.pitch_um, lit.case
+    pitch_um, case = imaging.pixel.pitch_um, rendered.case
     return Task(
         name=case.sensor,
         imaging=imaging,
-        displays=lit.displays,
+        displays=rendered.displays,
         stream=case.stream_at(pitch_um),
-        light_key=lit.light_hash,
-        frames_key=f"{lit.pixel_hash(pitch_um)}-{block}" if case.caches_frames else "",
+        light_key=rendered.light_hash,
+        frames_key=f"{rendered.pixel_hash(pitch_um)}-{block}" if case.caches_frames else "",
         keys=keys,
         shares_sensors=bool(case.labels),
     )
 
 
-def _tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iterator[Task]:
+def _tasks_of(
+    rendered: RenderedCase, sizes: Sizes, is_done: Callable[[str], bool]
+) -> Iterator[Task]:
     """Yield the tasks that are missing of a case, small pixels first, since they take longest."""
-    displays = len(lit.displays)
+    displays = len(rendered.displays)
     for pitch_um, count in sizes.items():
-        keys = lit.keys(pitch_um, count)
-        imaging = lit.imaging.at(pitch_um)  # one for thousands of tasks
+        keys = rendered.keys(pitch_um, count)
+        imaging = rendered.imaging.at(pitch_um)  # one for thousands of tasks
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             end = min(count, first + REPEATS_PER_TASK)
             numbers = range(point_count(first, displays), point_count(end, displays))
             if missing := {number: keys[number] for number in numbers if not is_done(keys[number])}:
-                yield task_of(lit, imaging, block, missing)
+                yield task_of(rendered, imaging, block, missing)
 
 
 # A thread's last chain and last sensors: they are expensive, and the tasks of a pixel size follow
@@ -590,21 +597,21 @@ def frames_of(
         cache.store_arrays("frames", task.frames_key, frames)
 
 
-def ideal_facts(lit: LitCase, smallest_um: float) -> IdealFacts:
+def ideal_facts(rendered: RenderedCase, smallest_um: float) -> IdealFacts:
     """Return facts of the ideal image of a case, of its smallest pixels if pixels are the display's
     dots.
 
     They follow from the light, not from the rows, so that a resumed study knows them as one that
     evaluates them.
     """
-    smallest = lit.imaging.at(smallest_um)
-    electrons, *others = lit.light_key
+    smallest = rendered.imaging.at(smallest_um)
+    electrons, *others = rendered.light_key
     pixels_um = (
-        smallest.physics.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
+        smallest.physics.read_pitch_um if rendered.imaging.display.raster == "one_to_one" else None
     )
     seen = [
-        lit.frames_hash,
-        lit.display_hashes[0],
+        rendered.frames_hash,
+        rendered.display_hashes[0],
         blake2b(electrons).hexdigest(),
         *others,
         pixels_um,
@@ -614,7 +621,7 @@ def ideal_facts(lit: LitCase, smallest_um: float) -> IdealFacts:
         low, high = entry["lightness"]
         return IdealFacts(float(entry["beyond_white"]), (float(low), float(high)))
 
-    compute = partial(lit.scenes.ideal_facts, lit.light_key, smallest)
+    compute = partial(rendered.scenes.ideal_facts, rendered.light_key, smallest)
     return cache.load_or_compute(
         "ideal", content_hash(seen), read, compute, lambda facts: facts._asdict()
     )
@@ -656,18 +663,18 @@ class Counts:
 
 # The tables of cases that are evaluated together -> the sizes and sensors of each, with further
 # ones; the same if none are needed.
-More = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
-Known = Callable[[int, Table], object]  # the number of a case, and its table
+FurtherSizes = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
+CaseCallback = Callable[[int, Table], object]  # the number of a case, and its table
 
 
 def evaluate_points(
-    cases: Sequence[LitCase],
+    cases: Sequence[RenderedCase],
     results: Path | None,
     workers: Workers | None = None,
     progress: Callable[[], Progress | None] = lambda: None,
     *,
-    more: More | None = None,
-    known: Known | None = None,
+    further_sizes: FurtherSizes | None = None,
+    on_case_done: CaseCallback | None = None,
     counts: Counts | None = None,
     first: list[FirstFrame] | None = None,
     in_parts: bool = False,
@@ -679,9 +686,9 @@ def evaluate_points(
     results : results.csv, whose folder the caller has locked; None keeps no file
     workers : None takes as many processes as are worth it
     progress : returns a callback for each round
-    more : asked for each group when its points are known; it depends on the tables alone, so that a
+    further_sizes : asked for each group when its points are known; it depends on the tables alone, so that a
         resumed study adds the same points. None adds none
-    known : called with each case as soon as its points are known, while workers go on with others
+    on_case_done : called with each case as soon as its points are known, while workers go on with others
     counts : gets what was made
     first : gets the very first frame, with its pictures; then this process makes all of them
     in_parts : whether groups whose lights fit into memory together get all of their rounds before
@@ -692,15 +699,15 @@ def evaluate_points(
     """
     workers = Workers() if first is not None else workers or _suitable_workers(cases)
     evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first)
-    return evaluation.run(progress, more, known, in_parts)
+    return evaluation.run(progress, further_sizes, on_case_done, in_parts)
 
 
-def _suitable_workers(cases: Sequence[LitCase]) -> Workers:
+def _suitable_workers(cases: Sequence[RenderedCase]) -> Workers:
     """Return as many processes of this machine as are worth it, and fit into memory."""
     costs = [
-        (count, frame_cost(lit.imaging.camera, pitch_um, *lit.displays))
-        for lit in cases
-        for pitch_um, count in lit.case.sizes.items()
+        (count, frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays))
+        for rendered in cases
+        for pitch_um, count in rendered.case.sizes.items()
     ]
     seconds = sum(count * cost.seconds for count, cost in costs)
     return workers_here(
@@ -713,7 +720,7 @@ class _Evaluation:
 
     def __init__(
         self,
-        cases: Sequence[LitCase],
+        cases: Sequence[RenderedCase],
         results: Path | None,
         workers: Workers,
         counts: Counts,
@@ -726,27 +733,27 @@ class _Evaluation:
             first_frame,
         )
         first = cases[0]
-        self.has_displays = any(len(lit.displays) > 1 for lit in cases)
+        self.has_displays = any(len(rendered.displays) > 1 for rendered in cases)
         labels = *first.case.labels, *((DOTS, DEGREE) if self.has_displays else ())
         self.metrics = first.imaging.metrics.chosen
         self.store = Store(results, labels, self.metrics)
-        self.sizes: list[Sizes] = [dict(lit.case.sizes) for lit in cases]
+        self.sizes: list[Sizes] = [dict(rendered.case.sizes) for rendered in cases]
         self.impossible: dict[str, str] = {}
         self.undefined: dict[str, Mapping[str, str]] = {}
         self.batch = 0
 
         self.groups: dict[object, list[int]] = {}
-        for number, lit in enumerate(cases):
-            self.groups.setdefault(lit.case.group, []).append(number)
+        for number, rendered in enumerate(cases):
+            self.groups.setdefault(rendered.case.group, []).append(number)
         counts.cases = len(self.groups)
-        counts.renders = len({id(lit.scenes) for lit in cases})
-        counts.prepared_scenes = len({lit.light_id for lit in cases})
+        counts.renders = len({id(rendered.scenes) for rendered in cases})
+        counts.prepared_scenes = len({rendered.light_id for rendered in cases})
 
     def run(
         self,
         progress: Callable[[], Progress | None],
-        more: More | None,
-        known: Known | None,
+        further_sizes: FurtherSizes | None,
+        on_case_done: CaseCallback | None,
         in_parts: bool,
     ) -> Table:
         """Evaluate all points, in rounds, and return the table."""
@@ -759,7 +766,7 @@ class _Evaluation:
                 while changed:
                     # Groups that need no more points stay, so that their lights are not prepared
                     # again.
-                    changed = self._round(changed, progress(), more, known)
+                    changed = self._round(changed, progress(), further_sizes, on_case_done)
                 if self.counts.prepared_scenes > self.capacity:
                     self._drop_lights()
         finally:
@@ -778,22 +785,22 @@ class _Evaluation:
         self,
         groups: Sequence[object],
         progress: Progress | None,
-        more: More | None,
-        known: Known | None,
+        further_sizes: FurtherSizes | None,
+        on_case_done: CaseCallback | None,
     ) -> list[object]:
         """Evaluate the points of some groups, and return those that got more."""
         chosen = [number for group in groups for number in self.groups[group]]
         missing = {group: len(self.groups[group]) for group in groups}
         changed: list[object] = []
         for number in self._finished(chosen, progress):
-            if known is not None:
-                known(number, self.table([number]))
+            if on_case_done is not None:
+                on_case_done(number, self.table([number]))
             group = self.cases[number].case.group
             missing[group] -= 1
-            if missing[group] or more is None:
+            if missing[group] or further_sizes is None:
                 continue
             members = self.groups[group]
-            sizes = more({member: self.table([member]) for member in members})
+            sizes = further_sizes({member: self.table([member]) for member in members})
             if any(sizes[member] != self.sizes[member] for member in members):
                 changed.append(group)
                 for member in members:
@@ -867,26 +874,26 @@ class _Evaluation:
         place : key, pixel size, repeat and number of the display
         """
         key, pitch_um, repeat, display = place
-        lit = self.cases[number]
-        viewed = lit.displays[display]
+        rendered = self.cases[number]
+        viewed = rendered.displays[display]
         of_display = (viewed.dots, viewed.samples_per_deg) if self.has_displays else ()
         return (
             key,
-            lit.case.sensor,
+            rendered.case.sensor,
             pitch_um,
             repeat,
-            *lit.case.labels.values(),
+            *rendered.case.labels.values(),
             *of_display,
             *values,
         )
 
     def _keys(self, number: int) -> list[str]:
         """Return the keys of all points of a case, in their order."""
-        lit = self.cases[number]
+        rendered = self.cases[number]
         return [
             key
             for pitch_um, count in self.sizes[number].items()
-            for key in lit.keys(pitch_um, count)
+            for key in rendered.keys(pitch_um, count)
         ]
 
     def _lines(self, table: Table) -> Iterator[tuple[Any, ...]]:
@@ -910,7 +917,7 @@ class _Evaluation:
         """Return the number of the display of each row."""
         if not self.has_displays:
             return [0] * len(table)
-        dots = [[display.dots for display in lit.displays] for lit in self.cases]
+        dots = [[display.dots for display in rendered.displays] for rendered in self.cases]
         return [
             dots[case].index(count)
             for case, count in zip(table.case.tolist(), table.columns[DOTS].tolist(), strict=True)
@@ -978,10 +985,10 @@ class _Evaluation:
         """
         names = tuple(self.cases[0].case.labels)
         by_labels: dict[tuple[str, ...], list[int]] = {}
-        for number, lit in enumerate(self.cases):
+        for number, rendered in enumerate(self.cases):
             texts = tuple(
                 value if isinstance(value, str) else repr(value)
-                for value in lit.case.labels.values()
+                for value in rendered.case.labels.values()
             )
             by_labels.setdefault(texts, []).append(number)
 
@@ -1006,7 +1013,10 @@ class _Evaluation:
         """
         parts: list[list[object]] = []
         lights: set[object] = set()
-        first = {id(lit.scenes): number for number, lit in reversed(list(enumerate(self.cases)))}
+        first = {
+            id(rendered.scenes): number
+            for number, rendered in reversed(list(enumerate(self.cases)))
+        }
         for group in sorted(
             self.groups, key=lambda group: first[id(self.cases[self.groups[group][0]].scenes)]
         ):
@@ -1026,15 +1036,15 @@ class _Evaluation:
         sensors follow one another.
         """
         tasks: dict[object, list[Task]] = {}
-        lights: dict[object, LitCase] = {}
+        lights: dict[object, RenderedCase] = {}
         asked: set[str] = set()
         for number in chosen:
-            lit = self.cases[number]
-            lights.setdefault(lit.light_id, lit)
+            rendered = self.cases[number]
+            lights.setdefault(rendered.light_id, rendered)
             is_done = partial(self._is_done, asked)
-            for task in _tasks_of(lit, self.sizes[number], is_done):
+            for task in _tasks_of(rendered, self.sizes[number], is_done):
                 asked |= set(task.keys.values())
-                tasks.setdefault(lit.light_id, []).append(task)
+                tasks.setdefault(rendered.light_id, []).append(task)
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         # Processes of this machine have lights in files, and share them.
         size = self.capacity * (_FILES_OF_MEMORY if self.workers.jobs > 1 else 1)
@@ -1059,20 +1069,20 @@ class _Evaluation:
         """Return whether a point is known, or asked for already."""
         return key in self.store or key in self.impossible or key in asked
 
-    def _light(self, batch: int, lit: LitCase) -> SharedLight:
+    def _light(self, batch: int, rendered: RenderedCase) -> SharedLight:
         """Return a light; those of another batch are dropped. In a batch that does not fit into
         memory, each counts as one.
         """
         if batch != self.batch:
             self._drop_lights()
             self.batch = batch
-        return lit.light()
+        return rendered.light()
 
     def _drop_lights(self) -> None:
-        for lit in self.cases:
-            lit.scenes.clear()
+        for rendered in self.cases:
+            rendered.scenes.clear()
 
     @cached_property
     def capacity(self) -> int:
         """Number of lights behind the lens that fit into memory together."""
-        return min(lit.scenes.capacity for lit in self.cases)
+        return min(rendered.scenes.capacity for rendered in self.cases)

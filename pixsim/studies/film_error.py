@@ -80,7 +80,7 @@ NEAR, FAR, ROUGH = (
 _ALIASED = 1.5
 _UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
-MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
+MAX_FINER_RATIO = max(repeated / averaged for repeated, averaged in FINER)
 
 
 def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
@@ -400,7 +400,7 @@ class FilmError:
     limit: str = ""
 
     @property
-    def met(self) -> bool:
+    def within_tolerance(self) -> bool:
         """Whether the error is tolerated at every pitch."""
         return all(
             error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True)
@@ -430,7 +430,7 @@ class FilmError:
         known = error if math.isfinite(error) else math.nan
         return replace(self, pitch_um=(pitch_um,), delta_e=(known,), tolerated_delta_e=(tolerated,))
 
-    def left_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
+    def predicted_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
         """Return the errors at the pitches that are to be expected on a wider film; NaN where they
         are unknown.
 
@@ -463,7 +463,7 @@ class FilmError:
             "shape": list(self.shape),
             "sample_um": self.sample_um,
             "delta_e": None if math.isnan(largest) else float(f"{largest:.3g}"),
-            "met": self.met,
+            "met": self.within_tolerance,
             "limit": self.limit,
             "pitch_um": list(self.pitch_um),
             "delta_e_at_pitch": known,
@@ -502,7 +502,7 @@ def measure_film(
     measured : the pixels, with one camera and display
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
-    keep : use the cache, for the picture of a render (`kept_steps`)
+    keep : use the cache, for the picture of a render (`cached_film_steps`)
 
     Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is
     left.
@@ -521,7 +521,9 @@ def measure_film(
     for number, imaging in enumerate(measured):
         part = share_of(progress, number / len(measured), (number + 1) / len(measured))
         try:
-            steps = (kept_steps if keep else film_steps)(shown, imaging, chart, progress=part)
+            steps = (cached_film_steps if keep else film_steps)(
+                shown, imaging, chart, progress=part
+            )
         except AlikeChannelsError:
             if number == len(measured) - 1 and not pitches_um:
                 raise
@@ -627,7 +629,7 @@ class FilmSteps:
         return film_error(near, far, mean_delta_e, per_dot, finest, is_chart=self.is_chart)
 
 
-def kept_steps(
+def cached_film_steps(
     image: SpectralImage,
     imaging: Imaging,
     chart: Chart | None,
@@ -706,7 +708,7 @@ def film_steps(
     blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
     lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(parts)] * len(films)
     if lens:
-        lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
+        lights = lens.film_lights(places, len(films), share_of(progress, 0.0, blurred))
     delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blurred, scored))
     finer = _finer_delta_e(
         finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0)
@@ -761,7 +763,7 @@ class BehindLens:
             self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations
         )
 
-    def of_films(
+    def film_lights(
         self, places: Sequence[Place], films: int, progress: Progress | None = None
     ) -> list[list[tuple[ChannelLight, ...]]]:
         """Return the light of parts on the film and on coarser ones; one light of the whole picture
@@ -788,7 +790,7 @@ class BehindLens:
         across = len({columns.start for _, columns in patches})
         return [[_joined(of_film, across)] for of_film in found]
 
-    def of_part(
+    def part_lights(
         self, part: _PicturePart, fine: Sequence[SpectralImage]
     ) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on finer films, beyond which its light goes on as in a
@@ -801,7 +803,7 @@ class BehindLens:
                 image.shape,
             )
             films.append((_surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
-        return self._lights(films, part.place, MOST_SAMPLES)
+        return self._lights(films, part.place, MAX_FINER_RATIO)
 
 
 def _each_of(
@@ -845,7 +847,7 @@ def _finer_delta_e(
         number: int,
     ) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
         fine = [parts[number].finer(*film) for film in FINER]
-        return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
+        return fine, lens.part_lights(parts[number], fine) if lens else [None] * len(FINER)
 
     cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
     images, lights = zip(*_each_of(on_films, len(parts), cells), strict=True)

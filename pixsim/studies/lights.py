@@ -55,8 +55,12 @@ from pixsim.viewer.screen import perceived_lab, white_header
 from pixsim.viewer.setting import Run, Setting
 
 _WORTH_WIDENING = 1.2
-COARSER, MIN_ACROSS = 4, 64  # of the first film where a tolerance of ΔE bounds its error
-RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
+# Where a tolerance of ΔE bounds the film's error, the first film has so many times fewer samples
+# across than planned, but not fewer than these.
+_FIRST_COARSENING = 4
+_MIN_SAMPLES_ACROSS = 64
+# The render's share of the work on a film; the rest measures its error.
+_RENDER_SHARE, _CHART_RENDER_SHARE = 0.9, 0.3
 
 
 Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
@@ -70,14 +74,14 @@ class Light:
     camera : with which it was rendered
     film : the error of its film; None of light that was given
     noise : of its render; None of light that was given
-    without : irradiance of the scene without its target, if a metric asks for it
+    background : irradiance of the scene without its target, if a metric asks for it
     """
 
     image: SpectralImage
     camera: Camera
     film: FilmError | None = None
     noise: RenderNoise | None = None
-    without: SpectralImage | None = None
+    background: SpectralImage | None = None
 
 
 @dataclass(frozen=True)
@@ -211,7 +215,7 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
     scene, plan, settings = request.scene, request.plan, request.settings
     for note in plan.warnings:
         warn(note)
-    rendering = RENDERING_CHART if plan.samples.exact else RENDERING
+    rendering = _CHART_RENDER_SHARE if plan.samples.exact else _RENDER_SHARE
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         part = share_of(
@@ -231,14 +235,14 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         fixed=fixed,
         max_seconds=settings.max_seconds,
         coarser=(
-            COARSER
+            _FIRST_COARSENING
             if settings.tolerance_delta_e is not None
             and not (fixed or "resolution" in scene.parameters)
             else 1
         ),
     )
     if has_target(settings.metrics):
-        light = replace(light, without=without_target(request, light.image.shape[1]))
+        light = replace(light, background=without_target(request, light.image.shape[1]))
     return light, last
 
 
@@ -311,7 +315,7 @@ def render_on_film(
     if coarser > 1:
         height, width = chosen.film_shape(camera, chosen.for_camera(camera))
         chosen = chosen.with_resolution(
-            fitting_width(height / width, max(MIN_ACROSS, width // coarser), width)
+            fitting_width(height / width, max(_MIN_SAMPLES_ACROSS, width // coarser), width)
         )
         plan = plan_of(chosen)
     rendered_s, before = 0.0, None
@@ -324,13 +328,13 @@ def render_on_film(
         in_time = plan.cells_in_time if max_seconds is None else math.inf
         most = largest_film(ratio, plan.light.planes, in_time)
         wider = fitting_width(ratio, 2 * width, most)
-        if film.met:
+        if film.within_tolerance:
             return Light(image, camera, film, noise), plan
         end = (
             f"the limit of {most} samples across for {plan.light.planes}"
             f" picture{'s' * (plan.light.planes > 1)}"
         )
-        left = film.left_on(most, before)
+        left = film.predicted_on(most, before)
         if fixed:
             limit = fixed
         elif wider < _WORTH_WIDENING * width:
@@ -448,7 +452,7 @@ def _given_light(case: Case[Study], picture: SpectralImage) -> Light:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study, image = case.settings, copy(picture)
     image.header = image.header | white_header(_seen_by_all(study, image, case.camera))
-    return Light(image, case.camera, without=case.without)
+    return Light(image, case.camera, background=case.background)
 
 
 def _seen_by_all(
@@ -612,4 +616,5 @@ def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage])
     """Return a light whose image need not stay in memory; a reason as it is."""
     if isinstance(light, str):
         return light
-    return replace(light, image=store(light.image), without=light.without and store(light.without))
+    background = None if light.background is None else store(light.background)
+    return replace(light, image=store(light.image), background=background)

@@ -195,7 +195,7 @@ _MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
 
 
 @dataclass(frozen=True)
-class Asked:
+class UncertaintyRequest:
     """What is asked about the unknown numbers.
 
     draws : sensor types; rounded up to a power of two
@@ -223,16 +223,16 @@ class Asked:
         return make(unknowns_of_study(study, self.uncertainty), self.draws, study.seed)
 
 
-def asked_of(
+def uncertainty_request(
     uncertainty: int | None,
     sobol: int | None,
     smaller_than_um: Sequence[float],
     spreads: Uncertainty,
-) -> Asked | None:
+) -> UncertaintyRequest | None:
     """Return what is asked about the unknown numbers; None if nothing is.
 
     uncertainty, sobol : sensor types to draw, or those of total indices
-    smaller_than_um : as in `Asked`
+    smaller_than_um : as in `UncertaintyRequest`
     spreads : `Asked.uncertainty`
 
     Raises PixsimError for both numbers of types, for sizes without any, and for those that are not
@@ -245,7 +245,7 @@ def asked_of(
         for size_um in smaller_than_um:
             if not 0 < size_um < math.inf:
                 raise invalid(setting("smaller_than_um"), f"{size_um:g}", "a size above 0 µm")
-        return Asked(draws, sobol is not None, tuple(smaller_than_um), spreads)
+        return UncertaintyRequest(draws, sobol is not None, tuple(smaller_than_um), spreads)
     if smaller_than_um:
         got = f"without {setting('uncertainty')}"
         raise invalid(setting("smaller_than_um"), got, f"{setting('uncertainty', 'N')} beside it")
@@ -293,7 +293,7 @@ def check_axes(study: Study) -> None:
 
 
 def check_types(
-    study: Study, cases: Sequence[Study], asked: Asked, agreed: bool
+    study: Study, cases: Sequence[Study], asked: UncertaintyRequest, agreed: bool
 ) -> tuple[int, int]:
     """Return the number of sensor types of a study and of their evaluations at most, for all
     metrics.
@@ -319,19 +319,19 @@ def check_types(
 class Types:
     """The sensor types of a comparison.
 
-    asked : as given; the sample has a power of two of them
+    requested_draws : number of sensor types that the user asks for; the sample has a power of two
     spreads : [pixel.uncertainty] of each sensor's file
     sample : drawn for all sensors, whose names are the technologies of its unknowns
     total : whether they are the points of total indices
     """
 
-    asked: int
+    requested_draws: int
     spreads: tuple[Mapping[str, Spread], ...]
     sample: Sample
     total: bool = False
 
     @classmethod
-    def of(cls, asked: Asked, sensors: Sequence[Case[Run]]) -> Types:
+    def of(cls, asked: UncertaintyRequest, sensors: Sequence[Case[Run]]) -> Types:
         """Draw sensor types. Raises PixsimError if nothing is unknown."""
         spreads = tuple(
             sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {}
@@ -705,7 +705,7 @@ def check_axis_names(study: Study, metrics: Sequence[Metric], *labels: str) -> N
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
 
 
-def of_given_light(study: Study, variant: str | None) -> Study:
+def with_given_light(study: Study, variant: str | None) -> Study:
     """Return a study whose light is given, without the scene of its file.
 
     Raises PixsimError for what only light of a scene has: axes over scene and camera, a window, a
@@ -765,7 +765,7 @@ def _scene_for(
 class Job(Generic[Settings]):
     """What a command is asked for, with cases that are resolved and checked.
 
-    asked : settings as they were given
+    stated : settings as the user states them
     complete : the same, with display and chart; of a study with its axes and conditions
     file : the scene or the picture, as it was given
     source : the scene of `complete`, or the picture
@@ -775,7 +775,7 @@ class Job(Generic[Settings]):
     """
 
     cases: tuple[Case[Settings], ...]
-    asked: Settings
+    stated: Settings
     complete: Settings
     file: str
     source: Scene | SpectralImage
@@ -821,7 +821,7 @@ class Job(Generic[Settings]):
     def evaluations(self) -> int:
         """Number of evaluations that the cases start with."""
         return sum(
-            point_count(count, 1 + len(case.others))
+            point_count(count, 1 + len(case.further_displays))
             for case in self.cases
             for count in case.sizes.values()
         )
@@ -831,20 +831,20 @@ def prepare(
     study: Study,
     variant: str | None = None,
     light: SpectralImage | None = None,
-    without: SpectralImage | None = None,
+    background: SpectralImage | None = None,
 ) -> Job[Study]:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
     light : on the sensor, in place of a scene's
-    without : such light without the target
+    background : such light without the target
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
-    asked = study
-    study = with_range_ends(asked)
+    stated = study
+    study = with_range_ends(stated)
     scenes: dict[str, Scene] = {}
     light = None if light is None else light.identified
-    study = study if light is None else of_given_light(study, variant)
+    study = study if light is None else with_given_light(study, variant)
 
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return (
@@ -867,7 +867,7 @@ def prepare(
             check_technologies(complete)
             scene_of_case, its_camera = source_for(complete)
             of_sizes = replace(case, settings=fitted_range(complete, its_camera))
-            found.append(_checked(of_sizes, scene_of_case, its_camera, without))
+            found.append(_checked(of_sizes, scene_of_case, its_camera, background))
     _warn_of_settings_without_effect(cases, found)
     _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of
@@ -875,14 +875,14 @@ def prepare(
     kept = view if all(_same_chart(each.settings, own) for each in found) else _without_chart(view)
     asked_displays = [case.settings.display for case in cases]
     sensors = tuple(
-        replace(case, others=_further_displays(case, display))
+        replace(case, further_displays=_further_displays(case, display))
         for combination, display in zip(found, asked_displays, strict=True)
         for case in cases_of_sensors(combination)
     )
     warn_of_reviews((label_of(case.sensor), case, None) for case in sensors)
     return Job(
         cases=sensors,
-        asked=asked,
+        stated=stated,
         complete=with_view(study, kept) if study.has_cases else found[0].settings,
         file=study.scene.file,
         source=_source_with_view(scene, view),
@@ -986,11 +986,11 @@ def check_metrics(
     settings: Setting,
     pixels: Sequence[PixelOptions],
     source: Scene | SpectralImage,
-    without: SpectralImage | None = None,
+    background: SpectralImage | None = None,
     units: str | None = None,
     names: Sequence[str] = (),
 ) -> SpectralImage | None:
-    """Return the light without the target beside light that is given: `without`, or that of a file
+    """Return the light without the target beside light that is given: `background`, or that of a file
     that the settings name.
 
     source : scene, or light that is given
@@ -1007,14 +1007,14 @@ def check_metrics(
     )
     if isinstance(source, SpectralImage):
         if (
-            without is None
+            background is None
             and has_target(settings.metrics)
             and isinstance(stated, str)
             and is_picture(stated)
         ):
             with named(name):
-                without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
-        elif without is not None and "without" in settings.metric.detectability.model_fields_set:
+                background, _ = read_with_camera(stated, settings.camera, units, settings.lens)
+        elif background is not None and "without" in settings.metric.detectability.model_fields_set:
             warn(
                 Note(
                     "not_used",
@@ -1022,9 +1022,9 @@ def check_metrics(
                     reason="the light without the target is given beside the light",
                 )
             )
-        if without is not None:
-            check_background(without, source)
-        has_without = without is not None
+        if background is not None:
+            check_background(background, source)
+        has_without = background is not None
         known = (
             settings.camera.object_distance_m,
             settings.metric.niirs.ground_distance_m,
@@ -1043,7 +1043,7 @@ def check_metrics(
             request.check(
                 MetricContext(pixel.colour is not None, has_without, has_distance=has_distance)
             )
-    return None if without is None else without.identified
+    return None if background is None else background.identified
 
 
 def sensor_case(
@@ -1070,7 +1070,7 @@ def sensor_case(
     pixels, or too few dots.
     """
     run, die_um, pitch_um = case.settings, case.camera.die_um, case.settings.pixel.pitch_um
-    without = check_metrics(run, [run.pixel], case.source, case.without, units)
+    background = check_metrics(run, [run.pixel], case.source, case.background, units)
     check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)
     imaging = Imaging.of(run, case.camera)
     border_um = imaging.scored_border_um if border_um is None else border_um
@@ -1079,7 +1079,11 @@ def sensor_case(
     request = request or metrics_of(with_delta_e(run))
     imaging = imaging.changed(border_um=border_um, metrics=request, **of_imaging)
     return replace(
-        case, without=without, imaging=imaging, stream_has_pitch=False, sizes={pitch_um: repeats}
+        case,
+        background=background,
+        imaging=imaging,
+        stream_has_pitch=False,
+        sizes={pitch_um: repeats},
     )
 
 
@@ -1092,19 +1096,19 @@ def _checked(
     case: Case[Study],
     source: Scene | SpectralImage,
     camera: Camera,
-    without: SpectralImage | None = None,
+    background: SpectralImage | None = None,
 ) -> Case[Study]:
     """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not
     possible.
 
-    without : light without the target, beside light that is given
+    background : light without the target, beside light that is given
     """
     study = case.settings
-    without = check_metrics(
-        study, [study.options_of(name) for name in study.technologies], source, without
+    background = check_metrics(
+        study, [study.options_of(name) for name in study.technologies], source, background
     )
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, border_on_um(study, camera))
-    return replace(case, resolved=(source, camera), without=without)
+    return replace(case, resolved=(source, camera), background=background)

@@ -34,7 +34,7 @@ from pixsim.studies.design import (
     physics_of,
     technology_of,
 )
-from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
+from pixsim.studies.evaluate import Counts, RenderedCase, frames_of, rendered_cases, task_of
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.lights import Light
 from pixsim.studies.prepare import cases_of_sensors
@@ -80,7 +80,7 @@ class StudyResult(Result):
     warned: tuple[Note, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     table: Table | None = field(default=None, repr=False, compare=False)
-    lit: tuple[LitCase, ...] = field(default=(), repr=False, compare=False)
+    lit: tuple[RenderedCase, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -161,17 +161,19 @@ class StudyResult(Result):
         return {name: technology_of(self.study, name) for name in self.study.technologies}
 
     @cached_property
-    def sensors(self) -> dict[str, LitCase]:
+    def sensors(self) -> dict[str, RenderedCase]:
         """Each sensor in its light by its name, of a study without axes and conditions."""
         lit = self.lit
         if (
             not lit or lit[0].imaging.display != self.study.display
         ):  # of a copy with another display
             combination = Case(
-                self.study, resolved=(self.irradiance, self.camera), without=self.light.without
+                self.study,
+                resolved=(self.irradiance, self.camera),
+                background=self.light.background,
             )
             cases = list(cases_of_sensors(combination))
-            lit = tuple(lit_cases(cases, [self.light] * len(cases)))
+            lit = tuple(rendered_cases(cases, [self.light] * len(cases)))
         return {sensor.case.sensor: sensor for sensor in lit}
 
     @property
@@ -346,7 +348,7 @@ def _is_value(value: float | int | str, asked: float | int | str) -> bool:
 
 
 def causes_of_curve(
-    lit: LitCase, curve: Curve, lightness: tuple[float, float], table: Table
+    lit: RenderedCase, curve: Curve, lightness: tuple[float, float], table: Table
 ) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the
     largest first.

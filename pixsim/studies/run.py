@@ -36,7 +36,7 @@ from pixsim.sensor.raw import BITS_OF_PICTURES
 from pixsim.sensor.readout import Frame
 from pixsim.studies.design import Case, metrics_of
 from pixsim.studies.engine import Workers
-from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
+from pixsim.studies.evaluate import FirstFrame, RenderedCase, evaluate_points
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light, without_target
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
@@ -401,7 +401,7 @@ def prepare(
     case = replace(case, sensor=case.imaging.technology.name)
     job = Job(
         cases=(case,),
-        asked=settings,
+        stated=settings,
         complete=complete,
         file=source,
         source=seen,
@@ -716,7 +716,7 @@ def score_run(
     case, light = job.cases[0], rendered_run.rendered
     with collected_notes() as notes:
         scored = stage("sense and score")
-        background = case.without if light is None else light.without
+        background = case.background if light is None else light.background
         with watched(share_of(scored, 0.0, _BEFORE_FRAME)):
             lit = _lit_run(case, SceneLight(image, background), prepare)
         first: list[FirstFrame] = []
@@ -753,7 +753,7 @@ def score_run(
 
 def _lit_run(
     case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]
-) -> LitCase:
+) -> RenderedCase:
     """Return the case of a run in its light, with the white that the light says.
 
     prepare : as `prepare_scene`
@@ -764,7 +764,7 @@ def _lit_run(
     imaging = reviewed(case.imaging, light)
     prepared = prepare(imaging, light)
     warn_of_clipping(prepared.beyond_white, light.irradiance.header, imaging.display)
-    return LitCase(replace(case, imaging=imaging), SceneCache(imaging, light), prepared)
+    return RenderedCase(replace(case, imaging=imaging), SceneCache(imaging, light), prepared)
 
 
 def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
@@ -780,7 +780,7 @@ def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
     return float(table.columns[DETECTABILITY.columns[0]][0])
 
 
-def _sensors_at_first(lit: LitCase) -> list[LitCase]:
+def _sensors_at_first(lit: RenderedCase) -> list[RenderedCase]:
     """Return further sensors at the registration of the first one, each a case of its own."""
     case = lit.case
     streams = [

@@ -46,18 +46,18 @@ from pixsim.studies.paired import MIN_PAIRS
 from pixsim.studies.prepare import (
     Job,
     Types,
-    asked_of,
     choose_view,
     is_picture,
     loaded_scene,
     sensor_case,
+    uncertainty_request,
     with_delta_e,
     with_view,
 )
 from pixsim.studies.settings import (
     STUDY_ALONE,
     Study,
-    check_asked,
+    check_supported,
     owner_of,
     parts_of_study,
     paths_of,
@@ -181,7 +181,7 @@ class SensorGroup:
 
 
 def _seen_by(case: Case[Run]) -> tuple[object, ...]:
-    return case.settings, case.camera, case.scene.parameters, case.others
+    return case.settings, case.camera, case.scene.parameters, case.further_displays
 
 
 def sensor_layer(file: str) -> Layer:
@@ -568,7 +568,7 @@ def _group_of(
         chosen[0].settings.display, settings.display, first_camera.die_um, pitch_um, border_um
     )
     group = SensorGroup(
-        cases=tuple(replace(case, others=others) for case in complete),
+        cases=tuple(replace(case, further_displays=others) for case in complete),
         weight=stated.weight,
         match=match,
         scene=scene,
@@ -736,7 +736,7 @@ def prepare(
     *layers, of_options = [of_run for of_run, _ in parts]
     options = of_options.table
     varied = [of_study for _, of_study in parts if of_study.table]
-    check_asked(
+    check_supported(
         "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
     )
     plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
@@ -802,14 +802,14 @@ def prepare(
             if further
             for group in groups_of(numbers, _OTHER_MATCH[chosen])
         ]
-    asked = asked_of(uncertainty, sobol, (), {})
+    asked = uncertainty_request(uncertainty, sobol, (), {})
     if asked is None:
         _warn_of_uncertainty(sources)
     every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
     warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
     return ComparisonJob(
         cases=tuple(case for group in every_group for case in group.cases),
-        asked=base[0].settings,
+        stated=base[0].settings,
         complete=groups[0].first.settings,
         file=file,
         source=groups[0].first.source,

@@ -809,7 +809,7 @@ _STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
 
 
 # Questions to a study to which another command has no answer, and what asks them.
-NOT_ASKED = {
+SUPPORTED_BY = {
     "smaller_than_um": "a study, whose answer is a pixel size",
     "paper": "a study with the scene of Chen et al. (2000) and their pixel sizes",
     "light": (
@@ -858,12 +858,12 @@ def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list
     return names
 
 
-def check_asked(command: str, **asked: object) -> None:
+def check_supported(command: str, **asked: object) -> None:
     """Raise PixsimError for something that is asked of a command, and that only others answer."""
     for name, value in asked.items():
         if value is not None and value is not False and value != ():
             raise invalid(
-                setting(name), f"a value in a {command}", f"{setting(name)} of {NOT_ASKED[name]}"
+                setting(name), f"a value in a {command}", f"{setting(name)} of {SUPPORTED_BY[name]}"
             )
 
 

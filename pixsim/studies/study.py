@@ -42,7 +42,7 @@ from pixsim.studies.design import (
     Sizes,
     check_number,
     metrics_of,
-    of_technology,
+    single_technology_table,
     study_pitches_um,
     warn_of_reviews,
 )
@@ -50,11 +50,11 @@ from pixsim.studies.dry_run import largest_frame_bytes
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
 from pixsim.studies.evaluate import (
     Counts,
-    LitCase,
+    RenderedCase,
     check_ideals,
     evaluate_points,
     ideal_facts,
-    lit_cases,
+    rendered_cases,
 )
 from pixsim.studies.files import (
     load_study,
@@ -66,13 +66,13 @@ from pixsim.studies.files import (
 )
 from pixsim.studies.lights import Light, render_lights
 from pixsim.studies.prepare import (
-    Asked,
     Job,
-    asked_of,
+    UncertaintyRequest,
     cases_of_sensors,
     check_given_light,
     check_types,
     prepare,
+    uncertainty_request,
 )
 from pixsim.studies.result import CasesResult, StudyResult, causes_of_curve
 from pixsim.studies.settings import Study
@@ -99,7 +99,10 @@ FEW_CASES = 64  # of a study whose curves with an open end get more sizes and se
 
 
 def _repeated_settings(
-    job: Job[Study], image: SpectralImage, spreads: Uncertainty, asked: Asked | None = None
+    job: Job[Study],
+    image: SpectralImage,
+    spreads: Uncertainty,
+    asked: UncertaintyRequest | None = None,
 ) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
@@ -110,7 +113,7 @@ def _repeated_settings(
     from pixsim.scene.convergence import without_clock
 
     if isinstance(job.source, SpectralImage):
-        without = job.cases[0].without
+        without = job.cases[0].background
         more = "" if without is None else f" and, without its target, {without.header[DIGEST]}"
         names = "light=…" if without is None else "light=…, without=…"
         command = (
@@ -127,8 +130,8 @@ def _repeated_settings(
     camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
     # Where dots and distance are stated, no further display is shown: one of them stays open if it
     # was.
-    stated = job.asked.display.model_fields_set
-    is_open = any(case.others for case in job.cases)
+    stated = job.stated.display.model_fields_set
+    is_open = any(case.further_displays for case in job.cases)
     left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
     display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
     return settings_text(
@@ -141,7 +144,7 @@ def _repeated_settings(
     )
 
 
-def _repeating_command(variant: str | None, asked: Asked | None = None) -> str:
+def _repeating_command(variant: str | None, asked: UncertaintyRequest | None = None) -> str:
     """Return the command that repeats a study in the folder of its settings.toml."""
     words = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
     if asked is None:
@@ -193,8 +196,8 @@ def _evaluate_cases(
     Returns the result of each combination, or the reason why too few of its pixel sizes are
     possible, how much was computed, and the table of all points.
     """
-    lit = lit_cases(cases, lights)
-    by_scene: dict[tuple[str, str], list[LitCase]] = {}
+    lit = rendered_cases(cases, lights)
+    by_scene: dict[tuple[str, str], list[RenderedCase]] = {}
     for sensor in lit:
         by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(
             sensor
@@ -226,8 +229,8 @@ def _evaluate_cases(
         results,
         workers,
         reports,
-        more=rounds.more,
-        known=rounds.curve,
+        further_sizes=rounds.more,
+        on_case_done=rounds.curve,
         counts=counts,
         in_parts=has_target,
     )
@@ -250,7 +253,7 @@ def _evaluate_cases(
 
 
 def _combination_result(
-    members: Sequence[tuple[LitCase, Curve | str, Table]],
+    members: Sequence[tuple[RenderedCase, Curve | str, Table]],
     light: Light,
     view: Mapping[str, Any],
     rows: Table,
@@ -283,7 +286,7 @@ def _combination_result(
     )
 
 
-def _warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
+def _warn_of_left_out(cases: Sequence[RenderedCase], curves: Sequence[Curve | str]) -> None:
     """Warn of the pixel sizes that a study leaves out of each of its cases."""
     notes = []
     for lit, curve in zip(cases, curves, strict=True):
@@ -309,7 +312,7 @@ def _findings_of_cases(
         (
             content_hash(
                 [
-                    of_technology(part.study, REFERENCE_TECHNOLOGY),
+                    single_technology_table(part.study, REFERENCE_TECHNOLOGY),
                     part.sensors[REFERENCE_TECHNOLOGY].frames_hash,
                 ]
             )
@@ -343,7 +346,7 @@ def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
 
 def draw_types(
     result: StudyResult,
-    asked: Asked,
+    asked: UncertaintyRequest,
     folder: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -383,7 +386,7 @@ def draw_types(
 
 def _types_by_metric(
     bases: Sequence[StudyResult],
-    asked: Asked,
+    asked: UncertaintyRequest,
     file: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -433,14 +436,14 @@ def _types_by_metric(
                 )
                 lights.append(light)
 
-    lit = lit_cases(cases, lights)
+    lit = rendered_cases(cases, lights)
     curves: dict[int, Curve] = {}
 
     def fit(number: int, table: Table) -> None:
         case = cases[number]
         curves[number] = curve_of(case.settings, case.sensor, table, label=lit[number].label)
 
-    evaluate_points(lit, file, workers, progress, known=fit)
+    evaluate_points(lit, file, workers, progress, on_case_done=fit)
 
     results = []
     ordered = (curves[number] for number in range(len(cases)))
@@ -471,7 +474,7 @@ def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
 
 
 def _results_of_types(
-    curves: Sequence[Sequence[Curve]], place: int, base: StudyResult, asked: Asked
+    curves: Sequence[Sequence[Curve]], place: int, base: StudyResult, asked: UncertaintyRequest
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return `UncertaintyResult.table` and `holds` of one technology.
 
@@ -611,8 +614,8 @@ def study(
             if isinstance(plan, str | os.PathLike)
             else {}
         )
-        asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        job = prepare(chosen, variant, light=light, without=without)
+        asked = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
+        job = prepare(chosen, variant, light=light, background=without)
         return run_prepared(
             job,
             out,
@@ -634,7 +637,7 @@ def run_prepared(
     progress: Stage | None = None,
     agreed: bool = False,
     spreads: Uncertainty | None = None,
-    asked: Asked | None = None,
+    asked: UncertaintyRequest | None = None,
     begun: Callable[[StudyResult], None] | None = None,
 ) -> StudyResult:
     """Run a prepared study; the other arguments are those of `study`.

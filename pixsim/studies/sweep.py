@@ -36,21 +36,27 @@ from pixsim.studies.design import (
     with_range_ends,
 )
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
+from pixsim.studies.evaluate import RenderedCase, check_ideals, evaluate_points, rendered_cases
 from pixsim.studies.files import checked_study, config_layers, tables_of_python
 from pixsim.studies.lights import Light
 from pixsim.studies.prepare import (
-    Asked,
     Types,
-    asked_of,
+    UncertaintyRequest,
     check_axis_names,
     check_given_light,
     check_metrics,
-    of_given_light,
+    uncertainty_request,
+    with_given_light,
 )
 from pixsim.studies.result import causes_of_frames
 from pixsim.studies.sensors import circumstances
-from pixsim.studies.settings import STUDY_ALONE, Study, check_asked, parts_of_study, unused_settings
+from pixsim.studies.settings import (
+    STUDY_ALONE,
+    Study,
+    check_supported,
+    parts_of_study,
+    unused_settings,
+)
 from pixsim.studies.table import Table, check_replaceable_results
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
@@ -176,7 +182,7 @@ def sweep(
             raise invalid(
                 "pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table"
             )
-    check_asked(
+    check_supported(
         "sweep",
         smaller_than_um=smaller_than_um,
         paper=settings.get("paper"),
@@ -205,7 +211,7 @@ def sweep(
             replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
             for case in _prepare_cases(light, by_name, camera, plan, of_all, without, unused)
         ]
-        asked = asked_of(uncertainty, sobol, (), {})
+        asked = uncertainty_request(uncertainty, sobol, (), {})
         if asked is not None:
             cases = _with_types(cases, asked)
         check_number(
@@ -221,7 +227,9 @@ def sweep(
         workers: Workers | None = None
         if jobs is not None or scheduler is not None:
             workers = stack.enter_context(workers_for(jobs, scheduler))
-        lit = lit_cases(cases, [Light(light, case.camera, without=case.without) for case in cases])
+        lit = rendered_cases(
+            cases, [Light(light, case.camera, background=case.background) for case in cases]
+        )
         check_ideals(lit)
         stage = progress or no_stage
         table = evaluate_points(lit, results, workers, lambda: stage("evaluate"))
@@ -248,7 +256,7 @@ def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, li
     plan = checked_study(
         [Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)]
     )
-    return with_range_ends(of_given_light(plan, variant)), of_all
+    return with_range_ends(with_given_light(plan, variant)), of_all
 
 
 def _prepare_cases(
@@ -287,7 +295,8 @@ def _prepare_cases(
             group[0].settings, records, light, without, names=list(labels.values())
         )
         cases += (
-            replace(case, without=background) for case in _with_one_screen(group, light, len(cases))
+            replace(case, background=background)
+            for case in _with_one_screen(group, light, len(cases))
         )
     check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
     warn_of_reviews(
@@ -371,7 +380,7 @@ def _with_one_screen(
         )
 
 
-def _with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
+def _with_types(cases: Sequence[Case[Run]], asked: UncertaintyRequest) -> list[Case[Run]]:
     """Return cases and their sensor types, whose labels say the draw and its numbers. Raises
     PixsimError if nothing is unknown.
     """
@@ -392,7 +401,7 @@ def _with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
     return typed
 
 
-def _warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage) -> None:
+def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: SpectralImage) -> None:
     """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
     display clips.
     """

@@ -41,7 +41,7 @@ def run_result(
         view={},
         cases=[SimpleNamespace(picture=True)],
     )
-    prepared.asked = prepared.settings
+    prepared.stated = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
     score: Any = SimpleNamespace(
         frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0]

@@ -10,7 +10,7 @@ from typing import Any
 import pixsim
 from pixsim.light.spectral import SpectralImage
 from pixsim.studies.design import Case
-from pixsim.studies.evaluate import LitCase, lit_cases
+from pixsim.studies.evaluate import RenderedCase, rendered_cases
 from pixsim.studies.lights import Light
 from pixsim.studies.prepare import cases_of_sensors
 from pixsim.viewer.merging import merge
@@ -71,7 +71,9 @@ def keys(folder: Path) -> list[str]:
     return [row["key"] for row in rows(folder)]
 
 
-def lit_sensors(study: pixsim.Study, image: SpectralImage, camera: pixsim.Camera) -> list[LitCase]:
+def lit_sensors(
+    study: pixsim.Study, image: SpectralImage, camera: pixsim.Camera
+) -> list[RenderedCase]:
     """The sensors of a study without axes in a light."""
     cases = list(cases_of_sensors(Case(study, resolved=(image, camera))))
-    return lit_cases(cases, [Light(image, camera)] * len(cases))
+    return rendered_cases(cases, [Light(image, camera)] * len(cases))

@@ -430,7 +430,7 @@ def test_frames_are_scored_on_half_and_twice_the_dots(tmp_path: Path) -> None:
 
     def dots(files: list[Path], **options: Any) -> list[int]:
         group = prepared(files, **options)
-        return [display.dots for display in (group.display, *group.first.others)]
+        return [display.dots for display in (group.display, *group.first.further_displays)]
 
     assert dots(files) == [150, 75, 300]
     assert dots(files, display={"dots": 100}) == [100, 50, 200]
@@ -449,7 +449,9 @@ def test_display_without_dots_inside_the_border_is_left_out(tmp_path: Path) -> N
         sheet(tmp_path / "a.toml", pixels="[5, 4]"),
         sheet(tmp_path / "b.toml", pitch_um=16.0, pixels="[5, 4]"),
     ]
-    assert [display.dots for display in prepared(files, display={"dots": 16}).first.others] == [32]
+    assert [
+        display.dots for display in prepared(files, display={"dots": 16}).first.further_displays
+    ] == [32]
 
 
 @pytest.mark.parametrize("place", [1, 2])

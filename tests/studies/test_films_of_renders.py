@@ -72,7 +72,7 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(most: int | None)
     """
     image, imaging = behind_a_lens(2.0)
     places = measured_places(image, 12.5, imaging.display, most)
-    films = BehindLens.of(image, imaging).of_films(places, 3)
+    films = BehindLens.of(image, imaging).film_lights(places, 3)
     right = lights_of(image, imaging.camera, imaging.physics)[0].rate_e_per_s_um2
     for factor, lights in zip((1, 2, 4), films, strict=True):
         blurred = right.reshape(384 // factor, factor, 384 // factor, factor).mean(axis=(1, 3))
@@ -89,7 +89,7 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(most: int | None)
 def test_films_of_a_part_behind_a_real_lens_have_one_psf() -> None:
     """A smooth picture loses nothing on a coarser film: no PSF ends elsewhere there."""
     image, imaging = behind_a_lens(6.0)
-    films = BehindLens.of(image, imaging).of_films(
+    films = BehindLens.of(image, imaging).film_lights(
         measured_places(image, 12.5, imaging.display, 1), 2
     )
     fine, coarse = (lights[5][0].rate_e_per_s_um2 for lights in films)
@@ -158,7 +158,7 @@ def test_measure_film_too_small_is_unknown():
         light(np.ones((32, 32))), [imaging_record(CAMERA, PIXEL, Exposure(), Display(dots=32))]
     )
     assert math.isnan(film.largest_delta_e)
-    assert not film.met
+    assert not film.within_tolerance
     assert film.as_dict()["delta_e"] is None
     assert json.dumps(film.as_dict(), allow_nan=False)
 
@@ -204,7 +204,7 @@ def test_a_pixel_that_no_film_is_fine_enough_for_keeps_none_from_others():
     stays.
     """
     film, tried = rendered(lambda width: 5000 / width**2, beside=10.0)
-    assert (tried, film.met) == ([256, 512, 1024], False)
+    assert (tried, film.within_tolerance) == ([256, 512, 1024], False)
     assert film.delta_e[0] < film.tolerated_delta_e[0]
     assert film.limit.startswith("about 2 ΔE would be left")  # first order from there on: 10 / 4
 
@@ -233,9 +233,13 @@ def test_render_on_film_doubles_until_error_is_tolerated_or_no_film_can_be_fine_
 ) -> None:
     film, tried = rendered(error_at)
     assert tried == [256, 512, 1024, 2048, 4096][:films]
-    assert film.met == (not limit)
+    assert film.within_tolerance == (not limit)
     assert limit in film.limit if limit else not film.limit
-    assert limit.startswith("about") or film.met or f"({film.limit})" in film_words(film.as_dict())
+    assert (
+        limit.startswith("about")
+        or film.within_tolerance
+        or f"({film.limit})" in film_words(film.as_dict())
+    )
 
 
 @pytest.mark.parametrize(
@@ -244,7 +248,7 @@ def test_render_on_film_doubles_until_error_is_tolerated_or_no_film_can_be_fine_
 )
 def test_render_on_film_fixed_or_out_of_time_keeps_film(options, words):
     film, tried = rendered(lambda width: 1.0, **options)
-    assert (tried, film.met) == ([256], False)
+    assert (tried, film.within_tolerance) == ([256], False)
     assert words in film.limit
 
 

@@ -96,7 +96,9 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, 
         **metrics,
     )
     own = {"light": rendered.irradiance} | metrics
-    given = study(folder / "small.toml", tmp_path / "given", without=rendered.light.without, **own)
+    given = study(
+        folder / "small.toml", tmp_path / "given", without=rendered.light.background, **own
+    )
     assert rows_in(tmp_path / "given") == rows_in(tmp_path / "rendered")
     assert "light=…, without=…), of the light of digest" in given.settings_toml
     curve = given.curves[0]
@@ -104,7 +106,7 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, 
     assert least == curve.statistics["least_detectability"].min(axis=1).tolist(), (
         "the worst, not the mean of the worst"
     )
-    dark = rendered.light.without
+    dark = rendered.light.background
     study(
         folder / "small.toml",
         tmp_path / "given",

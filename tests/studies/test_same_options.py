@@ -23,7 +23,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies import compare as compare_module, sweep as sweep_module
 from pixsim.studies.engine import Workers
-from pixsim.studies.settings import NOT_ASKED, Study
+from pixsim.studies.settings import SUPPORTED_BY, Study
 
 LIGHT = SpectralImage(
     [450.0, 550.0, 620.0],
@@ -171,5 +171,5 @@ def test_option_of_a_study_acts_is_named_or_is_refused(
 
 def test_refusals_stand_in_one_table() -> None:
     """Those of a sweep that are not in it are those of every study whose light is given."""
-    of_given_light = {"scene", "parameters", "variant", "window_mm", "tolerance_delta_e"}
-    assert REFUSED["compare"] | REFUSED["sweep"] - of_given_light == NOT_ASKED.keys()
+    with_given_light = {"scene", "parameters", "variant", "window_mm", "tolerance_delta_e"}
+    assert REFUSED["compare"] | REFUSED["sweep"] - with_given_light == SUPPORTED_BY.keys()

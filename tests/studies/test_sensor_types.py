@@ -21,7 +21,7 @@ from pixsim.sensor.spread import Spread
 from pixsim.show.document import Answer
 from pixsim.studies.engine import Workers
 from pixsim.studies.files import load_study, uncertainty_of
-from pixsim.studies.prepare import Asked, check_axes, unknowns_of_study
+from pixsim.studies.prepare import UncertaintyRequest, check_axes, unknowns_of_study
 from pixsim.studies.settings import Study
 from pixsim.studies.study import draw_types
 from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS, TYPES_FILE, sample_of, settings_of
@@ -65,7 +65,7 @@ def test_draw_types_rows_are_those_of_a_study_with_its_numbers(
     has alone.
     """
     result, _, folder = done
-    sample = Asked(DRAWS).sample(result.study)
+    sample = UncertaintyRequest(DRAWS).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
     drawn = [
         row for row in rows(folder / file) if (row["draw"], row["technology"]) == ("3", "0.25um")
@@ -134,7 +134,11 @@ def test_draw_types_again_computes_nothing(
     result, found, folder = done
     before = (folder / TYPES_FILE).read_bytes()
     again = draw_types(
-        result, Asked(DRAWS, smaller_than_um=(1.0, 20.0)), folder, Workers(), lambda: None
+        result,
+        UncertaintyRequest(DRAWS, smaller_than_um=(1.0, 20.0)),
+        folder,
+        Workers(),
+        lambda: None,
     )
     assert evaluations == []
     assert (folder / TYPES_FILE).read_bytes() == before
@@ -142,7 +146,7 @@ def test_draw_types_again_computes_nothing(
 
 
 def test_sample_of_has_the_inputs_of_a_technology(done: tuple[Any, list[Any], Path]) -> None:
-    sample = Asked(DRAWS).sample(done[0].study)
+    sample = UncertaintyRequest(DRAWS).sample(done[0].study)
     own = sample_of(sample, "0.25um")
     assert {name for name in sample.inputs if not name.startswith("0.35um ")} == set(own.inputs)
     assert {"dsnu", "dark_current_na_per_cm2"} <= set(own.inputs), (
@@ -300,7 +304,7 @@ def test_sheets_have_separate_draws(tmp_path: Path) -> None:
         written(technologies=["a.toml", "b.toml", "0.35um", "0.25um"]), encoding="utf-8"
     )
     study = load_study(tmp_path / "s.toml")
-    sample = Asked(512).sample(study)
+    sample = UncertaintyRequest(512).sample(study)
     names = [
         f"{tmp_path / name}.toml {number}" for name in "ab" for number in ("dsnu", "read_noise_e")
     ]

@@ -22,7 +22,7 @@ from pixsim.show.render import write
 from pixsim.studies.dry_run import fitting_jobs
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
-from pixsim.studies.prepare import asked_of, check_types, prepare
+from pixsim.studies.prepare import check_types, prepare, uncertainty_request
 from pixsim.studies.result import CasesResult
 from pixsim.studies.settings import study_layers, with_axes
 from pixsim.studies.study import run_prepared
@@ -70,7 +70,7 @@ def study_files(
         plan = checked_study(study_layers(stated, files, options), options)
         job = prepare(plan, variant)
         spreads = uncertainty_of(name, config, quick)
-        type_request = asked_of(uncertainty, sobol, smaller_than_um, spreads)
+        type_request = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
         types = evaluations = 0
         if type_request is not None:
             cases = [case.settings for case in job.combinations]
