@@ -25,7 +25,7 @@ FILES = ("report.html", "summary.json", "ladder.csv", "stability.csv", *figure_f
 def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the page of an accuracy: error against run time, the films, and the extreme cases."""
     header = accuracy.header
-    made = (
+    computation = (
         f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in"
         f" {accuracy.seconds:.0f} s."
     )
@@ -50,7 +50,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
                 (_ladder_table(accuracy), "The last one is that of the default settings."),
                 brief=True,
             ),
-            Section("made", "How this was computed", (made,), folded=True),
+            Section("made", "How this was computed", (computation,), folded=True),
         ),
         files={
             "ladder.csv": _ladder_csv(accuracy),

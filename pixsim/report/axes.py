@@ -52,7 +52,7 @@ from pixsim.studies.settings import Study
 from pixsim.viewer.display import white_light
 
 _REGRETS_FILE = "regrets.csv"
-_ABOUT_CASES = (
+_CASES_EXPLAINED = (
     "All pixel sizes see the same die in all cases, which have the same random numbers: they differ"
     " by their settings only. The regret of a pixel size in a condition is its value there over"
     " that of the best size for that condition, less 1."
@@ -61,7 +61,7 @@ _MAX_CASE_REPORTS = 4  # with a report of their own
 _MAX_REGRET_FIGURES = 6  # with a figure of their own
 
 
-def _shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
+def _reported_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     """Return the cases with a report of their own: the first combination of values under each
     condition, at most 4.
     """
@@ -120,10 +120,10 @@ def _axes_document(
     regrets : `condition_regrets` of the study
     warned : notes that a reader of the terminal has seen
     """
-    alone = one_at_a_time_table(result)
+    one_at_a_time = one_at_a_time_table(result)
     films = [part.film for part in result.parts if part.film is not None]
     worst = max(films, key=lambda film: film.largest_delta_e, default=None)
-    facts: list[Block] = [alone] if alone.rows else []
+    facts: list[Block] = [one_at_a_time] if one_at_a_time.rows else []
     if worst is not None:
         facts.append(Fact(film_words(worst.as_dict())))
     data = cases_data(result, regrets) | {"counts": asdict(result.counts)}
@@ -185,7 +185,7 @@ def axes_files(study: Study) -> set[str]:
     ]
     case_files = {
         f"{case.folder}/{name}"
-        for case in _shown_cases(cases)
+        for case in _reported_cases(cases)
         for name in report_files(case.settings)
     }
     plates += [NAME] * study.noise_budget
@@ -212,7 +212,7 @@ def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -
     draw = partial(study_page, workers=workers, drawing=drawing)
     if not isinstance(result, CasesResult):
         return with_files_of_study(draw(result, budgets=noise_budgets(result)), result)
-    cases = _shown_cases(
+    cases = _reported_cases(
         [
             Case(part.study, curve.at, curve.condition, curve.alone)
             for part in result.parts
@@ -235,8 +235,8 @@ def axes_page(
     parts : cases with a page of their own
     """
     pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
-    alone = one_at_a_time_plate(result)
-    plates = [*axis_plates(result), *([alone] if alone else [])]
+    tornado_plate = one_at_a_time_plate(result)
+    plates = [*axis_plates(result), *([tornado_plate] if tornado_plate else [])]
     plates += [
         regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
         for number, metric_regrets in enumerate(regrets[:_MAX_REGRET_FIGURES], 1)
@@ -245,34 +245,32 @@ def axes_page(
         plot_of, plates or [delta_e_against_pitch(result.curves)]
     )  # the first answers what was asked
     tables = [table for metric_regrets in regrets for table in regrets_tables(metric_regrets)]
-    listed = [
+    case_links = [
         (
             Link(case.words or "the study's own settings", f"{case.folder}/report.html"),
             f": {optimum_line(part.curves[0])}",
         )
         for case, part in parts
     ]
-    best = (Link("The same with all digits (CSV)", "optima.csv"),)
-    all_regrets = (Link("The same with all digits (CSV)", _REGRETS_FILE),)
+    optima_link = (Link("The same with all digits (CSV)", "optima.csv"),)
+    regrets_link = (Link("The same with all digits (CSV)", _REGRETS_FILE),)
     rendered = rendered_words(result.irradiance.header)
-    made = (
-        f"{_ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
-    )
-    brief = _axes_document(result, regrets)
+    computation = f"{_CASES_EXPLAINED} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    document = _axes_document(result, regrets)
     return replace(
-        brief,
-        answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
-        lead=(first, *tuple(brief.lead)[1:]),
+        document,
+        answers=tuple(document.answers)[:ANSWERS_OF_PAGE],
+        lead=(first, *tuple(document.lead)[1:]),
         sections=(
             Section("axes", "Along the axes and over the conditions", others),
             Section(
-                "regrets", "Regrets of the conditions", [*tables, all_regrets] if regrets else ()
+                "regrets", "Regrets of the conditions", [*tables, regrets_link] if regrets else ()
             ),
-            Section("cases", "Cases with pictures", [Listed(listed)]),
-            Section("optima", "Optima", [optima_table(result.curves), best]),
+            Section("cases", "Cases with pictures", [Listed(case_links)]),
+            Section("optima", "Optima", [optima_table(result.curves), optima_link]),
             Section("claims", "The paper's statements", _claims(result)),
             budgets_section(noise_budgets(result)),
-            Section("made", "How this was computed", [made], folded=True),
+            Section("made", "How this was computed", [computation], folded=True),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),

@@ -13,7 +13,7 @@ from pixsim.scene.own_chart import SUFFIXES, read_luminance, with_border
 from pixsim.show.document import Document
 
 PICTURE, TARGET, CSF = "a picture", "the chart target", "the chart csf"
-_TAKEN_BY = {  # option -> what takes it alone
+_CHART_OF_OPTION = {  # option -> what takes it alone
     **dict.fromkeys(("linear", "aspect"), PICTURE),
     **dict.fromkeys(("shape", "size_um", "contrast", "direction"), TARGET),
     "colour_axis": CSF,
@@ -32,18 +32,20 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
     """
     is_picture = Path(kind).suffix.lower() in SUFFIXES
     chart = PICTURE if is_picture else f"the chart {kind}"
-    taken_by = {
+    chart_of_option = {
         **dict.fromkeys(
             ("width", "height", "die_mm"), "a chart of pixsim: pictures keep their size"
         ),
-        **_TAKEN_BY,
+        **_CHART_OF_OPTION,
     }
     for option in options:
-        takes = chart == _TAKEN_BY[option] if option in _TAKEN_BY else not is_picture
-        if not takes:
-            others = [name for name in options if taken_by[name] == taken_by[option]]
+        is_allowed = (
+            chart == _CHART_OF_OPTION[option] if option in _CHART_OF_OPTION else not is_picture
+        )
+        if not is_allowed:
+            others = [name for name in options if chart_of_option[name] == chart_of_option[option]]
             names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
-            raise invalid(names, f"with {kind}", taken_by[option])
+            raise invalid(names, f"with {kind}", chart_of_option[option])
 
     if "colour_axis" in options:
         size = (options.get(name) for name in ("width", "height", "die_mm"))

@@ -33,14 +33,14 @@ from pixsim.report.settings import (
 )
 from pixsim.report.uncertainty import pair_words
 from pixsim.report.verdicts import (
-    asked_metrics,
+    better_cases_words,
     common_words,
     doubts,
     draw_differences,
     mean_words,
     notes,
-    over_cases,
     pair_cells,
+    requested_metrics,
     sensor_words,
     shared_stages,
     verdict_parts,
@@ -293,9 +293,9 @@ def _answer(result: Comparison, other: str) -> Answer:
 
     The headline has the largest of what turns it or makes it unsure; what else does stands below.
     """
-    metric = asked_metrics(result.job)[0]
+    metric = requested_metrics(result.job)[0]
     if len(result.cases) > 1:
-        return Answer((Strong(over_cases(result, other)),), named=True)
+        return Answer((Strong(better_cases_words(result, other)),), named=True)
     sentence, *warnings = verdict_parts(result, other, metric)
     warnings += doubts(result) if metric.is_delta_e else []
     answer = headline([(Strong(sentence),), *warnings[:1]])
@@ -306,7 +306,7 @@ def facts(result: Comparison) -> Iterator[Block]:
     """Yield a table of the sensors, the answers of cases and sensor types, and those by the other
     metrics.
     """
-    first, *further = asked_metrics(result.job)
+    first, *further = requested_metrics(result.job)
     yield _sensors_table(result, first)
     answers = [
         f"{case.case.words or BASE}: {'; '.join(verdict_parts(case, other, first))}"
@@ -316,7 +316,9 @@ def facts(result: Comparison) -> Iterator[Block]:
     ]
     metric_names = {metric.name for metric in (first, *further)}
     answers += [
-        pair_words(drawn) for drawn in result.uncertainty if drawn.metric.name in metric_names
+        pair_words(distribution)
+        for distribution in result.uncertainty
+        if distribution.metric.name in metric_names
     ]
     answers += [
         "; ".join(verdict_parts(result, other, metric))
@@ -339,7 +341,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     for sensor in result.sensors:
         statistics = sensor.score.statistics()
         stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
-        exposed = ", ".join([exposure_time(statistics["integration_s"]), *stages])
+        exposure = ", ".join([exposure_time(statistics["integration_s"]), *stages])
         electrons = (rounded(statistics[name], 3) for name in ("mean_electrons_e", "full_well_e"))
         saturated = rounded(100 * statistics["saturated_fraction"], 2)
         rows.append(
@@ -347,7 +349,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
                 sensor.name,
                 mean_words(result, sensor.name, metric),
                 sensor_words(sensor.case),
-                exposed,
+                exposure,
                 *electrons,
                 saturated,
             )
@@ -373,7 +375,7 @@ def scores_plate(result: Comparison) -> Drawing:
 
     Its table has the number of each frame, under conditions their weighted mean.
     """
-    metric = asked_metrics(result.job)[0]
+    metric = requested_metrics(result.job)[0]
     frames: list[dict[str, Any]] = []
     pairs: dict[str, Pairs] = {}
     for case in result.cases:
@@ -415,7 +417,7 @@ def numbers(result: Comparison) -> dict[str, Any]:
         match: {other: result.pairs(other, match=match).difference for other in others}
         for match in result.job.matches
     }
-    metric = asked_metrics(result.job)[0]
+    metric = requested_metrics(result.job)[0]
     verdicts = {other: "; ".join(verdict_parts(result, other, metric)) for other in others}
     return _differences_data(result) | {
         "displays": displays,
@@ -465,33 +467,35 @@ def data(result: Comparison) -> dict[str, Any]:
         "table": ROWS_FILE,
     }
     if len(result.cases) > 1:
-        stated["verdicts"] = {other: over_cases(result, other) for other in result.names[1:]}
+        stated["verdicts"] = {
+            other: better_cases_words(result, other) for other in result.names[1:]
+        }
         return result_data(stated, **shared)
     conditions = [group for group in result.groups() if group.first.condition]
-    more: dict[str, Any] = {"shown_condition": group.first.condition} if conditions else {}
+    further: dict[str, Any] = {"shown_condition": group.first.condition} if conditions else {}
     if conditions:
-        more["conditions"] = {
+        further["conditions"] = {
             group.first.condition: _condition_data(result, group) for group in conditions
         }
     if len(result.names) > 2:
-        more["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
+        further["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
     if result.further_metrics:
-        more["metrics"] = {
+        further["metrics"] = {
             metric.name: _metric_data(result, metric) for metric in result.further_metrics
         }
     if result.uncertainty:
-        more["uncertainty"] = {
-            drawn.names[1]: drawn.as_dict()
-            for drawn in result.uncertainty
-            if drawn.metric.is_delta_e
+        further["uncertainty"] = {
+            distribution.names[1]: distribution.as_dict()
+            for distribution in result.uncertainty
+            if distribution.metric.is_delta_e
         }
-        for drawn in result.uncertainty:
-            if not drawn.metric.is_delta_e:
-                more["uncertainty"][drawn.names[1]].setdefault("metrics", {})[drawn.metric.name] = (
-                    drawn.as_dict()
-                )
+        for distribution in result.uncertainty:
+            if not distribution.metric.is_delta_e:
+                further["uncertainty"][distribution.names[1]].setdefault("metrics", {})[
+                    distribution.metric.name
+                ] = distribution.as_dict()
     content = stated | {
-        **more,
+        **further,
         **numbers(result),
         **group.as_dict(),
         "scored_dots": list(result.sensors[0].score.delta_e.shape),
@@ -599,21 +603,21 @@ def _slider(result: Comparison) -> Slider:
     )
 
 
-def _sections(result: Comparison, end: float) -> Iterator[Section]:
+def _sections(result: Comparison, scale_end_delta_e: float) -> Iterator[Section]:
     """Yield the sections of the page.
 
-    end : of the colour scale of the ΔE maps
+    scale_end_delta_e : of the colour scale of the ΔE maps
     """
     job, sensors = result.job, result.sensors
-    tables = [_differences(result, metric) for metric in asked_metrics(job)]
+    tables = [_differences(result, metric) for metric in requested_metrics(job)]
     yield Section(
         "differences",
         "Differences",
         [*tables, Plot(lambda: scores_plate(result)), _PAIRED.format(job.repeats)],
     )
     if judged_by_delta_e(job.base[0]):
-        yield _detail(result, end)
-    coloured = [
+        yield _detail(result, scale_end_delta_e)
+    colour_tables = [
         DocumentTable(
             f"colours of {sensor.name}",
             (),
@@ -624,7 +628,7 @@ def _sections(result: Comparison, end: float) -> Iterator[Section]:
         for sensor in sensors
         if sensor.colour
     ]
-    yield Section("colour", "Colour", coloured, folded=True)
+    yield Section("colour", "Colour", colour_tables, folded=True)
     yield budgets_section(
         {sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None}
     )
@@ -671,7 +675,9 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
     first, *others = result.names
     rows: list[tuple[str, ...]] = []
 
-    def add(where: Sequence[str], other: str, cells: tuple[str, ...], film: float | None) -> None:
+    def add_row(
+        where: Sequence[str], other: str, cells: tuple[str, ...], film: float | None
+    ) -> None:
         film_cells = ["unknown" if film is None else rounded(film, 2)] if metric.is_delta_e else []
         rows.append((", ".join(filter(None, where)), f"{other} − {first}", *cells, *film_cells))
 
@@ -682,7 +688,7 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
             pairs = case.pairs(other, metric, match=match, condition=condition)
             mean = "weighted mean" if conditions else ""
             film = case.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
-            add(
+            add_row(
                 [case.case.words, condition or mean, f"match {match}"],
                 other,
                 pair_cells(pairs, film),
@@ -692,7 +698,7 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
             cells = difference_cells(
                 display.difference, display.interval_delta_e, display.film_delta_e or 0.0
             )
-            add(
+            add_row(
                 [case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e
             )
     film_head = ["film's error, at most"] if metric.is_delta_e else []
@@ -705,7 +711,7 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
         *film_head,
     )
     name = "mean ΔE" if metric.is_delta_e else metric.title
-    caption = "" if asked_metrics(result.job) == (DELTA_E_METRIC,) else name
+    caption = "" if requested_metrics(result.job) == (DELTA_E_METRIC,) else name
     return DocumentTable(f"differences of {name}", head, rows, caption, words=(1,), stacks=True)
 
 
@@ -738,10 +744,12 @@ def _settings(result: Comparison) -> list[Block]:
                 values.setdefault(setting, {})[case.sensor] = value
                 changed |= {setting} if source not in DEFAULTS else set()
     for condition in () if study is None else study.condition:
-        stated = {path: reduce(getitem, path, condition.set) for path in paths_of(condition.set)}
+        condition_values = {
+            path: reduce(getitem, path, condition.set) for path in paths_of(condition.set)
+        }
         rows = [
             (".".join(path), setting_value(value, path[-1]), "", "set")
-            for path, value in stated.items()
+            for path, value in condition_values.items()
         ]
         shared.append(settings_table(f"condition {condition.name}", rows))
 

@@ -80,15 +80,17 @@ def _optimum_parts(curve: Curve) -> list[Text]:
         return [(Strong(no_difference),), f"least at {size}{end} {limits}, {value}"]
 
     if end:
-        tried = (
+        no_optimum = (
             f"no optimum between {pixel_size(curve.pitch_um[0])} and"
             f" {pixel_size(curve.pitch_um[-1])}"
         )
-        return [tried, f"the best is {size}{end} {limits}, {value}"]
+        return [no_optimum, f"the best is {size}{end} {limits}, {value}"]
 
     optimum = "optimal pixel size ", Strong(size), f" {limits}"
-    whole = (*optimum, f", {value}")
-    return [whole] if has_room([joined([f"{curve.label}: ", whole], "")]) else [optimum, value]
+    sentence = (*optimum, f", {value}")
+    return (
+        [sentence] if has_room([joined([f"{curve.label}: ", sentence], "")]) else [optimum, value]
+    )
 
 
 def _best_value_words(curve: Curve) -> str:
@@ -188,9 +190,9 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
             mfc="white",
             mec=colour,
         )
-    drawn = np.unique(np.linspace(0, low.size - 1, _BAND_POINTS).round().astype(int))
+    band = np.unique(np.linspace(0, low.size - 1, _BAND_POINTS).round().astype(int))
     axes.fill_between(
-        curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0
+        curve.fit.pitch_um[band], low[band], high[band], color=colour, alpha=0.15, lw=0
     )
     axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **line_style.stroke)
     if best.inside:
@@ -292,7 +294,7 @@ def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
 def curve_data(curve: Curve) -> dict[str, Any]:
     """Return a curve as in summary.json."""
     labels = {"at": curve.at, "condition": curve.condition, "alone": curve.alone}
-    missing = {f"{pitch_um:g}": reason for pitch_um, reason in curve.left_out}
+    left_out = {f"{pitch_um:g}": reason for pitch_um, reason in curve.left_out}
     displays = [
         {"dots": display.dots, "optimum": display.optimum.as_dict()}
         for display in curve.on_displays
@@ -300,7 +302,7 @@ def curve_data(curve: Curve) -> dict[str, Any]:
     further = {
         "causes": [cause.as_dict() for cause in curve.errors.causes],
         **_metrics_data(curve),
-        "left_out": missing,
+        "left_out": left_out,
         "fresnel_number": None if curve.fresnel_number is None else curve.fresnel_number.tolist(),
         "displays": displays,
     }

@@ -152,7 +152,7 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
     temperature.
     """
     dark, gain = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
-    temperatures_k, warm = sheet.warm_currents
+    temperatures_k, warm_currents = sheet.warm_currents
     table: dict[str, Array] = {
         "integration_s": dark.at,
         "mean_e": dark.mean_dn / gain,
@@ -160,7 +160,7 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
         "mean_dn": dark.mean_dn,
         "variance_dn2": dark.variance_dn2,
         "temperature_k": temperatures_k,
-        "dark_current_e_per_s": np.array([current.value for current in warm]),
+        "dark_current_e_per_s": np.array([current.value for current in warm_currents]),
     }
     panels = []
     for name, label in (("mean_e", "dark mean (e⁻)"), ("variance_e2", "dark variance (e⁻²)")):
@@ -171,13 +171,13 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
             Line("integration_s", f"fitted_{name}", "fit"),
         )
         panels.append(LinePanel("integration time (s)", label, lines))
-    if warm:
+    if warm_currents:
         line = Line("temperature_k", "dark_current_e_per_s", style=POINTS)
         panels.append(
             LinePanel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"})
         )
     figure, _ = draw_panels(table, panels)
-    if warm:
+    if warm_currents:
         plain_powers(figure.axes[-1].yaxis)
     return figure, table
 
@@ -303,7 +303,7 @@ def _measured_text(entry: Entry) -> str:
     return _value_text(entry.measured)
 
 
-def described(sheet: DataSheet) -> Answer:
+def datasheet_answer(sheet: DataSheet) -> Answer:
     """Return the most important values, and the pixel and the measurement that they are of."""
     experiment, physics = sheet.experiment, sheet.experiment.physics
     readout = experiment.readout
@@ -332,7 +332,7 @@ def described(sheet: DataSheet) -> Answer:
 
 
 COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit")
-WORDS = (1, 5)  # columns
+TEXT_COLUMNS = (1, 5)  # columns
 
 
 def _entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
@@ -443,14 +443,14 @@ def datasheet_document(sheet: DataSheet) -> Document:
     pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
     settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
     values = DocumentTable(
-        "measured and true values", COLUMNS, _entry_rows(sheet), words=WORDS, stacks=True
+        "measured and true values", COLUMNS, _entry_rows(sheet), words=TEXT_COLUMNS, stacks=True
     )
     return Document(
         command="datasheet",
         kind="data sheet of one simulated sensor",
         title=f"Data sheet of {sheet.experiment.pixel.pitch_um:g} µm pixels",
         data=_datasheet_data(sheet, notes),
-        answers=(described(sheet),),
+        answers=(datasheet_answer(sheet),),
         lead=(transfer, *notes),
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),

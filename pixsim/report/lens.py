@@ -57,24 +57,24 @@ def layout(data: LensData) -> Drawing:
     """Draw the glasses, and rays of three fields, in the y-z plane."""
     cut = cross_section(data.lens)
     figure, (axes,) = panels_of(1, 4.1, legend_in=LEGEND_IN)
-    drawn = set()
+    drawn_surfaces = set()
     for index, ((z, y), (far_z, far_y)) in enumerate(
         zip(cut.surfaces, cut.surfaces[1:], strict=False)
     ):
         if cut.glass_behind[index]:
             axes.fill([*z, *far_z[::-1]], [*y, *far_y[::-1]], **GLASS)
-            drawn |= {index, index + 1}
-    surfaces = sorted(drawn)
+            drawn_surfaces |= {index, index + 1}
+    surfaces = sorted(drawn_surfaces)
     table: dict[str, Array] = {"surface": np.repeat(np.array(surfaces, int) + 1, CUT_POINTS)}
     table |= rows_table(
         ("surface_z_mm", "surface_y_mm"), [cut.surfaces[index] for index in surfaces]
     )
 
-    at, radius = cut.stop
+    stop_z_mm, stop_radius_mm = cut.stop
     axes.vlines(
-        [at, at],
-        [radius, -1.35 * radius],
-        [1.35 * radius, -radius],
+        [stop_z_mm, stop_z_mm],
+        [stop_radius_mm, -1.35 * stop_radius_mm],
+        [1.35 * stop_radius_mm, -stop_radius_mm],
         color="black",
         lw=2.5,
         label="stop",
@@ -88,15 +88,17 @@ def layout(data: LensData) -> Drawing:
             rays.append((angle, height, z, y))
     table |= rows_table(("field_deg", "stop_y", "z_mm", "y_mm"), rays)
 
-    image = 1.05 * max(float(np.abs(data.curves["image_height_mm"]).max()), radius)
-    axes.vlines(cut.length_mm, -image, image, color="black", lw=1.2)
+    image_height_mm = 1.05 * max(
+        float(np.abs(data.curves["image_height_mm"]).max()), stop_radius_mm
+    )
+    axes.vlines(cut.length_mm, -image_height_mm, image_height_mm, color="black", lw=1.2)
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", None)
     legend_below(figure, axes, len(cut.rays) + 1)
     return figure, table
 
 
-def _shown_fields(data: LensData) -> list[int]:
+def _single_fields(data: LensData) -> list[int]:
     return [index for index in SINGLE_FIELDS if index < data.field_deg.size]
 
 
@@ -104,7 +106,7 @@ def _field_panels(
     data: LensData, height_in: float, legend_in: float = 0.0
 ) -> tuple[Figure, dict[int, Axes]]:
     """Return a figure and the axes of the image plane at some fields, by their numbers."""
-    fields = _shown_fields(data)
+    fields = _single_fields(data)
     figure, row = panels_of(len(fields), height_in, shared=True, legend_in=legend_in)
     for axes, index in zip(row, fields, strict=True):
         words = "no light" if data.dark[index] else f"rms {data.spots[index].rms_um:.3g} µm"
@@ -161,7 +163,7 @@ def psf_plate(data: LensData) -> Drawing:
         math.ceil(half_um / data.psf_pitch_um),
         *(len(data.psfs[index]) // 2 - 1 for index in panels),
     )
-    side = (2 * cells + 1) * data.psf_pitch_um / 2
+    half_side_um = (2 * cells + 1) * data.psf_pitch_um / 2
     table: dict[str, Column] = {}
     for index, axes in panels.items():
         middle = len(data.psfs[index]) // 2
@@ -174,7 +176,7 @@ def psf_plate(data: LensData) -> Drawing:
             vmin=0,
             vmax=1,
             origin="lower",
-            extent=(-side, side, -side, side),
+            extent=(-half_side_um, half_side_um, -half_side_um, half_side_um),
         )
         table |= coarse_table(psf, f"psf_{data.field_deg[index]:.4g}_deg")
     return figure, table
@@ -188,11 +190,17 @@ def _mtf_lines(
     curves : words for the legend, the end of the columns' names, and both MTFs, (2, n), of each
     """
     lines = []
-    for (words, end, both), line_style in zip(curves, LINE_STYLES, strict=False):
-        for name, mtf, dashes in zip(MTF_LINES, both, ("-", (0, (4, 2))), strict=True):
-            table[f"{name}_{end}"] = mtf
+    for (words, column_end, tangential_sagittal), line_style in zip(
+        curves, LINE_STYLES, strict=False
+    ):
+        for name, mtf, dashes in zip(
+            MTF_LINES, tangential_sagittal, ("-", (0, (4, 2))), strict=True
+        ):
+            table[f"{name}_{column_end}"] = mtf
             lines.append(
-                Line(x, f"{name}_{end}", f"{words} {name}", {**line_style.line, "ls": dashes})
+                Line(
+                    x, f"{name}_{column_end}", f"{words} {name}", {**line_style.line, "ls": dashes}
+                )
             )
     return lines
 
@@ -201,7 +209,7 @@ def _mtf_lines(
 def mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     table = {"frequency_lp_per_mm": data.frequency_lp_per_mm, "diffraction": data.diffraction_mtf}
-    angles = {index: data.field_deg[index] for index in _shown_fields(data)}
+    angles = {index: data.field_deg[index] for index in _single_fields(data)}
     curves = [
         (f"{angle:.3g}°", f"{angle:.4g}_deg", data.mtf[index]) for index, angle in angles.items()
     ]
@@ -435,7 +443,7 @@ def _lens_csv(data: LensData) -> str:
 def _title_of(data: LensData) -> str:
     """Return one line that says which lens this is."""
     lens, first = data.lens, data.primary
-    place = (
+    object_place = (
         "infinity"
         if math.isinf(lens.object_distance_mm)
         else f"{lens.object_distance_mm / 1e3:.4g} m"
@@ -443,7 +451,7 @@ def _title_of(data: LensData) -> str:
     return (
         f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm,"
         f" {f_stop(first.f_number)}, fields to {lens.max_field_deg:.4g}°, image heights to"
-        f" {data.height_mm.max():.4g} mm, object at {place}"
+        f" {data.height_mm.max():.4g} mm, object at {object_place}"
     )
 
 
@@ -488,8 +496,10 @@ def _field_table(data: LensData) -> DocumentTable:
     columns["distortion_percent"] = 100 * columns["distortion"]
     cells = [[number(value, _FIELD_DIGITS) for value in columns[name]] for name in _FIELD_HEADS]
     for frequency in data.asked_lp_per_mm:
-        both = data.mtf_at(frequency)
-        cells.append([UNKNOWN if math.isnan(t) else f"{t:.2f}/{s:.2f}" for t, s in both])
+        tangential_sagittal = data.mtf_at(frequency)
+        cells.append(
+            [UNKNOWN if math.isnan(t) else f"{t:.2f}/{s:.2f}" for t, s in tangential_sagittal]
+        )
     heads = (
         *_FIELD_HEADS.values(),
         *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm),

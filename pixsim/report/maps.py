@@ -152,8 +152,8 @@ class Scale:
         """Label the values; of very many, every second one or fewer."""
         texts = [short(text, SHORT_TICK) for text in self.texts]
         is_tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
-        room = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
-        step = -(-len(texts) // room)
+        max_labels = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
+        step = -(-len(texts) // max_labels)
         axis.set_ticks(self.places.tolist()[::step], texts[::step])
         axis.set_tick_params(
             which="minor", bottom=False, left=False, labelbottom=False, labelleft=False
@@ -250,16 +250,18 @@ class Grid:
                         for place in places
                     )
                 )
-            named = [
+            labels = [
                 scale.named(value)
                 for scale, value in zip(others, values, strict=True)
                 if len(scale.values) > 1
             ]
-            panels.append(Panel(", ".join(named), tuple(rows)))
+            panels.append(Panel(", ".join(labels), tuple(rows)))
         panels = [panel for panel in panels if panel.curves]
-        drawn = panels[:MAX_PANELS]
-        return drawn, (
-            f"{len(drawn)} of {len(panels)} lines or panels" if len(drawn) < len(panels) else ""
+        drawn_panels = panels[:MAX_PANELS]
+        return drawn_panels, (
+            f"{len(drawn_panels)} of {len(panels)} lines or panels"
+            if len(drawn_panels) < len(panels)
+            else ""
         )
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
@@ -381,17 +383,17 @@ def _best_column(curve: Curve) -> str:
 
 def plate_names(study: Study) -> list[str]:
     """Return the names of the plates of `axis_plates`, in its order, and that of `one_at_a_time_plate`."""
-    together = [
+    joint_axes = [
         re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII)
         for axis in study.axis
         if not axis.alone
     ]
     names = [
         f"{kind}_{name}"
-        for name in together
+        for name in joint_axes
         for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")
     ]
-    names += [f"optimum_by_{first}_and_{second}" for first, second in combinations(together, 2)]
+    names += [f"optimum_by_{first}_and_{second}" for first, second in combinations(joint_axes, 2)]
     return _unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
 
@@ -426,15 +428,15 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
     scale.draw_on(axes.xaxis, 70)
-    apart_pt = min(_DODGE_PT, 0.6 * WIDTH_IN * _PT_PER_IN / len(scale.values) / len(lines))
+    spacing_pt = min(_DODGE_PT, 0.6 * WIDTH_IN * _PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, line_style) in enumerate(zip(lines, LINE_STYLES, strict=False)):
-        aside_in = apart_pt * (number - (len(lines) - 1) / 2) / _PT_PER_IN
+        offset_in = spacing_pt * (number - (len(lines) - 1) / 2) / _PT_PER_IN
         _draw_optima(
             axes,
             scale,
             line,
             line_style,
-            axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans),
+            axes.transData + ScaledTranslation(offset_in, 0, figure.dpi_scale_trans),
         )
     axes.autoscale_view(scalex=False)
     axes.set_ylabel(_PIXEL_SIZE)
@@ -467,12 +469,12 @@ def _draw_optima(
     axes.errorbar(
         x, optima_um, bars_um, fmt="none", ecolor=line_style.colour, capsize=2.5, transform=place
     )
-    marked = (
+    marks = (
         ([not best.inside for best in optima], optima_um, line_style.marker, "white"),
         ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", line_style.colour),
         ([best.interval_um[1] is None for best in optima], ends_um[:, 1], "^", line_style.colour),
     )
-    for is_marked, sizes_um, marker, face in marked:
+    for is_marked, sizes_um, marker, face in marks:
         if any(is_marked):
             axes.plot(
                 x[is_marked],
@@ -714,7 +716,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     figure = new_figure(WIDTH_IN, 0.46 * len(bars) + 1.1)
     axes = figure.subplots()
     for place, (group, name) in enumerate(bars):
-        _draw_moves(axes, place, group, name)
+        _draw_bar(axes, place, group, name)
     axes.grid(axis="x", alpha=0.25)
     axes.use_sticky_edges = False
     axes.margins(x=0.1)  # for labels beside the bars
@@ -739,7 +741,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     return figure, table | optimum_columns(curves)
 
 
-def _draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
+def _draw_bar(axes: Axes, place: int, group: Group, name: str) -> None:
     """Draw a bar from the lowest to the highest optimum of an axis, including the base, with the
     axis' values at its ends.
     """
@@ -798,7 +800,7 @@ def one_at_a_time_groups(result: CasesResult, names: Sequence[str]) -> list[Grou
                 if (part.curves[0].condition, part.curves[0].alone) == (condition, name)
             ]
             parts = (
-                _touching(parts, bases[condition], technologies[place])
+                _with_changed_technology(parts, bases[condition], technologies[place])
                 if name in process_axes
                 else parts
             )
@@ -809,7 +811,7 @@ def one_at_a_time_groups(result: CasesResult, names: Sequence[str]) -> list[Grou
     return groups
 
 
-def _touching(
+def _with_changed_technology(
     parts: Sequence[StudyResult], base: StudyResult, technology: str
 ) -> list[StudyResult]:
     """Return the cases that change a technology's numbers, each of its changes once."""

@@ -32,14 +32,14 @@ def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
     """Return noise in electrons and mean ΔE of each cause of a budget, and of its sums; NaN for
     what it does not have.
     """
-    nothing = float("nan")
+    undefined = float("nan")
     causes = {
-        cause: (budget.electrons_e.get(cause, nothing), delta_e)
+        cause: (budget.electrons_e.get(cause, undefined), delta_e)
         for cause, delta_e in budget.delta_e.items()
     }
     return causes | {
-        RENDER: (budget.render_e, nothing),
-        REMAINDER: (nothing, budget.remainder_delta_e),
+        RENDER: (budget.render_e, undefined),
+        REMAINDER: (undefined, budget.remainder_delta_e),
         ALL_CAUSES: (budget.total_e, budget.mean_delta_e),
         MEASURED: (budget.measured_e, budget.mean_delta_e),
     }
@@ -76,25 +76,25 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
         for cause in (*budget.delta_e, REMAINDER)
     }
     numbers = [_budget_numbers(budget) for budget in budgets.values()]
-    nothing = float("nan"), float("nan")
+    undefined = float("nan"), float("nan")
     rows: list[tuple[str, ...]] = []
 
-    def add(words: str, *values: tuple[float, float]) -> None:
+    def add_row(words: str, *values: tuple[float, float]) -> None:
         cells = [(rounded(noise_e, 3), f"{delta_e:z.3f}") for noise_e, delta_e in values]
         rows.append((words, *("" if cell == "nan" else cell for pair in cells for cell in pair)))
 
     for kind in dict.fromkeys(kinds.values()):
         kind_causes = [cause for cause in kinds if kinds[cause] == kind]
         for cause in kind_causes:
-            add(cause, *(budget_values.get(cause, nothing) for budget_values in numbers))
+            add_row(cause, *(budget_values.get(cause, undefined) for budget_values in numbers))
         if len(kind_causes) > 1:
-            add(
+            add_row(
                 f"{kind}, together",
-                *((nothing[0], budget.parts[kind]) for budget in budgets.values()),
+                *((undefined[0], budget.parts[kind]) for budget in budgets.values()),
             )
     for cause in (ALL_CAUSES, MEASURED, RENDER):
         if any(budget_values[cause][0] for budget_values in numbers):
-            add(cause, *(budget_values[cause] for budget_values in numbers))
+            add_row(cause, *(budget_values[cause] for budget_values in numbers))
     heads = (
         f"{label}\n{unit}" if several else unit
         for label in budgets
@@ -112,13 +112,17 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as
     bars.
     """
-    drawn = dict(list(budgets.items())[:MAX_SIZES])
-    causes = list(dict.fromkeys(cause for budget in drawn.values() for cause in budget.delta_e))
-    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn) > 1))
+    drawn_budgets = dict(list(budgets.items())[:MAX_SIZES])
+    causes = list(
+        dict.fromkeys(cause for budget in drawn_budgets.values() for cause in budget.delta_e)
+    )
+    figure = new_figure(
+        8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn_budgets) > 1)
+    )
     panels = figure.subplots(1, 2, sharey=True)
-    height = 0.8 / len(drawn)
-    for number, (label, budget) in enumerate(drawn.items()):
-        at = np.arange(len(causes)) + (number - (len(drawn) - 1) / 2) * height
+    height = 0.8 / len(drawn_budgets)
+    for number, (label, budget) in enumerate(drawn_budgets.items()):
+        at = np.arange(len(causes)) + (number - (len(drawn_budgets) - 1) / 2) * height
         for axes, values in zip(panels, (budget.electrons_e, budget.delta_e), strict=True):
             axes.barh(
                 at,
@@ -131,7 +135,7 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     panels[0].invert_yaxis()
     finish(panels[0], "noise (e- rms)", "", None)
     finish(panels[1], "part of the mean ΔE", "", None)
-    if len(drawn) > 1:
+    if len(drawn_budgets) > 1:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8

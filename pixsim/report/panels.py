@@ -28,7 +28,7 @@ BETWEEN_SHARED_IN, TICKS_SHARED = (
 )  # of panels that share their scales: labels at their ends do not meet
 _MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
-NOTHING: Mapping[str, Any] = {}
+NO_KEYWORDS: Mapping[str, Any] = {}
 LINE: Mapping[str, Any] = {"marker": ""}
 MARKED_LINE: Mapping[str, Any] = {}  # with the markers of its look
 POINTS: Mapping[str, Any] = {"ls": "", "markevery": 1, "mfc": "none"}
@@ -60,8 +60,8 @@ class LinePanel(NamedTuple):
     x: str
     y: str
     lines: Sequence[Line]
-    marks: Mapping[str, float] = NOTHING
-    axes: Mapping[str, Any] = NOTHING
+    marks: Mapping[str, float] = NO_KEYWORDS
+    axes: Mapping[str, Any] = NO_KEYWORDS
     legend: Literal["best", "lower right"] = "best"
 
 

@@ -41,10 +41,10 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
     for criterion, line_style in zip(regrets.criteria, cycle(LINE_STYLES), strict=False):
         best_um = criterion.optimum.pitch_um
         weight = "" if criterion.weight is None else f" ({100 * criterion.weight:.0f} %)"
-        along = 100 * criterion.regret(criterion.pitch_um)
+        curve_percent = 100 * criterion.regret(criterion.pitch_um)
         axes.plot(
             criterion.pitch_um,
-            along,
+            curve_percent,
             lw=1.5,
             label=literal(f"{criterion.name}{weight}: {best_um:.2f} µm"),
             **line_style.stroke,
@@ -52,7 +52,7 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
         axes.plot(
             best_um, 0.0, line_style.marker, ms=6, mfc="white", mec=line_style.colour, clip_on=False
         )
-        largest = max(largest, float(along[np.isfinite(along)].max()))
+        largest = max(largest, float(curve_percent[np.isfinite(curve_percent)].max()))
         table[f"{criterion.name} regret"] = criterion.regret(pitch_um)
     top = HEADROOM * min(largest, _MAX_REGRET_PERCENT)
     axes.set(xlabel="pixel size (µm)", ylabel="regret (%)", ylim=(0, top or 1.0))

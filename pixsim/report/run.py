@@ -98,7 +98,7 @@ FILES = (  # next to the page
     SETTINGS_FILE,
     "pixsim.json",
 )
-_MEANINGS = {
+_STATISTICS_WORDS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
     "full_well_e": "full well (electrons)",
@@ -196,7 +196,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
     warned : notes that a reader of the terminal has seen
     """
-    header, judged = result.irradiance.header, judged_by_delta_e(result.settings)
+    header, has_delta_e = result.irradiance.header, judged_by_delta_e(result.settings)
     scene = Path(
         str(header.get("scene", header.get("source", "a picture of another program")))
     ).stem
@@ -209,7 +209,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         data=data(result),
         answers=(answer,),
         lead=(Plot(lambda: score_plate(result.score)), *facts(result), *new_notes),
-        about=(DELTA_E_WORDS,) if judged else (),
+        about=(DELTA_E_WORDS,) if has_delta_e else (),
         sections=(budgets_section(_budgets_of(result)),),
         data_file="score.json",
     )
@@ -291,27 +291,27 @@ def data(result: RunResult) -> dict[str, Any]:
     of a pixel at most, the farthest null if infinite.
     """
     prepared, settings, score = result.prepared, result.settings, result.score
-    more: dict[str, Any] = {}
+    further: dict[str, Any] = {}
     if result.rendered and result.rendered.noise and result.plan:
-        more |= {
+        further |= {
             "render_noise": asdict(result.rendered.noise),
             "plan": result.plan.as_dict(),
             "film": result.film,
         }
-        more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
+        further |= {"window_mm": settings.window_mm} if settings.window_mm else {}
     if result.interval_delta_e is not None:
-        more |= {
+        further |= {
             "repeats": result.delta_e.size,
             "delta_e": result.delta_e.tolist(),
             "sensors_mean_delta_e": result.mean_delta_e,
         }
-        more |= {"interval_delta_e": list(result.interval_delta_e)}
+        further |= {"interval_delta_e": list(result.interval_delta_e)}
     if result.judged:
-        more["metrics"] = plain(
+        further["metrics"] = plain(
             {name: float(values.mean()) for name, values in result.judged.items()}
         )
     if (threshold := result.threshold) is not None:
-        more["at_threshold"] = {
+        further["at_threshold"] = {
             "parameter": threshold.parameter,
             "detectability": threshold.threshold,
             "value": threshold.value,
@@ -319,17 +319,17 @@ def data(result: RunResult) -> dict[str, Any]:
             "why_not": threshold.reason,
         }
     if result.colour is not None or settings.develop.words:
-        more["develop"] = settings.develop.model_dump()
+        further["develop"] = settings.develop.model_dump()
     if result.colour is not None:
-        more["colour"] = result.colour
+        further["colour"] = result.colour
     if settings.develop.sharpens:
-        more["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
+        further["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
     if settings.motion.is_on:
-        more["motion"] = settings.motion.model_dump()
+        further["motion"] = settings.motion.model_dump()
     if prepared.frames > 1:
-        more["frames"] = prepared.frames
+        further["frames"] = prepared.frames
     if result.noise_budget:
-        more["noise_budget"] = result.noise_budget.as_dict()
+        further["noise_budget"] = result.noise_budget.as_dict()
     values = {
         metric.name: float(result.table.columns[metric.columns[0]].mean())
         for metric in metrics_named(settings.metrics)
@@ -352,7 +352,7 @@ def data(result: RunResult) -> dict[str, Any]:
         "display": settings.display.model_dump(),
         "seed": settings.seed,
         "chosen": {**prepared.view},
-        **more,
+        **further,
     }
     return result_data(
         content,
@@ -447,9 +447,13 @@ def _metric_text(result: RunResult, metric: Metric) -> Text:
     low, high = result.interval(values, metric.columns[0]) or (mean, mean)
     half = (high - low) / 2
     value = with_error(mean, half) if half > ROUNDING * abs(mean) else estimate(mean)
-    judged = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
-    seen = f"; {_threshold_words(result, mean)}" if metric is DETECTABILITY else ""
-    return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of {judged}{seen}"
+    judged_words = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
+    threshold_text = f"; {_threshold_words(result, mean)}" if metric is DETECTABILITY else ""
+    return (
+        f"{metric.words} ",
+        Strong(f"{value} {metric.unit}".rstrip()),
+        f", of {judged_words}{threshold_text}",
+    )
 
 
 def _threshold_words(result: RunResult, d_prime: float) -> str:
@@ -476,14 +480,14 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
 
 def threshold_pitch_words(threshold: Threshold) -> str:
     """Return at which values of the scene's parameter a target is seen."""
-    first, last = threshold.value, threshold.upper_value
-    if first is None and last is None:
+    lower, upper = threshold.value, threshold.upper_value
+    if lower is None and upper is None:
         tried = span(min(threshold.tried), max(threshold.tried), ".4g")
         reason = f": {threshold.reason}" if threshold.reason else ""
         return f"{threshold.threshold:g} is not reached at {threshold.parameter} of {tried}{reason}"
-    low = "" if first is None else f" from {rounded(first, 3)} on"
-    high = "" if last is None else f" up to {rounded(last, 3)}"
-    return f"{threshold.threshold:g} is reached at {threshold.parameter}{low}{high}"
+    lower_words = "" if lower is None else f" from {rounded(lower, 3)} on"
+    upper_words = "" if upper is None else f" up to {rounded(upper, 3)}"
+    return f"{threshold.threshold:g} is reached at {threshold.parameter}{lower_words}{upper_words}"
 
 
 def shown_mean_of(result: RunResult) -> str:
@@ -509,11 +513,13 @@ def _setup_words(result: RunResult) -> list[str]:
     is_longest = (
         exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
     )
-    longest = " (the maximum)" if is_longest else ""
-    full = f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
+    longest_words = " (the maximum)" if is_longest else ""
+    saturated_words = (
+        f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
+    )
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposed = [
-        f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}",
+    exposure_words = [
+        f"{pixels}, exposed for {exposure_time(time_s)}{longest_words}{saturated_words}",
         *stage_words(settings),
     ]
 
@@ -531,7 +537,11 @@ def _setup_words(result: RunResult) -> list[str]:
     return [
         *filter(
             None,
-            (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), view_line),
+            (
+                ", ".join(exposure_words),
+                developed_words(settings.develop, [settings.pixel]),
+                view_line,
+            ),
         )
     ]
 
@@ -586,8 +596,8 @@ def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
         "Colour",
         (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else (),
     )
-    rest = [UNSTATED_NOISE] if result.score.physics.technology.name == NO_TECHNOLOGY else []
-    yield Section("settings", "Settings", [*settings_blocks(_settings(result)), *rest])
+    unstated = [UNSTATED_NOISE] if result.score.physics.technology.name == NO_TECHNOLOGY else []
+    yield Section("settings", "Settings", [*settings_blocks(_settings(result)), *unstated])
 
 
 def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
@@ -606,8 +616,8 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
 
 def _shown_statistics(result: RunResult) -> list[str]:
     """Return the names of the statistics that are printed; those of ΔE where it was asked for."""
-    judged = judged_by_delta_e(result.settings)
-    return [name for name in result.statistics[0] if judged or not name.endswith("_delta_e")]
+    has_delta_e = judged_by_delta_e(result.settings)
+    return [name for name in result.statistics[0] if has_delta_e or not name.endswith("_delta_e")]
 
 
 def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
@@ -622,7 +632,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
 
     statistics = result.statistics[0]
     for name in _shown_statistics(result):
-        if name in _MEANINGS:
+        if name in _STATISTICS_WORDS:
             value = (
                 estimate(statistics[name])
                 if name.endswith("_delta_e")
@@ -631,11 +641,11 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
             if (
                 name != "fill_factor" or value != "1"
             ):  # a data sheet gives the numbers of the whole pixel
-                yield _MEANINGS[name], value
+                yield _STATISTICS_WORDS[name], value
 
-    imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
+    imaging, longest_path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(
-        imaging, result.irradiance, path_um
+        imaging, result.irradiance, longest_path_um
     )
     for term, mtf in {**sensor_terms, **display_terms}.items():
         yield f"MTF at {frequency_lp_per_mm:.3g} lp/mm, {name}: {term}", estimate(mtf)
@@ -649,7 +659,7 @@ def _budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
 
 def _settings(result: RunResult) -> list[DocumentTable]:
     """Return the settings of a run, with their meaning and source."""
-    sheet = result.score.physics.technology.name == NO_TECHNOLOGY
+    from_data_sheet = result.score.physics.technology.name == NO_TECHNOLOGY
     settings, irradiance = result.settings, result.irradiance
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
     scene = scene_rows(irradiance, settings.scene, light)
@@ -657,7 +667,12 @@ def _settings(result: RunResult) -> list[DocumentTable]:
         ("seed", settings.seed, "of all random numbers", "set" if settings.seed else "default")
     )
     return settings_tables(
-        scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet
+        scene,
+        settings,
+        result.camera,
+        result.score.physics.pixel,
+        result.colour is not None,
+        from_data_sheet,
     )
 
 
@@ -681,16 +696,16 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     command = [
         "pixsim",
         "run",
-        _whole_source(prepared),
+        _absolute_source(prepared),
         "--config",
         SETTINGS_FILE,
         *["--full"] * imaging.full,
     ]
     command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
-    return settings_text(_repeating_settings(prepared, irradiance), shlex.join(command))
+    return settings_text(_settings_to_repeat(prepared, irradiance), shlex.join(command))
 
 
-def _repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
+def _settings_to_repeat(job: Job[Run], irradiance: SpectralImage) -> Run:
     """Return the settings with which `pixsim run` makes the same numbers again.
 
     irradiance : of this run
@@ -705,7 +720,7 @@ def _repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
     return without_clock(job.stated, irradiance).model_copy(update=view)
 
 
-def _whole_source(job: Job[Run]) -> str:
+def _absolute_source(job: Job[Run]) -> str:
     """Return the scene or picture of a run, for a command in another folder."""
     if job.cases[0].picture:
         return str(Path(job.file).resolve())

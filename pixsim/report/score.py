@@ -94,7 +94,7 @@ def _facts(score: Score) -> list[Fact]:
     texts = [
         f"pixel: {settings_line(settings)}; all else is the default",
         *map(str, score.causes),
-        *(f"{NOT_CONVERGED}: {words}" for words in unmet(score.light, score.light_limit)),
+        *(f"{NOT_CONVERGED}: {words}" for words in exceeded_words(score.light, score.light_limit)),
     ]
     return [Fact(text) for text in texts]
 
@@ -104,7 +104,7 @@ def judged_by_delta_e(settings: Setting) -> bool:
     return DELTA_E.name in settings.metrics
 
 
-def unmet(error: LightError, limit: LightError) -> list[str]:
+def exceeded_words(error: LightError, limit: LightError) -> list[str]:
     """Return the errors above their limits in words, the largest first."""
     texts = []
     for name in exceeded(error, limit):
@@ -143,8 +143,8 @@ def shown_mean(
     >>> shown_mean(76.54, LightError(3.6), LightError(0.02), few_codes)
     '76.5 (all codes are equal) ± 3.6 (film)'
     """
-    above = exceeded(error, limit)
-    film_delta_e = above.get("film_delta_e", 0.0)
+    exceeded_errors = exceeded(error, limit)
+    film_delta_e = exceeded_errors.get("film_delta_e", 0.0)
 
     uncertainty = ""
     value = (
@@ -157,10 +157,10 @@ def shown_mean(
         parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
         uncertainty = f" {uncertainty} ({' and '.join(parts)})"
 
-    largest_finite_delta_e = max(filter(math.isfinite, above.values()), default=0.0)
+    largest_finite_delta_e = max(filter(math.isfinite, exceeded_errors.values()), default=0.0)
     if causes and causes[0].delta_e >= largest_finite_delta_e:
         return f"{value} ({causes[0].words}){uncertainty}"
-    return f"{value}{uncertainty}, {NOT_CONVERGED}" if above else f"{value}{uncertainty}"
+    return f"{value}{uncertainty}, {NOT_CONVERGED}" if exceeded_errors else f"{value}{uncertainty}"
 
 
 PRESENTER = Presenter(document=_score_document, figure=score_plate, csv=_score_csv)

@@ -51,12 +51,12 @@ def scene_rows(
         rows.append(
             (name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default))
         )
-    name, what = (
+    name, quantity = (
         ("white_cd_per_m2", "luminance")
         if light.unit == "cd/m²"
         else ("white_w_per_m2_sr", "radiance")
     )
-    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white", ""))
+    rows.append((name, f"{light.white:.4g}", f"scene {quantity} shown as display white", ""))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows
@@ -114,12 +114,12 @@ def settings_tables(
     if coloured or settings.develop.words:
         records["develop"] = settings.develop
     records["display"] = settings.display
-    used = [
+    tables = [
         settings_table(name, record_rows(name, record, from_data_sheet, sources, coloured=coloured))
         for name, record in records.items()
         if record is not None
     ]
-    return [settings_table("scene", scene), *used]
+    return [settings_table("scene", scene), *tables]
 
 
 def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
@@ -138,20 +138,22 @@ def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:
 
     tables : of `settings_table`
     """
-    changed = [
+    changed_rows = [
         (f"{table.name}.{row[0]}", *row[1:3])
         for table in tables
         for row in table.rows
         if row[-1] not in DEFAULTS
     ]
-    rest = [
+    default_tables = [
         replace(table, rows=[row[:2] for row in table.rows if row[-1] in DEFAULTS])
         for table in tables
     ]
-    first = DocumentTable(
-        "settings that differ from the defaults", (), changed, words=None, stacks=True
+    changed_table = DocumentTable(
+        "settings that differ from the defaults", (), changed_rows, words=None, stacks=True
     )
     return [
-        *[first] * bool(changed),
-        Section("", "All other settings", [table for table in rest if table.rows], folded=True),
+        *[changed_table] * bool(changed_rows),
+        Section(
+            "", "All other settings", [table for table in default_tables if table.rows], folded=True
+        ),
     ]

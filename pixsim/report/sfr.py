@@ -22,7 +22,7 @@ FILES = (
     "summary.json",
     "report.html",
 )
-_MAX_SFR_SHOWN = 3.0
+_MAX_SFR_AXIS = 3.0
 
 
 def sfr_document(edge: EdgeResponse) -> Document:
@@ -147,7 +147,7 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
 
     limits = {
         "xlim": (0, table[x][-1]),
-        "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), _MAX_SFR_SHOWN))),
+        "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), _MAX_SFR_AXIS))),
     }
     panel = LinePanel(
         f"frequency along the normal of the edge ({unit})",

@@ -175,7 +175,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     """
     pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
     paths_um = [longest_path_um(result, curve, pitch_um) for pitch_um in curve.pitch_um.tolist()]
-    mtf50, shown50 = (
+    mtf50, display_mtf50 = (
         [
             mtf50_cy_per_mm(result, physics, mtf, path)
             for physics, path in zip(pixels, paths_um, strict=True)
@@ -184,29 +184,32 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     )
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
-    axes, lower = figure.subplots(2, 1, sharex=True)
+    detail_axes, mtf_axes = figure.subplots(2, 1, sharex=True)
     fix_margins(figure, right_in=0.75)
-    detail = axes.plot(
+    detail_lines = detail_axes.plot(
         curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)"
     )
-    detail += axes.plot(
+    detail_lines += detail_axes.plot(
         curve.pitch_um,
-        shown50,
+        display_mtf50,
         "^:",
         ms=4,
         color=COLOURS[0],
         label="MTF50 on the display (left axis)",
     )
-    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(0, _LEGEND_HEADROOM * max(mtf50))
-    other = axes.twinx()
-    light = other.semilogy(
+    detail_axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
+    detail_axes.set_ylim(0, _LEGEND_HEADROOM * max(mtf50))
+    light_axes = detail_axes.twinx()
+    light_lines = light_axes.semilogy(
         curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)"
     )
-    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
-    other.spines["right"].set_visible(True)
-    axes.legend(
-        handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE
+    light_axes.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
+    light_axes.spines["right"].set_visible(True)
+    detail_axes.legend(
+        handles=[*detail_lines, *light_lines],
+        frameon=False,
+        loc="upper right",
+        handlelength=LEGEND_LINE,
     )
 
     frequency, _ = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
@@ -217,15 +220,21 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     terms = {
         term: np.array([float(values[term]) for values in pixel_terms]) for term in pixel_terms[0]
     }
-    shown_product = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
-    exposures = {"mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30}
+    display_product = draw_terms(
+        mtf_axes, curve.pitch_um, terms, result.study.display.interpolation
+    )
+    exposures = {
+        "mtf50_lp_per_mm": mtf50,
+        "shown_mtf50_lp_per_mm": display_mtf50,
+        "mpe30_lx_s": mpe30,
+    }
     contrasts = {
         f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf
-        for term, mtf in (terms | {"shown": shown_product}).items()
+        for term, mtf in (terms | {"shown": display_product}).items()
     }
-    lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
-    lower.grid(alpha=0.25)
-    axes.set_title(literal(curve.label), fontsize=9)
+    mtf_axes.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
+    mtf_axes.grid(alpha=0.25)
+    detail_axes.set_title(literal(curve.label), fontsize=9)
     return figure, {"pitch_um": curve.pitch_um, **exposures, **contrasts}
 
 
@@ -311,15 +320,19 @@ def _pictures_of_workers(
     tasks = [PictureTask(curve.technology, 0.0) for curve in result.curves if curve.has_delta_e]
     tasks += [PictureTask(REFERENCE_TECHNOLOGY, pitch_um) for pitch_um in sizes_um]
 
-    def shared() -> StudyResult:  # one function for all calls, so that workers share the result
+    def shared_result() -> (
+        StudyResult
+    ):  # one function for all calls, so that workers share the result
         return result
 
-    made = dict(
+    results = dict(
         results_of(
-            make_pictures, [((number, task), shared) for number, task in enumerate(tasks)], workers
+            make_pictures,
+            [((number, task), shared_result) for number, task in enumerate(tasks)],
+            workers,
         )
     )
-    parts = [made[number] for number in range(len(tasks))]
+    parts = [results[number] for number in range(len(tasks))]
     views = [part for part in parts if isinstance(part, Views)]
     return views, {
         part.score.physics.pitch_um: part for part in parts if isinstance(part, SizeMaps)
@@ -402,11 +415,13 @@ def document_of(
     """
     first = result.curves[0].metric.name
     weighted = [
-        weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first
+        weighted_answer(condition_regrets)
+        for condition_regrets in regrets
+        if condition_regrets.criteria[0].metric.name == first
     ]
     answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
-    left = len(answers) - _MAX_ANSWERS
-    more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
+    left_out_count = len(answers) - _MAX_ANSWERS
+    left_out = [Fact(f"and {left_out_count} more: optima.csv")] if left_out_count > 0 else []
     notes = [note for note in study_notes(result) if note not in warned]
     return Document(
         command="study",
@@ -416,7 +431,13 @@ def document_of(
         answers=answers[:_MAX_ANSWERS],
         lead=(
             Plot(lambda: delta_e_against_pitch(result.curves)),
-            *(*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty), *notes),
+            *(
+                *left_out,
+                *study_facts(result),
+                *facts,
+                *uncertainty_blocks(result.uncertainty),
+                *notes,
+            ),
         ),
     )
 
@@ -428,7 +449,7 @@ def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -
     shared : further entries that the JSON of all commands has
     """
     settings = result.study.model_dump(mode="json")
-    uncertainty = [unknown.as_dict() for unknown in result.uncertainty]
+    uncertainty = [distribution.as_dict() for distribution in result.uncertainty]
     further = {"chosen": result.view, **content, "uncertainty": uncertainty}
     entries = {
         "study": settings,
@@ -449,7 +470,7 @@ def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -
     )
 
 
-_ABOUT = (
+_STUDY_EXPLAINED = (
     "All pixel sizes see the same light on the same die. Small pixels suffer from noise, large ones"
     " from blur. The 95 % interval is that of the size with the smallest expected error. It"
     " includes noise and fixed pattern of the sensors, the registration of pixels with the detail,"
@@ -475,28 +496,30 @@ def study_page(
     """
     by_name = {curve.technology: curve for curve in result.curves}
     reference, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
-    begun = drawing.begun_sizes()
+    begun_sizes = drawing.begun_sizes()
     first, *curves = [drawing.plot(draw) for draw in curve_figures(result, reference)]
     limits = drawing.plot(light_against_detail, result, reference)
     if workers.jobs == 1:  # nothing else computes meanwhile
         drawing.wait()
 
-    sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun]
+    sizes_um = [
+        pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun_sizes
+    ]
     views, sizes = _pictures_of_workers(result, workers, sizes_um)
     evidence = Evidence(
-        result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()}
+        result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun_sizes.items()}
     )
     rows = findings(evidence) if paper else []
     equal_errors = [drawing.plot(figure_6, evidence)] if paper else []
 
-    brief = study_document(result)
+    document = study_document(result)
     unstated = [UNSTATED_NOISE] if all(curve.data_sheet for curve in result.curves) else []
-    made = [*_about(result), _rendered(result)]
+    computation = [*_about(result), _rendered(result)]
     return replace(
-        brief,
-        answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
-        data={**brief.data, **({"paper": [asdict(row) for row in rows]} if rows else {})},
-        lead=(first, *tuple(brief.lead)[1:]),
+        document,
+        answers=tuple(document.answers)[:ANSWERS_OF_PAGE],
+        data={**document.data, **({"paper": [asdict(row) for row in rows]} if rows else {})},
+        lead=(first, *tuple(document.lead)[1:]),
         sections=(
             Section(
                 "optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()
@@ -507,20 +530,20 @@ def study_page(
             budgets_section(budgets),
             Section("limits", "What limits these pixels", [limits]),
             Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
-            Section("made", "How this was computed", made, folded=True),
+            Section("made", "How this was computed", computation, folded=True),
         ),
         files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
     )
 
 
-def plot_of(made: Plate | Drawn) -> Plot:
+def plot_of(plate: Plate | Drawn) -> Plot:
     """Return a figure that is made already."""
-    return Plot(lambda: made)
+    return Plot(lambda: plate)
 
 
 def _about(result: StudyResult) -> Iterator[Block]:
     """Yield what the numbers of a page mean."""
-    yield _ABOUT
+    yield _STUDY_EXPLAINED
     if any(curve.has_delta_e for curve in result.curves):
         yield DELTA_E
     if result.study.display.raster == "fixed_size":
@@ -534,9 +557,11 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
     """Yield the pictures of each technology."""
     study = result.study
     for number, view in enumerate(views, 1):
-        of, label = f"detail in {view.label}", capital(view.label)
-        yield Section("", f"{label}: the same detail for every pixel size", [Tiles(view.tiles, of)])
-        errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
+        caption, label = f"detail in {view.label}", capital(view.label)
+        yield Section(
+            "", f"{label}: the same detail for every pixel size", [Tiles(view.tiles, caption)]
+        )
+        errors = Pictures(view.crops, caption), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
         slider = Slider(
             f"slider-{number}",
@@ -561,9 +586,9 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
     )
 
 
-def agrees(whether: bool) -> Text:
+def agrees(is_agreed: bool) -> Text:
     """Return whether a result agrees with a statement, for a cell of a table."""
-    return "yes" if whether else (Strong("does not agree"),)
+    return "yes" if is_agreed else (Strong("does not agree"),)
 
 
 def _rendered(result: StudyResult) -> str:

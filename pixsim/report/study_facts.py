@@ -117,9 +117,9 @@ def study_notes(result: StudyResult) -> list[Note]:
     """Return what a reader should know besides the optima: warnings, missed targets, a black level
     that clips dark noise.
     """
-    kinds = target_notes, _open_notes, _silent_notes, _study_dark_notes
-    noted = [note for notes in kinds for note in first_notes([*map(notes, result.cases)])]
-    return [*cause_notes(result), *sorted(result.warned), *noted]
+    kinds = target_notes, _open_notes, _undefined_notes, _study_dark_notes
+    curve_notes = [note for notes in kinds for note in first_notes([*map(notes, result.cases)])]
+    return [*cause_notes(result), *sorted(result.warned), *curve_notes]
 
 
 def target_notes(result: StudyResult) -> list[Note]:
@@ -130,7 +130,7 @@ def target_notes(result: StudyResult) -> list[Note]:
     if study.target_ci_um is None:
         return []
     evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
-    ended_by = "max_repeats" if study.max_evaluations is None else "max_evaluations"
+    limit = "max_repeats" if study.max_evaluations is None else "max_evaluations"
     notes = []
     for curve in result.curves:
         half_um = curve.optimum.half_width_um
@@ -138,23 +138,23 @@ def target_notes(result: StudyResult) -> list[Note]:
             half, target = distinct_texts(half_um, study.target_ci_um)
             width = f"± {half} µm" if math.isfinite(half_um) else "open at an end"
             words = (
-                f"{width} after {evaluations} evaluations ({ended_by}); the target is ± {target} µm"
+                f"{width} after {evaluations} evaluations ({limit}); the target is ± {target} µm"
                 " (target_ci_um)"
             )
             notes.append(Note("interval", case=curve.label, words=words))
     return notes
 
 
-def _silent_notes(result: StudyResult) -> list[Note]:
+def _undefined_notes(result: StudyResult) -> list[Note]:
     """Return a note for each metric that tells a best size, with the pitches that its fitted curve
     does not take, and why.
     """
     notes = []
     for curve in result.curves:
         for metric in (metric for metric in curve.metrics if metric.has_optimum):
-            silent = ~fittable_pitches(metric, curve.statistics[metric.columns[0]])
-            if silent.any():
-                sizes = ", ".join(f"{pitch_um:g}" for pitch_um in curve.pitch_um[silent])
+            is_left_out = ~fittable_pitches(metric, curve.statistics[metric.columns[0]])
+            if is_left_out.any():
+                sizes = ", ".join(f"{pitch_um:g}" for pitch_um in curve.pitch_um[is_left_out])
                 reason = next(
                     (f": {reason}" for name, _, reason in curve.missing if name == metric.name), ""
                 )
@@ -177,13 +177,13 @@ def _open_notes(result: StudyResult) -> list[Note]:
         end = 0 if low is None else -1
         tried_um = curve.fitted_range_um[end]
         # Both open: no size would help, but more sensors. A range that does not reach the end: said
-        # by `_silent_notes`.
+        # by `_undefined_notes`.
         if (low is None) != (high is None) and tried_um == curve.pitch_um[end]:
-            end_word, beyond, limit = (
+            end_word, comparative, limit = (
                 ("smallest", "smaller", "min") if low is None else ("largest", "larger", "max")
             )
             hint = (
-                f"a {beyond} one would tell, where that is possible (pitch.{limit}_um or"
+                f"a {comparative} one would tell, where that is possible (pitch.{limit}_um or"
                 " pitch.values_um)"
             )
             words = (

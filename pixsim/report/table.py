@@ -60,7 +60,7 @@ def _table_document(table: Table) -> Document:
     """
     means = _size_means(table)
     sensors = 1 + int(table.columns["repeat"].max(initial=0))
-    head = f"{len(means)} pixels, " + (
+    answer = f"{len(means)} pixels, " + (
         f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each"
     )
     return Document(
@@ -73,7 +73,7 @@ def _table_document(table: Table) -> Document:
             notes=[],
             table="table.csv",
         ),
-        answers=(Answer(head),),
+        answers=(Answer(answer),),
         lead=(Plot(lambda: table_plate(table)),),
         sections=(Section("means", "Means", (_means_table(table, means),), brief=True),),
         files={"table.csv": _table_text(table)},

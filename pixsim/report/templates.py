@@ -48,11 +48,11 @@ _EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "sources": {"pixel.bits": "data sheet, page 3"},
 }  # fmt: skip
 # Fields that are not commented out.
-_SENSOR_SHOWN = tuple(
+_SENSOR_FIELDS = tuple(
     f"pixel.{name}"
     for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu")
 )
-_STUDY_SHOWN = (
+_STUDY_FIELDS = (
     "name",
     "title",
     "technologies",
@@ -91,7 +91,7 @@ def template(kind: str) -> str:
     """
     schema = record_of(kind).model_json_schema()
     head, uncommented = (
-        (_SENSOR_HEAD, _SENSOR_SHOWN) if kind == "sensor" else (_STUDY_HEAD, _STUDY_SHOWN)
+        (_SENSOR_HEAD, _SENSOR_FIELDS) if kind == "sensor" else (_STUDY_HEAD, _STUDY_FIELDS)
     )
     lines = [f"# {line}" for line in head.strip().splitlines()]
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
@@ -104,19 +104,21 @@ def template(kind: str) -> str:
     lines += ["", *_fields(top, uncommented, "")]
     for name in order:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
-        first = [
+        first_fields = [
             key
             for dotted in uncommented
             if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted
         ]
-        inner = {
+        inner_records = {
             key: schema["$defs"][reference["$ref"].rpartition("/")[2]]
             for key, reference in properties.items()
             if "$ref" in reference
         }
-        fields = {key: properties[key] for key in [*first, *properties] if key not in inner}
+        fields = {
+            key: properties[key] for key in [*first_fields, *properties] if key not in inner_records
+        }
         lines += ["", f"[{name}]", *_fields(fields, uncommented, f"{name}.")] if fields else []
-        for key, record in inner.items():
+        for key, record in inner_records.items():
             lines += [
                 "",
                 f"[{name}.{key}]",
@@ -224,16 +226,20 @@ def allowed(field: dict[str, Any]) -> str:
         return ", ".join(toml_value(value) for value in field.get("enum", [field.get("const")]))
     kind = field.get("type")
     if kind in ("number", "integer"):
-        low, above = field.get("minimum"), field.get("exclusiveMinimum")
-        high, below = field.get("maximum"), field.get("exclusiveMaximum")
+        low, exclusive_low = field.get("minimum"), field.get("exclusiveMinimum")
+        high, exclusive_high = field.get("maximum"), field.get("exclusiveMaximum")
         start = (
-            f"{low:.9g} " if low is not None else f"above {above:.9g} " if above is not None else ""
+            f"{low:.9g} "
+            if low is not None
+            else f"above {exclusive_low:.9g} "
+            if exclusive_low is not None
+            else ""
         )
         end = (
             f"to {high:.9g}"
             if high is not None
-            else f"to below {below:.9g}"
-            if below is not None
+            else f"to below {exclusive_high:.9g}"
+            if exclusive_high is not None
             else "or more"
         )
         return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"

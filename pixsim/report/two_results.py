@@ -22,7 +22,7 @@ def results_document(result: ResultsComparison) -> Document:
     of all differences.
     """
     sentences = verdicts(result)
-    only = (
+    unpaired = (
         [Fact(f"{result.only_in_one} rows are in one of the results only")]
         if result.only_in_one
         else []
@@ -40,7 +40,7 @@ def results_document(result: ResultsComparison) -> Document:
         title=" against ".join(result.names),
         data=result_data(content, settings={"folders": list(result.names)}, notes=[]),
         answers=[Answer((Strong(sentence),), named=True) for sentence in sentences],
-        lead=(_differences_table(result), *only),
+        lead=(_differences_table(result), *unpaired),
     )
 
 
@@ -79,14 +79,14 @@ def differences_plate(result: ResultsComparison) -> Drawing:
 def _pair_data(pair: ResultPairs) -> dict[str, Any]:
     """Return the numbers for JSON; those that one pair does not tell are None."""
     pairs = pair.pairs
-    is_one = pairs.a.size < MIN_PAIRS
+    is_single = pairs.a.size < MIN_PAIRS
     return {
         **pair.place,
         "metric": pairs.metric.name,
         "pairs": pairs.a.size,
         "difference": pairs.difference,
-        "interval": None if is_one else list(pairs.interval),
-        "probability_a_better": None if is_one else pairs.probability_a_better,
+        "interval": None if is_single else list(pairs.interval),
+        "probability_a_better": None if is_single else pairs.probability_a_better,
     }
 
 

@@ -16,12 +16,12 @@ from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, Uncerta
 
 _MAX_BARS = 30  # of a histogram
 _MAX_SECTIONS = 20  # technologies × values × conditions with a section of the page
-DRAWN = (
+TYPES_EXPLAINED = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at"
     " once. Each draw is a sensor type; the study finds its optimum. All types have the same random"
     " numbers, so that they differ by their inputs only. "
 )
-_SHARES = (
+_SHARES_EXPLAINED = (
     "Shares of the variance that inputs explain, each with its standard error. The share of the"
     " scatter is an upper end: the interval of each type's optimum includes errors that all types"
     " have in common."
@@ -41,10 +41,12 @@ def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Secti
     """
     for number, result in enumerate(results[:_MAX_SECTIONS], 1):
         title = f"Sensor types: {capital(result.label) or 'optimum'}{result.by}"
-        drawn = Plot(partial(_numbered_plate, result, number))
+        distribution_plot = Plot(partial(_numbered_plate, result, number))
         types = (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)
         yield Section(
-            f"types-{number}", title, (DRAWN, drawn, _SHARES, shares_table(result), types)
+            f"types-{number}",
+            title,
+            (TYPES_EXPLAINED, distribution_plot, _SHARES_EXPLAINED, shares_table(result), types),
         )
 
 
@@ -145,26 +147,27 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
     return tuple(blocks)
 
 
-def pair_words(drawn: PairUncertainty) -> str:
+def pair_words(distribution: PairUncertainty) -> str:
     """Return how probably the first of two sensors is better over sensor types, their difference,
     and what matters most.
     """
-    first, other = drawn.names
-    better, metric = drawn.probability_a_better, drawn.metric
-    low, middle, high = (f"{value:+.2g}" for value in drawn.difference.quantiles.values())
+    first, other = distribution.names
+    better, metric = distribution.probability_a_better, distribution.metric
+    low, middle, high = (f"{value:+.2g}" for value in distribution.difference.quantiles.values())
     judge = "" if metric.is_delta_e else f"{metric.words}: "
     unit = " ΔE" if metric.is_delta_e else metric.unit and f" {metric.unit}"
     return (
         f"{judge}over {better.draws} sensor types {first} is better than {other} with the"
         f" probability {better}; difference {middle}{unit} in the median, nine tenths from {low} to"
-        f" {high}; {_largest_share_words(drawn)}"
+        f" {high}; {_largest_share_words(distribution)}"
     )
 
 
-def _largest_share_words(drawn: PairUncertainty) -> str:
+def _largest_share_words(distribution: PairUncertainty) -> str:
     """Return the unknown number with the largest share of the variance of a difference."""
     shares = {
-        label: drawn.shares[name]["first"] for name, label in input_labels(drawn.sample).items()
+        label: distribution.shares[name]["first"]
+        for name, label in input_labels(distribution.sample).items()
     }
     shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
     if not shares:

@@ -13,7 +13,7 @@ import numpy as np
 from pixsim.base.digits import UNKNOWN, difference_cells, f_stop, probability, rounded, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
-from pixsim.report.score import judged_by_delta_e, unmet
+from pixsim.report.score import exceeded_words, judged_by_delta_e
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.figures import literal
@@ -58,18 +58,18 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
     error = pairs.half_width + (film or 0.0)
-    amount = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
+    amount_words = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
     chance = probability(
         max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size
     )
     if size <= error:
         return (
-            f"{first} and {other} cannot be told apart: {better} is better by {amount} (probability"
+            f"{first} and {other} cannot be told apart: {better} is better by {amount_words} (probability"
             f" {chance})"
         )
-    is_hidden = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
-    visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_hidden else ""
-    return f"{better} is better than {worse} by {amount} (probability {chance}){visible}"
+    is_invisible = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
+    visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_invisible else ""
+    return f"{better} is better than {worse} by {amount_words} (probability {chance}){visible}"
 
 
 def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
@@ -102,7 +102,7 @@ def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) 
 # --- a comparison of sensors
 
 
-def asked_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
+def requested_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
     """Return the metrics that were asked for, in their order; the first one decides."""
     return tuple(metrics_named(job.base[0].metrics))
 
@@ -117,10 +117,10 @@ def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> l
     sentence = (
         f"{pair_sentence(result.pairs(other, metric), film)}{mean} with match {result.job.match}"
     )
-    return [sentence, *(depends(result, other) if metric.is_delta_e else [])]
+    return [sentence, *(dependences(result, other) if metric.is_delta_e else [])]
 
 
-def depends(result: Comparison, other: str) -> list[str]:
+def dependences(result: Comparison, other: str) -> list[str]:
     """Return what turns the answer by mean ΔE for the first sensor and another: the display, the
     match, or the condition.
 
@@ -142,16 +142,16 @@ def depends(result: Comparison, other: str) -> list[str]:
         },
     }
     names = {1: result.names[0], -1: other}
-    words = []
-    for what, places in signs.items():
+    sentences = []
+    for influence, places in signs.items():
         if {1, -1} <= set(places.values()):
             first, *others = [(names[sign], where) for where, sign in places.items() if sign]
             texts = [" is better ".join(first), *(" ".join(other_place) for other_place in others)]
-            words.append(f"depends on the {what}: {', '.join(texts)}")
-    return words
+            sentences.append(f"depends on the {influence}: {', '.join(texts)}")
+    return sentences
 
 
-def over_cases(result: Comparison, other: str) -> str:
+def better_cases_words(result: Comparison, other: str) -> str:
     """Return at which values of axes the first sensor is better by the first metric, and at which
     another one.
 
@@ -159,10 +159,10 @@ def over_cases(result: Comparison, other: str) -> str:
 
     other : name of the other one
     """
-    first, metric = result.names[0], asked_metrics(result.job)[0]
+    first, metric = result.names[0], requested_metrics(result.job)[0]
     places: dict[int, list[str]] = {1: [], -1: [], 0: []}
     for case in result.cases:
-        is_turned = metric.is_delta_e and depends(case, other)
+        is_turned = metric.is_delta_e and dependences(case, other)
         places[0 if is_turned else case.sign(other, metric)].append(case.case.words or BASE)
     words = {
         1: f"{first} is better than {other}",
@@ -177,8 +177,8 @@ def over_cases(result: Comparison, other: str) -> str:
             else f"at {'; '.join(values)}"
         )
         parts += [f"{words[sign]} {where}"] if values else []
-    judged = "" if metric.is_delta_e else f" in {metric.words}"
-    return f"{', '.join(parts)}{judged} with match {result.job.match}"
+    metric_words = "" if metric.is_delta_e else f" in {metric.words}"
+    return f"{', '.join(parts)}{metric_words} with match {result.job.match}"
 
 
 def mean_words(result: Comparison, name: str, metric: Metric) -> str:
@@ -196,18 +196,18 @@ def doubts(result: Comparison) -> list[str]:
     """Return the largest cause of mean ΔE beside the sensors, or error of a render above its limit,
     in words; none without.
     """
-    sized: list[tuple[float, str]] = []
+    sized_doubts: list[tuple[float, str]] = []
     for group in result.groups():
         for sensor in result.sensors_of_group(group).values():
             where = ", ".join(filter(None, (sensor.name, group.first.condition)))
-            sized += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
+            sized_doubts += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
             errors = noise_error_and_limit(sensor.light.image.header)
-            sized += zip(
+            sized_doubts += zip(
                 exceeded(*errors).values(),
-                (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors)),
+                (f"{NOT_CONVERGED}: {words}" for words in exceeded_words(*errors)),
                 strict=True,
             )
-    return [words for _, words in sorted(sized)[-1:]]
+    return [words for _, words in sorted(sized_doubts)[-1:]]
 
 
 def notes(result: Comparison) -> list[Note]:
@@ -224,12 +224,14 @@ def notes(result: Comparison) -> list[Note]:
         ]
         for group in result.all_groups
     }
-    first, *others = group_notes.values()
-    shared = [note for note in first if all(note in noted for noted in others)]
+    first, *other_notes = group_notes.values()
+    shared = [
+        note for note in first if all(note in notes_of_group for notes_of_group in other_notes)
+    ]
     further = [
         note.of([words])
-        for words, noted in group_notes.items()
-        for note in noted
+        for words, notes_of_group in group_notes.items()
+        for note in notes_of_group
         if note not in shared
     ]
     return list(dict.fromkeys([*result.warned, *shared, *further]))

@@ -51,7 +51,7 @@ class Views:
     sheet: bytes = field(repr=False)
 
 
-def best_place(curve: Curve) -> int:
+def best_index(curve: Curve) -> int:
     """Return the index of the evaluated pitch with the smallest mean ΔE."""
     return int(np.nanargmin(curve.mean()))
 
@@ -61,7 +61,7 @@ def map_end(result: StudyResult) -> float:
     largest pixels.
     """
     largest_p99 = [
-        curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves
+        curve.mean("p99_delta_e")[[0, best_index(curve), -1]].max() for curve in result.curves
     ]
     return scale_end(float(max(largest_p99)))
 
@@ -70,10 +70,10 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
     """Return whole pictures of the smallest, best and largest pixels, and a detail from every
     pitch.
     """
-    at, last, end = best_place(curve), curve.pitch_um.size - 1, map_end(result)
+    best, last, end = best_index(curve), curve.pitch_um.size - 1, map_end(result)
     scores = {
-        place: result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0]
-        for place in sorted({0, at, last})
+        index: result.shown_scores(curve.technology, float(curve.pitch_um[index]), 1)[0]
+        for index in sorted({0, best, last})
     }
 
     ideal = max((score.ideal for score in scores.values()), key=np.size)
@@ -86,26 +86,26 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
     )
 
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
-    for place, pitch_um in enumerate(curve.pitch_um.tolist()):
+    for index, pitch_um in enumerate(curve.pitch_um.tolist()):
         part = (
-            window.of(scores[place].image)
-            if place in scores
+            window.of(scores[index].image)
+            if index in scores
             else result.shown_part(curve.technology, pitch_um, window.of)
         )
-        tiles.append(Picture(display_codes(part), *labels(curve, place), place == at))
+        tiles.append(Picture(display_codes(part), *labels(curve, index), index == best))
 
     outputs = []
-    for place, score in scores.items():
-        size, mean = labels(curve, place)
+    for index, score in scores.items():
+        size, mean = labels(curve, index)
         outputs.append(
-            replace(whole_picture(score.image, f"{rank(curve, place)}, {size}"), note=mean)
+            replace(whole_picture(score.image, f"{rank(curve, index)}, {size}"), note=mean)
         )
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         tiles=tuple(tiles),
         crops=tuple(
-            crops(score, window, rank(curve, place), end) for place, score in scores.items()
+            crops(score, window, rank(curve, index), end) for index, score in scores.items()
         ),
         ideal=whole_picture(ideal, "ideal image"),
         factor=factor_for(ideal),
@@ -117,18 +117,18 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
     )
 
 
-def labels(curve: Curve, place: int) -> tuple[str, str]:
+def labels(curve: Curve, index: int) -> tuple[str, str]:
     """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
     return pixel_size(
-        float(curve.pitch_um[place])
-    ), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[place]))}"
+        float(curve.pitch_um[index])
+    ), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[index]))}"
 
 
-def rank(curve: Curve, place: int) -> str:
+def rank(curve: Curve, index: int) -> str:
     """Return whether a pitch is the smallest, the largest or that of the least error tried, as
     text.
     """
     names = {0: "smallest", curve.pitch_um.size - 1: "largest"}
     return ", ".join(
-        filter(None, (names.get(place), LOWEST_ERROR if place == best_place(curve) else ""))
+        filter(None, (names.get(index), LOWEST_ERROR if index == best_index(curve) else ""))
     )

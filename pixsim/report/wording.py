@@ -13,7 +13,7 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop, interval, pixel_size, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
-from pixsim.report.score import unmet
+from pixsim.report.score import exceeded_words
 from pixsim.show.document import Answer, Strong
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import stated_end_lp_per_mm
@@ -75,20 +75,20 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     film : None if its error was not measured
     """
     error, limit = light_error_and_limit(header, film)
-    above = exceeded(error, limit)
-    if not above:
+    exceeded_errors = exceeded(error, limit)
+    if not exceeded_errors:
         return []
-    first = f"{NOT_CONVERGED}: {'; '.join(unmet(error, limit))}"
+    first = f"{NOT_CONVERGED}: {'; '.join(exceeded_words(error, limit))}"
     if film is None:
         return [f"{first}. To be surer: a render of its own, with more samples"]
 
-    means = []
-    if "film_delta_e" in above:
-        means.append(f"a finer film ({setting('resolution')})")
-    if "noise_delta_e" in above:
-        means.append(f"a longer {setting('max_seconds')}")
-    means.append(f"or a smaller part of the die ({setting('window_mm')}, in mm)")
-    return [f"{first}. To be surer: {', '.join(means)}"]
+    remedies = []
+    if "film_delta_e" in exceeded_errors:
+        remedies.append(f"a finer film ({setting('resolution')})")
+    if "noise_delta_e" in exceeded_errors:
+        remedies.append(f"a longer {setting('max_seconds')}")
+    remedies.append(f"or a smaller part of the die ({setting('window_mm')}, in mm)")
+    return [f"{first}. To be surer: {', '.join(remedies)}"]
 
 
 def lens_words(camera: Camera) -> str:

@@ -40,9 +40,9 @@ from pixsim.measure.experiment import (
 )
 from pixsim.report.datasheet import (
     FILES as PLANNED,
+    datasheet_answer,
     datasheet_document,
     datasheet_notes,
-    described,
     measurement_words,
     sheet_name,
     spectrogram,
@@ -365,7 +365,7 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(
     )
     dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
-    assert (f"{gain_db:g} dB" in str(described(made))) == (gain_db > 0)
+    assert (f"{gain_db:g} dB" in str(datasheet_answer(made))) == (gain_db > 0)
     assert not any("hot pixels" in note for note in datasheet_notes(made))
 
 
@@ -487,7 +487,7 @@ def test_colour_entries_measured_within_standard_errors(colour_sheet: DataSheet)
     """Of 46 entries; a normal pull exceeds 4.5 once in 150 000."""
     test_entries_measured_within_standard_errors(colour_sheet)
     physics, lines = derive(colour_pixel()), by_symbol(colour_sheet)
-    assert "530 nm on channel G" in str(described(colour_sheet))
+    assert "530 nm on channel G" in str(datasheet_answer(colour_sheet))
     assert "those of G" in measurement_words(colour_sheet)
     for symbol, letter in (("η", "G"), ("η_R", "R"), ("η_B", "B")):
         (channel,) = (one for one in physics.channels if one.channel == letter)

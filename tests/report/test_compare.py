@@ -17,7 +17,7 @@ from helpers.sheets import two_sheets
 import pixsim
 from pixsim.base.digits import with_error
 from pixsim.report.compare import numbers
-from pixsim.report.verdicts import depends, over_cases, pair_sentence
+from pixsim.report.verdicts import better_cases_words, dependences, pair_sentence
 from pixsim.studies.comparison import Comparison, DisplayDifference
 from pixsim.studies.design import Case
 from pixsim.studies.paired import Pairs
@@ -155,7 +155,7 @@ def test_verdict_depends_on_the_display_where_the_sign_differs(
     )
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None: 1)
     job = SimpleNamespace(names=("a", "b"), matches=("view",))
-    assert depends(Comparison(job, None, ()), "b") == words  # type: ignore[arg-type]
+    assert dependences(Comparison(job, None, ()), "b") == words  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("metrics", [["detectability"], ["detectability", "delta_e"]])
@@ -216,11 +216,11 @@ def test_headline_over_axes_says_where_which_is_better(
 ) -> None:
     cases = [Case(settings=Run(), at={"light": light}) for light in (100, 0.05, 1)]
     job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases, base=(Run(),))
-    monkeypatch.setattr("pixsim.report.verdicts.depends", lambda result, other: [])
+    monkeypatch.setattr("pixsim.report.verdicts.dependences", lambda result, other: [])
     monkeypatch.setattr(
         Comparison, "sign", lambda self, other, metric=None: signs[self.combination]
     )
-    assert over_cases(Comparison(job, None, ()), "b") == f"{words} with match lens"  # type: ignore[arg-type]
+    assert better_cases_words(Comparison(job, None, ()), "b") == f"{words} with match lens"  # type: ignore[arg-type]
 
 
 def test_each_value_of_an_axis_is_a_comparison_of_its_own(

@@ -19,7 +19,7 @@ from pixsim.base.digits import estimate, pixel_size
 from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.report.pictures import crops
-from pixsim.report.views import best_place, rank, study_views
+from pixsim.report.views import best_index, rank, study_views
 from pixsim.show import pictures
 from pixsim.show.pictures import (
     DETAIL_DOTS,
@@ -169,7 +169,7 @@ def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult) -> Non
     pictures have at most 1024 dots.
     """
     curve = tiny_result.curves[0]
-    (score,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    (score,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_index(curve)]), 1)
     ideal, image = (np.kron(picture, np.ones((10, 10))) for picture in (score.ideal, score.image))
     large: Any = SimpleNamespace(
         ideal=ideal, image=image, delta_e=score.delta_e, physics=score.physics
@@ -205,7 +205,7 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
         tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9]), tmp_path, jobs=1
     )
     curve = result.curves[0]
-    at = best_place(curve)
+    at = best_index(curve)
     scores = [
         result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()
     ]
@@ -240,7 +240,7 @@ def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
         statistics={"mean_delta_e": delta_e},
         fit=replace(tiny_result.curves[0].fit, optimum=optimum),
     )
-    assert best_place(curve) == 1
+    assert best_index(curve) == 1
     assert [rank(curve, place) for place in (0, 1, 5)] == [
         "smallest",
         "least error tried",

@@ -16,7 +16,7 @@ from scipy import stats
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.compare import numbers
-from pixsim.report.verdicts import depends, verdict_parts
+from pixsim.report.verdicts import dependences, verdict_parts
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.paired import paired
 from pixsim.studies.sensors import prepare
@@ -113,7 +113,7 @@ def test_verdict_names_the_conditions_that_disagree(
         Comparison, "sign", lambda self, other, match=None, condition=None: signs[condition]
     )
     places = "a is better in day (weight 0.75), b in night (weight 0.25)"
-    assert f"depends on the condition: {places}" in depends(both, "b")
+    assert f"depends on the condition: {places}" in dependences(both, "b")
     assert verdict_parts(both, "b")[0].endswith(" on average with match view")
 
 

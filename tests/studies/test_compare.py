@@ -24,7 +24,7 @@ from pixsim.base.progress import Progress
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
 from pixsim.report.compare import facts, numbers
-from pixsim.report.verdicts import common_words, depends, verdict_parts
+from pixsim.report.verdicts import common_words, dependences, verdict_parts
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.document import DocumentTable
@@ -554,7 +554,7 @@ def test_verdict_says_that_the_match_turns_it(
     )
     monkeypatch.setattr(type(noisy.job), "matches", ("view", "lens"))
     turned = "depends on the match: a is better with view, noisy with lens"
-    assert depends(noisy, "noisy") == [turned]
+    assert dependences(noisy, "noisy") == [turned]
     sentence, *turns = verdict_parts(noisy, "noisy")
     assert sentence.endswith(" with match view")
     assert turns == [turned]

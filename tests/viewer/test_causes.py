@@ -26,7 +26,7 @@ from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spect
 from pixsim.optics.camera import Camera
 from pixsim.report.curve import optimum_line
 from pixsim.report.run import run_document, shown_mean_of, uncertain_metrics_words
-from pixsim.report.score import shown_mean, unmet
+from pixsim.report.score import exceeded_words, shown_mean
 from pixsim.report.study import study_document
 from pixsim.report.study_facts import study_notes
 from pixsim.scene.plan import make_plan
@@ -476,7 +476,7 @@ def test_largest_cause_is_named_first() -> None:
         (0.5, "the film's error is up to 0.6"),
         (2.8, "the error by render noise is up to 3"),
     ):
-        words = unmet(LightError(0.6, noise_delta_e), limit)
+        words = exceeded_words(LightError(0.6, noise_delta_e), limit)
         assert words[0].startswith(first)
         assert len(words) == 2
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])

@@ -44,7 +44,7 @@ def comparison_files(
     figures: Figures,
     progress: Stage,
     seconds: dict[str, float],
-    **how: Any,
+    **prepare_options: Any,
 ) -> tuple[Document, Path | None]:
     """Write the files of a comparison to a folder. Returns the answer and the page; no page of a
     dry run.
@@ -53,7 +53,7 @@ def comparison_files(
     out : folder; None means one named by the sensors
     axes : NAME=VALUES each, over those of the files
     progress, seconds : stages, and where their wall times are collected
-    how : the other keywords of `pixsim.studies.sensors.prepare`
+    prepare_options : the other keywords of `pixsim.studies.sensors.prepare`
 
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
@@ -62,7 +62,13 @@ def comparison_files(
     options = with_axes(options, axes, stated)
     with collected_notes() as notes:
         job = prepare(
-            sensors, scene, study=study, config=config, options=options, quick=quick, **how
+            sensors,
+            scene,
+            study=study,
+            config=config,
+            options=options,
+            quick=quick,
+            **prepare_options,
         )
         folder = out or DEFAULT_OUT / "-".join(job.names)
         if dry_run:

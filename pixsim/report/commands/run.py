@@ -27,7 +27,7 @@ def run_files(
     dry_run: bool,
     progress: Stage,
     seconds: dict[str, float],
-    **how: Any,
+    **prepare_options: Any,
 ) -> tuple[Document, Path | None]:
     """Write the files of a run to a folder. Returns the answer and the page; no page of a dry run.
 
@@ -35,7 +35,7 @@ def run_files(
     formats : of the raw frame, besides EXR
     irradiance : what irradiance.exr holds
     progress, seconds : stages, and where their wall times are collected
-    how : the other keywords of `pixsim.studies.run.prepare`
+    prepare_options : the other keywords of `pixsim.studies.run.prepare`
 
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
@@ -45,8 +45,8 @@ def run_files(
     check_raw(settings, suffixes)
     files = RunFiles(tuple(suffixes), irradiance, settings.noise_budget)
     if not dry_run:
-        check_replaceable(folder, files.names(how["frames"]))
-    prepared = prepare(scene, settings, **how)
+        check_replaceable(folder, files.names(prepare_options["frames"]))
+    prepared = prepare(scene, settings, **prepare_options)
     if dry_run:
         return outline_document("run", run_outline(prepared), folder), None
 
