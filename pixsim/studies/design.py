@@ -548,13 +548,15 @@ def with_range_ends(study: Study) -> Study:
         if number is None:
             axes.append(axis)
             continue
-        known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
-        if number not in known:
+        range_numbers = dict.fromkeys(
+            name for process in processes.values() for name in process.numbers
+        )
+        if number not in range_numbers:
             raise invalid(
                 f"axis {axis.name}: range_of",
                 f"'{number}'",
-                ", ".join(known),
-                did_you_mean(number, known),
+                ", ".join(range_numbers),
+                did_you_mean(number, range_numbers),
             )
         values: list[tuple[str, dict[str, dict[str, float]]]] = []
         for end, word in enumerate(("all low", "all high")):
@@ -580,16 +582,10 @@ def with_range_ends(study: Study) -> Study:
 
 
 def single_technology_table(study: Study, technology: str) -> dict[str, Any]:
-    """Return the settings of a case that one technology depends on: without the other ones and
-    their numbers.
-    """
+    """Return a study's settings with one technology: without the other ones and their numbers."""
     table = study.model_dump(mode="json", exclude={"axis", "condition", "title", "sources"})
-    kept = {"technologies": [technology]}
-    return (
-        table
-        | kept
-        | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
-    )
+    numbers = {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
+    return table | {"technologies": [technology]} | numbers
 
 
 def values_at(

@@ -78,9 +78,9 @@ def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
     samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
     if plan.many_bounces:
         samples = max(samples, float(plan.most_samples))
-    of_cell_s = CELL_S if plan.film.tiling is None else LENS_CELL_S
+    cell_s = CELL_S if plan.film.tiling is None else LENS_CELL_S
     kernels_s = 0.0 if plan.samples.exact else KERNEL_S * len(plan.light.lamps)
-    return kernels_s + samples * SAMPLE_S / cores + cells * of_cell_s
+    return kernels_s + samples * SAMPLE_S / cores + cells * cell_s
 
 
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
@@ -94,11 +94,11 @@ def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
 
 
 def _frame_costs(
-    study: Study, camera: Camera, known: dict[Any, list[FrameCost]]
+    study: Study, camera: Camera, costs: dict[Any, list[FrameCost]]
 ) -> list[FrameCost]:
     """Return `frame_cost` of each pitch of all technologies of a study.
 
-    known : costs by what they depend on, to which these are added: thousands of cases differ in
+    costs : costs by what they depend on, to which these are added: thousands of cases differ in
         little of that
     """
     pitches_um = [
@@ -107,9 +107,9 @@ def _frame_costs(
         for pitch_um in study_pitches_um(study, name).tolist()
     ]
     key = (camera.die_um, study.display.raster, study.display.dots, *pitches_um)
-    if key not in known:
-        known[key] = [frame_cost(camera, pitch_um, study.display) for pitch_um in pitches_um]
-    return known[key]
+    if key not in costs:
+        costs[key] = [frame_cost(camera, pitch_um, study.display) for pitch_um in pitches_um]
+    return costs[key]
 
 
 def fitting_jobs(study: Study, camera: Camera) -> int:
@@ -121,11 +121,11 @@ def fitting_jobs(study: Study, camera: Camera) -> int:
 
 def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
     """Return the memory of the largest frame of a study's cases."""
-    known: dict[Any, list[FrameCost]] = {}
+    costs: dict[Any, list[FrameCost]] = {}
     return max(
         frame.memory_bytes
         for study, camera in cases
-        for frame in _frame_costs(study, camera, known)
+        for frame in _frame_costs(study, camera, costs)
     )
 
 
@@ -162,17 +162,19 @@ def study_cost(
     types : of sensors for each case, beside the study itself
     checked : evaluations of its frames on further displays
     """
-    known: dict[Any, list[FrameCost]] = {}
-    frames = [_frame_costs(study, camera, known) for study, camera in cases]
-    largest = max(frame.memory_bytes for of_case in frames for frame in of_case)
+    costs: dict[Any, list[FrameCost]] = {}
+    frames = [_frame_costs(study, camera, costs) for study, camera in cases]
+    largest = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
     jobs = jobs or jobs_in_memory(largest)
 
     evaluations, frames_s = 0, 0.0
-    for (study, _), of_case in zip(cases, frames, strict=True):
-        one_sensor_s = sum(frame.seconds for frame in of_case)
-        of_types = types * MAX_TYPE_EVALUATIONS * len(study.technologies)
-        evaluations += study.repeats * len(of_case) + of_types
-        frames_s += study.repeats * one_sensor_s + of_types * one_sensor_s / len(of_case)
+    for (study, _), case_frames in zip(cases, frames, strict=True):
+        one_sensor_s = sum(frame.seconds for frame in case_frames)
+        type_evaluations = types * MAX_TYPE_EVALUATIONS * len(study.technologies)
+        evaluations += study.repeats * len(case_frames) + type_evaluations
+        frames_s += study.repeats * one_sensor_s + type_evaluations * one_sensor_s / len(
+            case_frames
+        )
     evaluations, frames_s = evaluations + checked, frames_s * (1 + checked / evaluations)
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
@@ -244,12 +246,12 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     """
     study, request = job.settings, job.request
     lights = len({light_hash(case.settings) for case in job.combinations})
-    of_cases = [(case.settings, case.camera) for case in job.combinations]
+    cases = [(case.settings, case.camera) for case in job.combinations]
     drawn = types * sum(
         metric.has_optimum for metric in metrics_of(study).chosen
     )  # each metric has pixel sizes of its own
     checked = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
-    cost = study_cost(of_cases, lights, request.plan, request.shape, jobs, drawn, checked)
+    cost = study_cost(cases, lights, request.plan, request.shape, jobs, drawn, checked)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [
         _planned_sensors(name, pitches_um, study.repeats, job.camera)

@@ -311,12 +311,12 @@ def _once(
         # At least two: after a worker's death, joblib must not run the remaining calls in this
         # process.
         results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
-    shown: set[Note] = set()
+    warned: set[Note] = set()
     for index, result, notes in results:
         for note in notes:
-            if note not in shown:
+            if note not in warned:
                 warn(note)
-                shown.add(note)
+                warned.add(note)
         yield index, result
 
 

@@ -285,7 +285,7 @@ class Task:
     stream : how the keys of its random streams begin, before the repeat
     light_key, frames_key : hashes of everything that their light and their frames depend on; empty:
         frames are not cached
-    keys : of its rows, by their numbers as of `LitCase.keys`
+    keys : of its rows, by their numbers as of `RenderedCase.keys`
     shares_sensors : whether other cases may have the same sensors
     """
 
@@ -440,19 +440,21 @@ def evaluate_task(
     names = *PIXEL_STATISTICS, *columns_of_metrics(request.chosen)
     try:
         for repeat, chain, frame, mean_e in frames_of(
-            task, light, repeats, shown=not request.needs_light
+            task, light, repeats, light_optional=not request.needs_light
         ):
             cached_mean = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
                 on_screen = (
                     chain if isinstance(light, SceneLight) else chain.on(light.screens[display])
                 )
-                of_run = (
+                run_stream = (
                     0,
                     task.imaging.stream_of(task.stream, repeat),
                 )  # each sensor of a run is one by itself
                 judged = FrameUnderTest.of(
-                    on_screen, frame, *(of_run if task.imaging.is_run else (repeat, task.stream))
+                    on_screen,
+                    frame,
+                    *(run_stream if task.imaging.is_run else (repeat, task.stream)),
                 )
                 undefined: dict[str, str] = {}
                 numbers = judged.statistics(undefined) | cached_mean
@@ -545,20 +547,20 @@ def _shown_chain(
 
 
 def frames_of(
-    task: Task, light: SharedLight, repeats: Iterable[int], *, shown: bool
+    task: Task, light: SharedLight, repeats: Iterable[int], *, light_optional: bool
 ) -> Iterator[tuple[int, ImagingChain, Frame, float | None]]:
     """Yield repeats with their imaging chain, their frame, and the mean of its electrons if the
     cache has it.
 
     New frames are stored there, after the last one.
 
-    shown : whether frames of the cache may lack the light behind them (`_shown_chain`)
+    light_optional : whether frames of the cache may lack the light behind them (`_shown_chain`)
     """
     before = _cached_frames(task.frames_key)
     frames = dict(before)
     for repeat in repeats:
         chain = (
-            _shown_chain(task, light, repeat, before) if shown and before else None
+            _shown_chain(task, light, repeat, before) if light_optional and before else None
         ) or chain_of(task, light, repeat)
         if chain.rendition is not None:
             chain.development.matrix  # noqa: B018 – raises an error before a frame is made
@@ -654,11 +656,11 @@ class Counts:
             f"{self.renders} renders, {self.prepared_scenes} lights behind the lens, {frames}"
             " frames"
         )
-        known = (
+        reused = (
             f"{self.evaluations_reused} evaluations known before, {self.frames_reused} frames"
             " reused"
         )
-        return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {known}"
+        return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {reused}"
 
 
 # The tables of cases that are evaluated together -> the sizes and sensors of each, with further
@@ -876,14 +878,14 @@ class _Evaluation:
         key, pitch_um, repeat, display = place
         rendered = self.cases[number]
         viewed = rendered.displays[display]
-        of_display = (viewed.dots, viewed.samples_per_deg) if self.has_displays else ()
+        display_labels = (viewed.dots, viewed.samples_per_deg) if self.has_displays else ()
         return (
             key,
             rendered.case.sensor,
             pitch_um,
             repeat,
             *rendered.case.labels.values(),
-            *of_display,
+            *display_labels,
             *values,
         )
 
@@ -925,7 +927,7 @@ class _Evaluation:
 
     def table(self, numbers: Sequence[int]) -> Table:
         """Return the points of some cases, with their labels; all points must be known."""
-        of_case, pitches, repeats, displays = [], [], [], []
+        case_numbers, pitches, repeats, displays = [], [], [], []
         keys: list[str] = []
         for place, number in enumerate(numbers):
             count_displays = len(self.cases[number].displays)
@@ -933,7 +935,7 @@ class _Evaluation:
                 keys_of_size = self.cases[number].keys(pitch_um, count)
                 keys += keys_of_size
                 order = np.arange(len(keys_of_size))
-                of_case.append(np.full(order.size, place, np.int32))
+                case_numbers.append(np.full(order.size, place, np.int32))
                 pitches.append(np.full(order.size, pitch_um))
                 checked = CHECKED_REPEATS * count_displays
                 is_checked = order < checked
@@ -941,7 +943,7 @@ class _Evaluation:
                     np.where(is_checked, order // count_displays, CHECKED_REPEATS + order - checked)
                 )
                 displays.append(np.where(is_checked, order % count_displays, 0))
-        case = np.concatenate(of_case)
+        case = np.concatenate(case_numbers)
         columns: dict[str, Any] = {
             "pitch_um": np.concatenate(pitches),
             "repeat": np.concatenate(repeats).astype(np.int32),
@@ -953,8 +955,10 @@ class _Evaluation:
                     [getattr(display, name) for display in self.cases[number].displays]
                     for number in numbers
                 ]
-                most = max(map(len, values))
-                padded = np.array([[*row, *[0] * (most - len(row))] for row in values], kind)
+                max_displays = max(map(len, values))
+                padded = np.array(
+                    [[*row, *[0] * (max_displays - len(row))] for row in values], kind
+                )
                 columns[name] = padded[case, number_of_display]
         numbers_of_rows = self.store.values_of(keys)
         columns |= {
@@ -1020,12 +1024,12 @@ class _Evaluation:
         for group in sorted(
             self.groups, key=lambda group: first[id(self.cases[self.groups[group][0]].scenes)]
         ):
-            own = {self.cases[number].light_id for number in self.groups[group]}
-            if not parts or len(lights | own) > self.capacity:
+            group_lights = {self.cases[number].light_id for number in self.groups[group]}
+            if not parts or len(lights | group_lights) > self.capacity:
                 parts.append([])
                 lights = set()
             parts[-1].append(group)
-            lights |= own
+            lights |= group_lights
         return parts
 
     def _batches(self, chosen: Sequence[int]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
@@ -1037,13 +1041,13 @@ class _Evaluation:
         """
         tasks: dict[object, list[Task]] = {}
         lights: dict[object, RenderedCase] = {}
-        asked: set[str] = set()
+        scheduled_keys: set[str] = set()
         for number in chosen:
             rendered = self.cases[number]
             lights.setdefault(rendered.light_id, rendered)
-            is_done = partial(self._is_done, asked)
+            is_done = partial(self._is_done, scheduled_keys)
             for task in _tasks_of(rendered, self.sizes[number], is_done):
-                asked |= set(task.keys.values())
+                scheduled_keys |= set(task.keys.values())
                 tasks.setdefault(rendered.light_id, []).append(task)
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         # Processes of this machine have lights in files, and share them.
@@ -1065,9 +1069,9 @@ class _Evaluation:
             batches.append(calls)
         return batches
 
-    def _is_done(self, asked: set[str], key: str) -> bool:
+    def _is_done(self, scheduled_keys: set[str], key: str) -> bool:
         """Return whether a point is known, or asked for already."""
-        return key in self.store or key in self.impossible or key in asked
+        return key in self.store or key in self.impossible or key in scheduled_keys
 
     def _light(self, batch: int, rendered: RenderedCase) -> SharedLight:
         """Return a light; those of another batch are dropped. In a batch that does not fit into

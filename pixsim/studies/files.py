@@ -72,19 +72,21 @@ def settings_text(
     table = record.model_dump(mode="json", exclude_none=True) | changes
     for name, spreads in (uncertainty or {}).items():
         pixel = table.get("sensors", {}).get(name) if name else table.get("pixel")
-        kept = {
+        stated_spreads = {
             number: spread.model_dump(exclude_none=True)
             for number, spread in spreads.items()
             if spread.holds(pixel, number)
         }
-        if isinstance(pixel, dict) and kept:
-            pixel["uncertainty"] = kept
+        if isinstance(pixel, dict) and stated_spreads:
+            pixel["uncertainty"] = stated_spreads
     if "axis" in table:
         table["axis"] = [_without_files_of_axis(axis) for axis in table["axis"]]
     for condition in table.get("condition", ()):
         condition["set"] = _without_files(condition["set"])
-    if isinstance(without := table.get("metric", {}).get("detectability", {}).get("without"), str):
-        table["metric"]["detectability"]["without"] = whole_path(without)
+    if isinstance(
+        background := table.get("metric", {}).get("detectability", {}).get("without"), str
+    ):
+        table["metric"]["detectability"]["without"] = whole_path(background)
     if "file" in table.get("lens", {}):
         table["lens"]["file"] = whole_path(table["lens"]["file"])
         if catalogues := table["lens"].get("glass_catalogues"):
@@ -131,11 +133,11 @@ def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
             for value in values
         ]
         axis = {name: value for name, value in axis.items() if name != "set"} | {"values": tables}
-    shown = [
-        each | {"set": _without_files(each["set"])} if isinstance(each, dict) else each
-        for each in axis.get("values", ())
+    resolved_values = [
+        value | {"set": _without_files(value["set"])} if isinstance(value, dict) else value
+        for value in axis.get("values", ())
     ]
-    return axis | ({"values": shown} if shown else {})
+    return axis | ({"values": resolved_values} if resolved_values else {})
 
 
 def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,15 +219,15 @@ def study_path(name: str | os.PathLike[str]) -> Path:
     """Return the file of a study: of a packaged one by its name. Raises PixsimError for another
     name.
     """
-    known = packaged("data/studies")
-    path = known.get(str(name)) or Path(name)
+    packaged_studies = packaged("data/studies")
+    path = packaged_studies.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         got = f"'{name}'" if path.parent == Path() else missing(path)
         raise invalid(
             "study",
             got,
-            f"a TOML file, or one of {', '.join(known)}",
-            did_you_mean(str(name), known),
+            f"a TOML file, or one of {', '.join(packaged_studies)}",
+            did_you_mean(str(name), packaged_studies),
         )
     return path
 
@@ -279,15 +281,17 @@ def uncertainty_of(
     And that of each data sheet whose numbers stand in the study's files, by its name.
     """
     files = [*study_files(name, quick), *map(settings_path, config)]
-    own = {number: spread for path in files for number, spread in sheet_uncertainty(path).items()}
+    pixel_spreads = {
+        number: spread for path in files for number, spread in sheet_uncertainty(path).items()
+    }
     tables = [(file, read_toml(file).get("sensors")) for file in files]
     sheets = {
-        name: found
+        name: sheet
         for file, sensors in tables
         if isinstance(sensors, dict)
-        for name, found in _sheets_of(sensors, file).items()
+        for name, sheet in _sheets_of(sensors, file).items()
     }
-    return {"": own} | {name: spreads for name, (_, spreads) in sheets.items()}
+    return {"": pixel_spreads} | {name: spreads for name, (_, spreads) in sheets.items()}
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
@@ -305,14 +309,14 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     values = [
         value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)
     ]
-    settings = [each.get("set") for each in (*_tables(values), *_tables(table.get("condition")))]
+    settings = [table.get("set") for table in (*_tables(values), *_tables(table.get("condition")))]
     for part in (table, *_tables(settings)):
         resolve_files(part, path, FILES)
 
 
 def _tables(value: object) -> list[dict[str, Any]]:
     """Return the tables of a list; none of anything else, which is refused later."""
-    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
+    return [table for table in value if isinstance(table, dict)] if isinstance(value, list) else []
 
 
 def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:
@@ -351,12 +355,12 @@ def load_study(
         2.0}, window_mm=1.0
     """
     options = tables_of_python(settings)
-    of_scene = {
+    scene_settings = {
         "file": None if scene is None else str(scene),
         "parameters": dict(parameters) if parameters else None,
     }
     options |= (
-        {"scene": {name: value for name, value in of_scene.items() if value is not None}}
+        {"scene": {name: value for name, value in scene_settings.items() if value is not None}}
         if scene or parameters
         else {}
     )
@@ -398,10 +402,10 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     options : among the layers; a warning names those that an axis or the conditions override
     """
     study: Study = checked(Study, layers)
-    given = {
+    stated = {
         name: value for name, value in (options or {}).items() if name not in ("axis", "condition")
     }
-    for path in paths_of(given):
+    for path in paths_of(stated):
         if owner := owner_of(study, path):
             warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
     return study
@@ -416,10 +420,10 @@ def spreads_of_study(study: Study, uncertainty: Uncertainty) -> dict[str, dict[s
     spreads = {"": dict(uncertainty.get("", {}))}
     for name in study.technologies:
         if name in study.sensors:
-            of_file = (
+            file_spreads = (
                 sheet_uncertainty(Path(name))
                 if name not in uncertainty and Path(name).is_file()
                 else {}
             )
-            spreads[name] = dict(uncertainty.get(name, of_file))
+            spreads[name] = dict(uncertainty.get(name, file_spreads))
     return spreads

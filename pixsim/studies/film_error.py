@@ -87,10 +87,10 @@ def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
     """Return the samples of a film across each dot of the display, or across each detail of a chart
     that has fewer of these.
     """
-    of_chart = chart.details if chart else None
+    chart_details = chart.details if chart else None
     camera, display, pitch_um = imaging.camera, imaging.display, imaging.pixel.pitch_um
     details, _ = details_across(
-        camera, imaging.physics.aperture_side_um, display, pitch_um, of_chart
+        camera, imaging.physics.aperture_side_um, display, pitch_um, chart_details
     )
     return width / min(dots_across(camera, display, pitch_um), details)
 
@@ -121,9 +121,9 @@ def film_error(
     finer : the largest change with more samples across, of the films `FINER`
     is_chart : whether these show what the film's samples hide, as of a chart that is known
     """
-    of_near = NEAR if is_chart else max(NEAR, _ALIASED / per_dot**2)
+    near_factor = NEAR if is_chart else max(NEAR, _ALIASED / per_dot**2)
     unseen_delta_e = _UNSEEN * max(1 / per_dot - 1, 0.0) * mean_delta_e
-    return max(of_near * near, FAR * far, ROUGH * finer) + unseen_delta_e
+    return max(near_factor * near, FAR * far, ROUGH * finer) + unseen_delta_e
 
 
 def _step_size(fine: Array, coarse: Array) -> float:
@@ -166,18 +166,18 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
 
 
 def measured_places(
-    image: SpectralImage, pitch_um: float, display: Display, most: int | None = None
+    image: SpectralImage, pitch_um: float, display: Display, max_count: int | None = None
 ) -> list[Place]:
     """Return the rows and columns of the parts of a picture that are measured, whole blocks; none
     if it is measured whole.
 
-    most : of its cells, its pixels, or a quarter of the display's dots that are measured; None
+    max_count : of its cells, its pixels, or a quarter of the display's dots that are measured; None
         means `MEASURED`
     """
     height, width = image.shape
     pixels = height * width * (image.pitch_um / pitch_um) ** 2
     dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
-    thinner = math.sqrt(max(height * width, pixels, 4 * dots) / (most or MEASURED))
+    thinner = math.sqrt(max(height * width, pixels, 4 * dots) / (max_count or MEASURED))
     shortest = min(height, width) / PARTS
     fewest = max(
         BLOCK * MIN_PART_CELLS,
@@ -199,13 +199,13 @@ def measured_places(
 
 
 def parts_of(
-    image: SpectralImage, pitch_um: float, display: Display, most: int | None = None
+    image: SpectralImage, pitch_um: float, display: Display, max_count: int | None = None
 ) -> Iterator[tuple[SpectralImage, Display]]:
     """Yield the parts of a picture that are measured, whole blocks each, with displays that show
     them at the same scale.
     """
     width = image.shape[1]
-    if not (places := measured_places(image, pitch_um, display, most)):
+    if not (places := measured_places(image, pitch_um, display, max_count)):
         yield _whole_blocks(image), display
         return
     for rows, columns in places:
@@ -302,7 +302,7 @@ def finer_parts(
 
     chart : that the picture shows, if nothing else
     """
-    shown = _shown_chart(image, chart)
+    shown_chart = _shown_chart(image, chart)
     (height, width), places = (
         image.shape,
         measured_places(image, pitch_um, display, _MEASURED_FINER),
@@ -313,7 +313,7 @@ def finer_parts(
             image.with_planes(image.planes[:, rows, columns]),
             display_of(display, columns, width),
             (rows, columns),
-            shown,
+            shown_chart,
         )
         for rows, columns in places or whole
     ]
@@ -403,7 +403,8 @@ class FilmError:
     def within_tolerance(self) -> bool:
         """Whether the error is tolerated at every pitch."""
         return all(
-            error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True)
+            error <= tolerated
+            for error, tolerated in zip(self.delta_e, self.tolerated_delta_e, strict=True)
         )
 
     @property
@@ -414,10 +415,10 @@ class FilmError:
         """Return the error at other pitches, interpolated between those measured; infinite where it
         is unknown.
         """
-        known = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
-        if not np.isfinite(known).all():
+        delta_e = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
+        if not np.isfinite(delta_e).all():
             return np.full(np.shape(pitch_um), np.inf)
-        return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
+        return np.interp(np.log(pitch_um), np.log(self.pitch_um), delta_e)
 
     def at(self, pitch_um: float) -> FilmError:
         """Return the error and what is tolerated at one pitch, interpolated between those
@@ -427,8 +428,10 @@ class FilmError:
         tolerated = float(
             np.interp(np.log(pitch_um), np.log(self.pitch_um), self.tolerated_delta_e)
         )
-        known = error if math.isfinite(error) else math.nan
-        return replace(self, pitch_um=(pitch_um,), delta_e=(known,), tolerated_delta_e=(tolerated,))
+        delta_e = error if math.isfinite(error) else math.nan
+        return replace(
+            self, pitch_um=(pitch_um,), delta_e=(delta_e,), tolerated_delta_e=(tolerated,)
+        )
 
     def predicted_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
         """Return the errors at the pitches that are to be expected on a wider film; NaN where they
@@ -444,10 +447,10 @@ class FilmError:
         if before is not None:
             finer = math.log(self.shape[1] / before.shape[1])
             orders = [
-                min(max(math.log(error / own) / finer, MIN_ORDER), MAX_ORDER)
-                if error > 0 and own > 0
+                min(max(math.log(error / current_error) / finer, MIN_ORDER), MAX_ORDER)
+                if error > 0 and current_error > 0
                 else MAX_ORDER
-                for error, own in zip(before.delta_e, self.delta_e, strict=True)
+                for error, current_error in zip(before.delta_e, self.delta_e, strict=True)
             ]
         wider = self.shape[1] / across
         return tuple(
@@ -456,7 +459,7 @@ class FilmError:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
-        known = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]
+        delta_e = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]
         largest = self.largest_delta_e
         return {
             "resolution": self.shape[1],
@@ -466,8 +469,10 @@ class FilmError:
             "met": self.within_tolerance,
             "limit": self.limit,
             "pitch_um": list(self.pitch_um),
-            "delta_e_at_pitch": known,
-            "tolerated_delta_e": [float(f"{most:.3g}") for most in self.tolerated_delta_e],
+            "delta_e_at_pitch": delta_e,
+            "tolerated_delta_e": [
+                float(f"{tolerated:.3g}") for tolerated in self.tolerated_delta_e
+            ],
         }
 
 
@@ -511,7 +516,7 @@ def measure_film(
         white = white_header(
             [(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured]
         )
-        shown = image.with_planes(
+        image_with_white = image.with_planes(
             image.whole.planes, header=image.header | white, margin=image.margin
         )
 
@@ -522,7 +527,7 @@ def measure_film(
         part = share_of(progress, number / len(measured), (number + 1) / len(measured))
         try:
             steps = (cached_film_steps if keep else film_steps)(
-                shown, imaging, chart, progress=part
+                image_with_white, imaging, chart, progress=part
             )
         except AlikeChannelsError:
             if number == len(measured) - 1 and not pitches_um:
@@ -570,13 +575,13 @@ class FilmSteps:
     is_chart: bool = False
 
     @classmethod
-    def from_dict(cls, known: dict[str, Any]) -> FilmSteps:
+    def from_dict(cls, table: dict[str, Any]) -> FilmSteps:
         """Return the steps of `as_dict`."""
         delta_e, finer_delta_e = (
-            np.array(known["delta_e"], float),
-            np.array(known["finer_delta_e"], float),
+            np.array(table["delta_e"], float),
+            np.array(table["finer_delta_e"], float),
         )
-        return cls(delta_e, finer_delta_e, known["per_dot"], known["blur_error"], known["is_chart"])
+        return cls(delta_e, finer_delta_e, table["per_dot"], table["blur_error"], table["is_chart"])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the steps for JSON."""
@@ -604,12 +609,12 @@ class FilmSteps:
         Equal sensors have no error.
         """
         pairs = (self.delta_e, other.delta_e), (self.finer_delta_e, other.finer_delta_e)
-        if any(own.shape != others.shape for own, others in pairs) or not self.delta_e.size:
+        if any(first.shape != second.shape for first, second in pairs) or not self.delta_e.size:
             return math.nan
-        if all(np.array_equal(own, others) for own, others in pairs):
+        if all(np.array_equal(first, second) for first, second in pairs):
             return 0.0
         (mean, _), (other_mean, _) = self.error(), other.error()
-        steps, finer_steps = (others - own for own, others in pairs)
+        steps, finer_steps = (second - first for first, second in pairs)
         blur_delta_e = _BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
         return (
             self._error_of(
@@ -643,9 +648,13 @@ def cached_film_steps(
     """
     imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.read_pitch_um
     places = [
-        measured_places(image, size_um, imaging.display, most) for most in (None, _MEASURED_FINER)
+        measured_places(image, size_um, imaging.display, max_count)
+        for max_count in (None, _MEASURED_FINER)
     ]
-    of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
+    part_ends = [
+        [(rows.start, rows.stop, columns.start, columns.stop) for rows, columns in film_places]
+        for film_places in places
+    ]
     records = (
         imaging.pixel,
         imaging.camera,
@@ -658,7 +667,7 @@ def cached_film_steps(
     versions = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
     return cache.load_or_compute(
         "film",
-        content_hash([image.header, image.shape, *sensed, of_parts, versions]),
+        content_hash([image.header, image.shape, *sensed, part_ends, versions]),
         FilmSteps.from_dict,
         lambda: film_steps(image, imaging, chart, largest_um, progress),
         FilmSteps.as_dict,
@@ -703,7 +712,7 @@ def film_steps(
     lens = BehindLens.of(image, imaging)
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
-        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
+        films.append([(coarser(part, 2), part_display) for part, part_display in films[-1]])
     places = measured_places(image, size_um, display)
     blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
     lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(parts)] * len(films)
@@ -752,13 +761,13 @@ class BehindLens:
         more : times as many samples across as the picture's has the film whose PSFs are taken
         """
         height, width = (math.ceil(more * count) for count in self.image.shape)
-        reach = (height, width), self.image.pitch_um / more
+        psf_film = (height, width), self.image.pitch_um / more
         middle = (
             (side.start + side.stop - n) / 2 * self.image.pitch_um
             for side, n in zip(place, self.image.shape, strict=True)
         )
         y_um, x_um = middle
-        part = PartBehindLens(films, (y_um, x_um), self.seen, reach)
+        part = PartBehindLens(films, (y_um, x_um), self.seen, psf_film)
         return part.lights(
             self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations
         )
@@ -779,16 +788,18 @@ class BehindLens:
                 around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
             return self._lights(around, patches[number])
 
-        found = list(
+        patch_lights = list(
             zip(
-                *_each_of(on_films, len(patches), films * _cells_at_once(self.image), progress),
+                *_mapped_in_threads(
+                    on_films, len(patches), films * _cells_at_once(self.image), progress
+                ),
                 strict=True,
             )
         )
         if places:
-            return [list(of_film) for of_film in found]
+            return [list(lights) for lights in patch_lights]
         across = len({columns.start for _, columns in patches})
-        return [[_joined(of_film, across)] for of_film in found]
+        return [[_joined(lights, across)] for lights in patch_lights]
 
     def part_lights(
         self, part: _PicturePart, fine: Sequence[SpectralImage]
@@ -806,30 +817,30 @@ class BehindLens:
         return self._lights(films, part.place, MAX_FINER_RATIO)
 
 
-def _each_of(
+def _mapped_in_threads(
     function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None
 ) -> list[Item]:
     """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the
     others by `in_threads`.
     """
-    found, step_done = {}, steps_of(progress, count)
+    results, step_done = {}, steps_of(progress, count)
 
     def compute(number: int) -> None:
-        found[number] = function(number)
+        results[number] = function(number)
         step_done()
 
     compute(0)
     in_threads(compute, range(1, count), size)
-    return [found[number] for number in range(count)]
+    return [results[number] for number in range(count)]
 
 
 def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[ChannelLight, ...]:
     """Return the light of patches, row by row, as one picture."""
     joined = []
-    for of_channel in zip(*lights, strict=True):
-        rates = [light.rate_e_per_s_um2 for light in of_channel]
+    for channel_lights in zip(*lights, strict=True):
+        rates = [light.rate_e_per_s_um2 for light in channel_lights]
         whole = np.block([rates[first : first + across] for first in range(0, len(rates), across)])
-        joined.append(replace(of_channel[0], rate_e_per_s_um2=whole))
+        joined.append(replace(channel_lights[0], rate_e_per_s_um2=whole))
     return tuple(joined)
 
 
@@ -850,7 +861,7 @@ def _finer_delta_e(
         return fine, lens.part_lights(parts[number], fine) if lens else [None] * len(FINER)
 
     cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
-    images, lights = zip(*_each_of(on_films, len(parts), cells), strict=True)
+    images, lights = zip(*_mapped_in_threads(on_films, len(parts), cells), strict=True)
     films = [
         [(image, part.display) for image, part in zip(film, parts, strict=True)]
         for film in zip(*images, strict=True)
@@ -916,7 +927,7 @@ def chains_of_film(
         on_part = imaging.changed(display=display)
         return make_chain(on_part, prepare_scene(on_part, SceneLight(part), lights=lights[number]))
 
-    chains = _each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
+    chains = _mapped_in_threads(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
     exposure = lasting(steady, integration_time_s(steady, imaging.readout, brightest_e_per_s))
     return [replace(chain, exposure=exposure) for chain in chains]

@@ -263,12 +263,15 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
 
         scene = load_scene(stated, variant=request.scene.choice.variant)
     else:
-        known = request.scene.names
-        if unknown := [each for each in stated if each not in known]:
+        scene_names = request.scene.names
+        if unknown := [name for name in stated if name not in scene_names]:
             got = f"{', '.join(unknown)}, which {request.scene.path.name} does not have"
             hint = "Take the scene target, or state another scene without what is to be found."
             raise invalid(
-                name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint
+                name,
+                got,
+                f"parameters of the scene ({', '.join(sorted(scene_names))}), or a scene",
+                hint,
             )
         scene = request.scene.with_parameters(**stated)
     scene = scene.with_resolution(across)
@@ -326,15 +329,15 @@ def render_on_film(
         rendered_s, film = rendered_s + seconds, measure(image, plan)
         width, ratio = image.shape[1], camera.height_mm / camera.die_mm
         in_time = plan.cells_in_time if max_seconds is None else math.inf
-        most = largest_film(ratio, plan.light.planes, in_time)
-        wider = fitting_width(ratio, 2 * width, most)
+        max_across = largest_film(ratio, plan.light.planes, in_time)
+        wider = fitting_width(ratio, 2 * width, max_across)
         if film.within_tolerance:
             return Light(image, camera, film, noise), plan
         end = (
-            f"the limit of {most} samples across for {plan.light.planes}"
+            f"the limit of {max_across} samples across for {plan.light.planes}"
             f" picture{'s' * (plan.light.planes > 1)}"
         )
-        left = film.predicted_on(most, before)
+        left = film.predicted_on(max_across, before)
         if fixed:
             limit = fixed
         elif wider < _WORTH_WIDENING * width:
@@ -495,12 +498,12 @@ def render_lights(
     """
     combinations = {case.group: case for case in reversed(cases)}
     if cases[0].picture is not None:
-        given = {
+        lights = {
             group: _given_light(case, case.picture)
             for group, case in combinations.items()
             if case.picture is not None
         }
-        return [given[case.group] for case in cases]
+        return [lights[case.group] for case in cases]
     keys = {
         group: light_hash(combinations[group].settings)
         for group in dict.fromkeys(case.group for case in cases)

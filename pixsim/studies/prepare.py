@@ -153,15 +153,15 @@ _OF_THE_SHEET = "pitch.own_um"
 
 
 def settings_of_technology(
-    given: Case[Study], complete: Case[Study], technology: str
+    stated: Case[Study], complete: Case[Study], technology: str
 ) -> list[_GivenSizes]:
     """Return the settings of one technology in one case, at its largest and its smallest pixel
     size.
 
-    given : as the user set it
+    stated : as the user set it
     complete : the same, with what the user left open
     """
-    study = given.settings
+    study = stated.settings
     tables: dict[str, Record] = {table: getattr(study, table) for table in TABLES}
     tables |= {"pixel": study.options_of(technology), "pitch": study.pitch}
     states_sizes = study.pitch.values_um is not None
@@ -233,7 +233,7 @@ def uncertainty_request(
 
     uncertainty, sobol : sensor types to draw, or those of total indices
     smaller_than_um : as in `UncertaintyRequest`
-    spreads : `Asked.uncertainty`
+    spreads : `UncertaintyRequest.uncertainty`
 
     Raises PixsimError for both numbers of types, for sizes without any, and for those that are not
     above 0.
@@ -293,7 +293,7 @@ def check_axes(study: Study) -> None:
 
 
 def check_types(
-    study: Study, cases: Sequence[Study], asked: UncertaintyRequest, agreed: bool
+    study: Study, cases: Sequence[Study], request: UncertaintyRequest, agreed: bool
 ) -> tuple[int, int]:
     """Return the number of sensor types of a study and of their evaluations at most, for all
     metrics.
@@ -305,7 +305,7 @@ def check_types(
     many evaluations.
     """
     check_axes(study)
-    types = len(asked.sample(cases[0]).quantiles)
+    types = len(request.sample(cases[0]).quantiles)
     evaluations = (
         types
         * MAX_TYPE_EVALUATIONS
@@ -331,25 +331,30 @@ class Types:
     total: bool = False
 
     @classmethod
-    def of(cls, asked: UncertaintyRequest, sensors: Sequence[Case[Run]]) -> Types:
+    def of(cls, request: UncertaintyRequest, sensors: Sequence[Case[Run]]) -> Types:
         """Draw sensor types. Raises PixsimError if nothing is unknown."""
         spreads = tuple(
-            sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {}
-            for each in sensors
+            sheet_uncertainty(Path(case.file)) if Path(case.file).is_file() else {}
+            for case in sensors
         )
-        files = list(dict.fromkeys(whole_path(each.settings.pixel.technology) for each in sensors))
+        files = list(dict.fromkeys(whole_path(case.settings.pixel.technology) for case in sensors))
         processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
         unknowns: list[Unknown] = []
-        for each, own in zip(sensors, spreads, strict=True):
-            name, pixel = each.sensor, each.settings.pixel
-            unknowns += unknowns_of_sheet(pixel, own, name)
+        for case, sheet_spreads in zip(sensors, spreads, strict=True):
+            name, pixel = case.sensor, case.settings.pixel
+            unknowns += unknowns_of_sheet(pixel, sheet_spreads, name)
             if pixel.technology != NO_TECHNOLOGY:
                 process = processes[whole_path(pixel.technology)]
-                of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
-                unknowns += [replace(unknown, process=process) for unknown in of_process]
-        make = sobol_points if asked.total else sample_types
+                process_unknowns = unknowns_of_process(
+                    pixel, load_technology(pixel.technology), name
+                )
+                unknowns += [replace(unknown, process=process) for unknown in process_unknowns]
+        make = sobol_points if request.total else sample_types
         return cls(
-            asked.draws, spreads, make(unknowns, asked.draws, sensors[0].settings.seed), asked.total
+            request.draws,
+            spreads,
+            make(unknowns, request.draws, sensors[0].settings.seed),
+            request.total,
         )
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
@@ -359,25 +364,25 @@ class Types:
         """
         pixel = imaging.pixel
         unknowns = [
-            each
+            unknown
             for members in self.sample.inputs.values()
-            for each in members
-            if each.technology == name
+            for unknown in members
+            if unknown.technology == name
         ]
-        of_sheet = [
-            each
-            for each in unknowns
-            if each.of_sheet and getattr(pixel, each.quantity) == each.value
+        sheet_unknowns = [
+            unknown
+            for unknown in unknowns
+            if unknown.of_sheet and getattr(pixel, unknown.quantity) == unknown.value
         ]
-        of_process = [
-            each
-            for each in unknowns
-            if not each.of_sheet and getattr(pixel, each.quantity, None) is None
+        process_unknowns = [
+            unknown
+            for unknown in unknowns
+            if not unknown.of_sheet and getattr(pixel, unknown.quantity, None) is None
         ]
         technology = load_technology(pixel.technology)
         for draw in self.sample.draws:
-            numbers = {each.quantity: draw[each.name] for each in of_sheet}
-            process = {each.quantity: draw[each.name] for each in of_process}
+            numbers = {unknown.quantity: draw[unknown.name] for unknown in sheet_unknowns}
+            process = {unknown.quantity: draw[unknown.name] for unknown in process_unknowns}
             drawn = Pixel(**pixel.model_dump() | numbers) if numbers else pixel
             yield replace(
                 imaging,
@@ -490,8 +495,8 @@ def _most_pixels(camera: Camera, own_um: float | None) -> float:
     """
     if own_um is None:
         return MAX_PIXELS
-    own = math.prod(pixels_on(camera.die_um, own_um))
-    return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, own), MAX_PIXELS)
+    sensor_pixels = math.prod(pixels_on(camera.die_um, own_um))
+    return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, sensor_pixels), MAX_PIXELS)
 
 
 def fitted_range(study: Study, camera: Camera) -> Study:
@@ -532,9 +537,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
             else [float(study_pitches_um(study, name).min()) for name in study.technologies]
         )
         low = low if low is None else _up_to_pitch_digits(low)
-        most = _most_pixels(camera, own_um)
-        least_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / most))
-        if min(lows) < least_um - 10**-PITCH_DIGITS:
+        max_pixels = _most_pixels(camera, own_um)
+        smallest_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / max_pixels))
+        if min(lows) < smallest_um - 10**-PITCH_DIGITS:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
                 got = (
@@ -544,12 +549,12 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 raise invalid(
                     "pitch.min_fill_factor",
                     got,
-                    f"at most {amount(most)} pixels",
-                    f"Set --pitch.min-um {least_um:g}, or --window.",
+                    f"at most {amount(max_pixels)} pixels",
+                    f"Set --pitch.min-um {smallest_um:g}, or --window.",
                 )
-            low = least_um
+            low = smallest_um
             reason = (
-                f"it has {amount(most)} pixels on the die; smaller ones: --pitch.min-um, or a part"
+                f"it has {amount(max_pixels)} pixels on the die; smaller ones: --pitch.min-um, or a part"
                 " of the die by --window"
             )
             warn(_range_note("smallest pixel size", low, min(lows), reason))
@@ -574,12 +579,12 @@ def _check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     height_um, width_um = camera.die_um
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
-        least = _up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
+        smallest_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
         hint = "Or take a part of the die: --window."
         raise invalid(
             name,
             f"{pitch_um:g}, which makes {amount(count)} pixels",
-            f"at least {least:g} on this die",
+            f"at least {smallest_um:g} on this die",
             hint,
         )
 
@@ -689,9 +694,9 @@ _OF_SCENE = (
 )
 
 
-def check_given_light(**of_scene: object) -> None:
+def check_given_light(**settings: object) -> None:
     """Raise PixsimError for what says which scene is rendered, beside light that is given."""
-    if names := [name for name, value in of_scene.items() if value]:
+    if names := [name for name, value in settings.items() if value]:
         raise invalid(names[0], "a value beside light", "one of the two")
 
 
@@ -734,11 +739,11 @@ def with_given_light(study: Study, variant: str | None) -> Study:
 
 
 def _scene_for(
-    study: Study, variant: str | None = None, known: dict[str, Scene] | None = None
+    study: Study, variant: str | None = None, scenes: dict[str, Scene] | None = None
 ) -> tuple[Scene, Camera]:
     """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
 
-    known : scenes by their settings, to which this one is added
+    scenes : scenes by their settings, to which this one is added
     """
     if study.scene.file == _GIVEN_LIGHT:
         raise invalid(
@@ -747,17 +752,17 @@ def _scene_for(
     if is_picture(study.scene.file):
         hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{study.scene.file}'))."
         raise invalid("scene.file", f"'{study.scene.file}', a picture", "a Mitsuba scene", hint)
-    known = {} if known is None else known
+    scenes = {} if scenes is None else scenes
     key = content_hash([study.scene.model_dump(mode="json"), study.resolution, study.display.white])
-    if key not in known:
-        known[key] = loaded_scene(
+    if key not in scenes:
+        scenes[key] = loaded_scene(
             study.scene.file,
             study.scene.parameters,
             study.resolution,
             study.display,
             variant=variant,
         )
-    scene = known[key]
+    scene = scenes[key]
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 
 
@@ -855,35 +860,41 @@ def prepare(
 
     check_axis_names(study, (DELTA_E, *metrics_of(study).chosen))
     # Display and chart are those of the study itself, so that all of its cases are comparable.
-    own = _without_axes(study) if study.has_cases else study
-    scene, camera = source_for(own)
-    view = _chosen_view(own, scene, camera)
-    found: list[Case[Study]] = []
+    base_study = _without_axes(study) if study.has_cases else study
+    scene, camera = source_for(base_study)
+    view = _chosen_view(base_study, scene, camera)
+    complete_cases: list[Case[Study]] = []
     cases = cases_of(study)
     for case in cases:
         with named((case.words or BASE) if study.has_cases else ""):
-            shown = _same_chart(case.settings, own) or shows_csf(source_for(case.settings)[0])
-            complete = with_view(case.settings, view if shown else _without_chart(view))
+            shares_chart = _same_chart(case.settings, base_study) or shows_csf(
+                source_for(case.settings)[0]
+            )
+            complete = with_view(case.settings, view if shares_chart else _without_chart(view))
             check_technologies(complete)
             scene_of_case, its_camera = source_for(complete)
-            of_sizes = replace(case, settings=fitted_range(complete, its_camera))
-            found.append(_checked(of_sizes, scene_of_case, its_camera, background))
-    _warn_of_settings_without_effect(cases, found)
-    _warn_of_other_parts(found)
+            sized_case = replace(case, settings=fitted_range(complete, its_camera))
+            complete_cases.append(_checked(sized_case, scene_of_case, its_camera, background))
+    _warn_of_settings_without_effect(cases, complete_cases)
+    _warn_of_other_parts(complete_cases)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of
     # them.
-    kept = view if all(_same_chart(each.settings, own) for each in found) else _without_chart(view)
+    common_view = (
+        view
+        if all(_same_chart(each.settings, base_study) for each in complete_cases)
+        else _without_chart(view)
+    )
     asked_displays = [case.settings.display for case in cases]
     sensors = tuple(
         replace(case, further_displays=_further_displays(case, display))
-        for combination, display in zip(found, asked_displays, strict=True)
+        for combination, display in zip(complete_cases, asked_displays, strict=True)
         for case in cases_of_sensors(combination)
     )
     warn_of_reviews((label_of(case.sensor), case, None) for case in sensors)
     return Job(
         cases=sensors,
         stated=stated,
-        complete=with_view(study, kept) if study.has_cases else found[0].settings,
+        complete=with_view(study, common_view) if study.has_cases else complete_cases[0].settings,
         file=study.scene.file,
         source=_source_with_view(scene, view),
         view=view,
@@ -929,24 +940,24 @@ def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
 def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
     """Warn if what moves leaves other parts of the frame to score in one case than in another."""
     rooms_um = {
-        border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases
+        border_on_um(case.settings, case.camera) - case.settings.border_um for case in cases
     }
     if len(rooms_um) > 1:
         warn(Note("unequal_margins", margin_um=math.ceil(max(rooms_um))))
 
 
 def _warn_of_settings_without_effect(
-    given: Sequence[Case[Study]], complete: Sequence[Case[Study]]
+    stated: Sequence[Case[Study]], complete: Sequence[Case[Study]]
 ) -> None:
     """Warn of the settings that have no effect in any case of a study, and of those that have none
     in one of its technologies.
 
-    given : the cases as the user set them
+    stated : the cases as the user set them
     complete : the same, with what the user left open
     """
-    tried = [(given[number], complete[number]) for number in cases_to_try(given)]
+    tried = [(stated[number], complete[number]) for number in cases_to_try(stated)]
     technologies = list(
-        dict.fromkeys(name for case in given for name in case.settings.technologies)
+        dict.fromkeys(name for case in stated for name in case.settings.technologies)
     )
     sensors = {
         label: (
@@ -1025,12 +1036,12 @@ def check_metrics(
         if background is not None:
             check_background(background, source)
         has_without = background is not None
-        known = (
+        distances = (
             settings.camera.object_distance_m,
             settings.metric.niirs.ground_distance_m,
             source.header.get("camera"),
         )
-        has_distance = any(each is not None for each in known)
+        has_distance = any(distance is not None for distance in distances)
     else:
         if isinstance(stated, str) and has_target(settings.metrics):
             from pixsim.scene.scene import scene_path
@@ -1053,7 +1064,7 @@ def sensor_case(
     border_um: float | None = None,
     units: str | None = None,
     request: MetricRequest | None = None,
-    **of_imaging: bool,
+    **imaging_fields: bool,
 ) -> Case[Run]:
     """Return the case of one sensor with its imaging and sizes, after the checks that hold for
     every command.
@@ -1064,7 +1075,7 @@ def sensor_case(
         moves
     units : of light in files that do not state them
     request : metrics; None takes ΔE and those of the settings
-    of_imaging : further fields of `Imaging`, such as `is_run`
+    imaging_fields : further fields of `Imaging`, such as `is_run`
 
     Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many
     pixels, or too few dots.
@@ -1077,7 +1088,7 @@ def sensor_case(
     dot_edges_um(die_um, pitch_um, run.display, border_um)
 
     request = request or metrics_of(with_delta_e(run))
-    imaging = imaging.changed(border_um=border_um, metrics=request, **of_imaging)
+    imaging = imaging.changed(border_um=border_um, metrics=request, **imaging_fields)
     return replace(
         case,
         background=background,

@@ -236,7 +236,7 @@ class StudyResult(Result):
                 task_of(lit, lit.imaging.at(pitch_um), block, {}),
                 light,
                 repeats_of_block,
-                shown=shown,
+                light_optional=shown,
             )
             scores += [chain.development.score(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
@@ -253,7 +253,7 @@ class StudyResult(Result):
         """
         lit = self.sensors[technology]
         task = task_of(lit, lit.imaging.at(pitch_um), 0, {})
-        _, chain, frame, _ = next(frames_of(task, lit.light(), [0], shown=True))
+        _, chain, frame, _ = next(frames_of(task, lit.light(), [0], light_optional=True))
         return display_image(chain.development.light(frame, part), self.study.display)
 
     def sensors_at(self, technology: str, pitch_um: Pitch) -> int:

@@ -228,19 +228,19 @@ def check_case_folders(words: Sequence[str]) -> None:
     or have a file's name.
     """
     taken: dict[str, str] = {}
-    for each in words:
-        folder = case_folder(each)
+    for case_words in words:
+        folder = case_folder(case_words)
         if _FILES_OF_STUDY.fullmatch(folder):
             raise ValueError(
-                f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another"
+                f"the folder of '{case_words}' would be '{folder}', as a file of pixsim; allowed: another"
                 " name"
             )
         if other := taken.get(folder.casefold()):
             raise ValueError(
-                f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names"
+                f"the folders of '{other}' and '{case_words}' would both be '{folder}'; allowed: names"
                 " that differ more"
             )
-        taken[folder.casefold()] = each
+        taken[folder.casefold()] = case_words
 
 
 _SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
@@ -349,12 +349,12 @@ class Axis(Record):
                 f"name: '{self.name}' is a column of every study; allowed: another name{hint}"
             )
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
-        given = [name for name, value in ends.items() if value is not None]
+        stated = [name for name, value in ends.items() if value is not None]
         if self.range_of is not None:
             if others := [
                 *(["set"] if self.set else []),
                 *(["values"] if self.values is not None else []),
-                *given,
+                *stated,
             ]:
                 raise ValueError(
                     f"range_of and {', '.join(others)} both state the values; give one"
@@ -365,11 +365,11 @@ class Axis(Record):
                     " with alone = true"
                 )
             return self
-        given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
-        if self.values is not None and given:
-            raise ValueError(f"values and {', '.join(given)} both state the values; give one")
-        if self.values is None and len(given) < len(ends):
-            missing = ", ".join(name for name in ends if name not in given)
+        stated += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
+        if self.values is not None and stated:
+            raise ValueError(f"values and {', '.join(stated)} both state the values; give one")
+        if self.values is None and len(stated) < len(ends):
+            missing = ", ".join(name for name in ends if name not in stated)
             raise ValueError(f"missing: {missing}; allowed: values = [...], or from, to and count")
         if self.values is not None and not self.values:
             raise ValueError("values: got an empty list; allowed: one value or more")
@@ -657,10 +657,10 @@ class Study(Setting):
                         " it to one axis"
                     )
             together |= {} if axis.alone else dict.fromkeys(axis.paths, axis.name)
-        of_axes = {path: axis.name for axis in self.axis for path in axis.paths}
+        axis_names = {path: axis.name for axis in self.axis for path in axis.paths}
         for condition in self.condition:
             for path in paths_of(condition.set):
-                if other := _that_sets(path, of_axes):
+                if other := _that_sets(path, axis_names):
                     name = ".".join(path)
                     raise ValueError(
                         f"condition '{condition.name}': {name} is varied by the axis '{other}';"
@@ -701,13 +701,13 @@ class Study(Setting):
                     f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone,"
                     " or leave it out"
                 )
-            given = [
+            stated = [
                 *(name for name, value in self.pixel if value is not None),
                 *efficiencies_of(self.pixel.colour),
             ]
             if missing := [
-                *(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []),
-                *missing_of_data_sheet(given),
+                *(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in stated else []),
+                *missing_of_data_sheet(stated),
             ]:
                 raise ValueError(
                     f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing:"
@@ -733,8 +733,8 @@ class Study(Setting):
         technologies.
         """
         if NO_TECHNOLOGY in self.technologies:
-            own = self.pitch.own_um or self.pixel.data_sheet_pitch_um
-            return () if own is None else (own,)
+            sheet_pitch_um = self.pitch.own_um or self.pixel.data_sheet_pitch_um
+            return () if sheet_pitch_um is None else (sheet_pitch_um,)
         sheets = [self.sensors[name] for name in self.technologies if name in self.sensors]
         if len(sheets) < len(self.technologies) or any(
             pixel.technology != NO_TECHNOLOGY for pixel in sheets
@@ -784,11 +784,15 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
 
     path : of the setting
     """
-    together = {own: axis.name for axis in study.axis if not axis.alone for own in axis.paths}
+    together = {
+        axis_path: axis.name for axis in study.axis if not axis.alone for axis_path in axis.paths
+    }
     if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in study.axis):
         return f"the axis '{axis_name}'"
-    of_conditions = [dict.fromkeys(paths_of(each.set), each.name) for each in study.condition]
-    if study.condition and all(_that_sets(path, settings) for settings in of_conditions):
+    condition_settings = [
+        dict.fromkeys(paths_of(condition.set), condition.name) for condition in study.condition
+    ]
+    if study.condition and all(_that_sets(path, settings) for settings in condition_settings):
         return "every condition"
     return ""
 
@@ -858,9 +862,9 @@ def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list
     return names
 
 
-def check_supported(command: str, **asked: object) -> None:
+def check_supported(command: str, **settings: object) -> None:
     """Raise PixsimError for something that is asked of a command, and that only others answer."""
-    for name, value in asked.items():
+    for name, value in settings.items():
         if value is not None and value is not False and value != ():
             raise invalid(
                 setting(name), f"a value in a {command}", f"{setting(name)} of {SUPPORTED_BY[name]}"
@@ -871,13 +875,15 @@ def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
     """Return the tables of a layer that a run has too, with the scene's parameters alone, and what
     only a study has.
     """
-    of_study = {name: value for name, value in layer.table.items() if name in _STUDY_ONLY}
-    of_run = {name: value for name, value in layer.table.items() if name not in _STUDY_ONLY}
-    scene = of_run.get("scene")
-    if of_study and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
-        of_study |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
-        of_run |= {"scene": scene.get("parameters", {})}
-    return Layer(of_run, layer.source, layer.named), Layer(of_study, layer.source, layer.named)
+    study_table = {name: value for name, value in layer.table.items() if name in _STUDY_ONLY}
+    run_table = {name: value for name, value in layer.table.items() if name not in _STUDY_ONLY}
+    scene = run_table.get("scene")
+    if study_table and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
+        study_table |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
+        run_table |= {"scene": scene.get("parameters", {})}
+    return Layer(run_table, layer.source, layer.named), Layer(
+        study_table, layer.source, layer.named
+    )
 
 
 def has_study_settings(table: dict[str, Any]) -> bool:
@@ -912,7 +918,7 @@ def study_layers(
         Layer({name: options[name] for name in ("camera", "pixel") if name in options}),
     ]
     settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
-    given = set(merged(sensor).get("pixel", {}))
+    stated_fields = set(merged(sensor).get("pixel", {}))
     derived: dict[str, Any] = {}
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     if sheet:
@@ -921,22 +927,24 @@ def study_layers(
             "paper": False,
             "pitch": {"own_um": settings.pixel.pitch_um},
         }
-    elif "technology" in given:
+    elif "technology" in stated_fields:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
-    elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
+    elif "pitch_um" in stated_fields and stated_fields & {*DATA_SHEET, *STANDS_FOR}:
         names = ", ".join(
             map(
                 str, merged(studies).get("technologies", Study.model_fields["technologies"].default)
             )
         )
-        missing = ", ".join(missing_of_data_sheet(given))
+        missing = ", ".join(missing_of_data_sheet(stated_fields))
         words = (
             f"[pixel] gives no technology and not {missing}, which come from the study's technology"
             f" {names}"
         )
         warn(Note("assumed", words=words))
-    scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
-    if "pitch_um" in given and scaled:
+    scaled = (
+        bool(stated_fields & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in stated_fields
+    )
+    if "pitch_um" in stated_fields and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
     if "pitch_um" in pixel_options and not (scaled or sheet):
         got, expected = (
@@ -1026,13 +1034,13 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
     """A study's table without the fields of [pitch] that an overriding range makes void, such as a
     list of pitches.
     """
-    pitch, given = table.get("pitch"), overriding.get("pitch", {})
-    if not (isinstance(pitch, dict) and isinstance(given, dict)):
+    pitch, overriding_pitch = table.get("pitch"), overriding.get("pitch", {})
+    if not (isinstance(pitch, dict) and isinstance(overriding_pitch, dict)):
         return dict(table)
     void = {
         name
         for name, others in _REPLACED_RANGE.items()
-        if name not in given and any(other in given for other in others)
+        if name not in overriding_pitch and any(other in overriding_pitch for other in others)
     }
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
@@ -1041,18 +1049,23 @@ def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
     """A study's table without the luminance of its scene where an overriding one states the
     illuminance, or the other way round.
     """
-    scene, given = table.get("scene"), _scene(overriding).get("parameters", {})
+    scene, overriding_parameters = table.get("scene"), _scene(overriding).get("parameters", {})
     if not (
         isinstance(scene, dict)
-        and isinstance(own := scene.get("parameters"), dict)
-        and isinstance(given, dict)
+        and isinstance(parameters := scene.get("parameters"), dict)
+        and isinstance(overriding_parameters, dict)
     ):
         return table
-    stated = given.keys() & {ILLUMINANCE, LUMINANCE}
+    stated = overriding_parameters.keys() & {ILLUMINANCE, LUMINANCE}
     void = {ILLUMINANCE, LUMINANCE} - stated if stated else set()
     return table | {
         "scene": (
-            scene | {"parameters": {name: value for name, value in own.items() if name not in void}}
+            scene
+            | {
+                "parameters": {
+                    name: value for name, value in parameters.items() if name not in void
+                }
+            }
         )
     }
 
@@ -1075,13 +1088,13 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
         if isinstance(technologies, list)
         else {}
     )
-    known = study.get("sensors")
+    stated_sheets = study.get("sensors")
     sensors = {}
     for name in names:
         if (
-            isinstance(known, dict) and name in known
+            isinstance(stated_sheets, dict) and name in stated_sheets
         ):  # settings.toml states the values, whatever the file says now
-            sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
+            sheet = [Layer({"pixel": stated_sheets[name]}, f"sensors.{name}")]
         elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
             if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
                 reason = "of a sensor among technologies, only [pixel] is used"

@@ -149,7 +149,9 @@ class Table(Sequence[dict[str, Any]], Result):
             if name in self.columns:
                 chosen &= self.columns[name] == value
             else:
-                matches = np.array([of_case.get(name) == value for of_case in self.labels], bool)
+                matches = np.array(
+                    [case_labels.get(name) == value for case_labels in self.labels], bool
+                )
                 chosen &= matches[self.case]
         return self.take(chosen)
 
@@ -319,8 +321,8 @@ class Store:
         """
         if self.path is None:
             return
-        known = frozenset(keys)
-        if any(row["key"] not in known for row in self._whole_rows(self.path)):
+        stored_keys = frozenset(keys)
+        if any(row["key"] not in stored_keys for row in self._whole_rows(self.path)):
             self._back_up(self.path)
         self.write(rows)
 
