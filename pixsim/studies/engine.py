@@ -390,10 +390,10 @@ def _replies(
         nonlocal unsent
         threads = max(1, sum(client.nthreads().values()))
         while unsent and sent.count() < _BATCHES_A_THREAD * threads:
-            most = -(-unsent // (_BATCHES_A_THREAD * threads))
+            max_batch = -(-unsent // (_BATCHES_A_THREAD * threads))
             batch = [
                 (index, task, remote[id(make)])
-                for index, (task, make) in islice(left, max(1, min(size, most)))
+                for index, (task, make) in islice(left, max(1, min(size, max_batch)))
             ]
             unsent -= len(batch)
             sent.add(client.submit(_batch, function, batch, pure=False))

@@ -881,7 +881,7 @@ def prepare(
     # them.
     common_view = (
         view
-        if all(_same_chart(each.settings, base_study) for each in complete_cases)
+        if all(_same_chart(case.settings, base_study) for case in complete_cases)
         else _without_chart(view)
     )
     asked_displays = [case.settings.display for case in cases]

@@ -35,8 +35,8 @@ from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
 from pixsim.viewer.metrics import (
     DELTA_E,
-    ROW_COLUMNS,
     PIXEL_STATISTICS,
+    ROW_COLUMNS,
     Metric,
     columns_of_metrics,
     columns_with_numbers,
