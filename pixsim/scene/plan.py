@@ -20,6 +20,7 @@ from pixsim.light.spectral import (
     LAMP,
     WHITE_LAMPS,
     WHITE_OF_PLATE,
+    Span,
     Spectrum,
     colour_matching,
     photons_per_joule,
@@ -37,7 +38,7 @@ from pixsim.scene.contents import Lamp, Surfaces
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.inspection import Inspection, inspect_scene
 from pixsim.scene.real_lens import decide_real_lens, out_of_focus, real_lens_warnings
-from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
+from pixsim.scene.rules import TEXTURE_SAMPLES, TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
@@ -62,14 +63,14 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
 # (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
-_LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
-_COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
+_LUMINANCE_TOLERANCE = 5.0  # times the tolerance, for luminance of strongly coloured surfaces
+_COLOUR_TOLERANCE = 2.0  # times the tolerance, for a channel of a colour sensor
 _MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
 _MIN_RENDERS = 2  # whose difference shows their noise
-RESPONSES = (
-    "0.35um",
-    "4t-bsi",
-)  # technologies with the two packaged response curves, for a plan without a pixel
+# The lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis.
+UNIFORM_RESOLUTION = 64
+# Technologies with the two packaged response curves, for a plan without a pixel.
+RESPONSES = ("0.35um", "4t-bsi")
 
 
 @dataclass(frozen=True)
@@ -162,20 +163,18 @@ class LightPlan:
         return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
 
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
-        """Return the entries of an irradiance's header on the light of the scene's white, in bands
-        between edges (B + 1,).
+        """Return the entries of an irradiance's header on the light of the scene's white, and on
+        the lamps' light outside the bands' range.
 
-        And on the lamps' light outside the bands' range.
+        edges_nm : (B + 1,) of the bands
         """
-        header = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
-        header |= self.outside
-        if not self.white:
-            return header
-        return {
-            LAMP: (
-                np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()
-            )
-        } | header
+        header: dict[str, Any] = {}
+        if self.white:
+            lamps = [spectrum.cell_means(edges_nm) for spectrum in self.white]
+            header[LAMP] = np.sum(lamps, axis=0).tolist()
+        if self.white_lamps:
+            header[WHITE_LAMPS] = list(self.white_lamps)
+        return header | self.outside
 
 
 @checked_methods
@@ -279,9 +278,11 @@ class Plan:
         """
         if self.samples.exact:
             return math.inf
-        fewest = rules.MIN_PATH_SPP if self.film.chart is None else rules.MIN_CHART_SPP
-        fewest = self.samples.spp if self.samples.given_spp else fewest
-        return self.most_samples / (fewest * self.light.passes * _MIN_RENDERS)
+
+        min_spp = rules.MIN_PATH_SPP if self.film.chart is None else rules.MIN_CHART_SPP
+        if self.samples.given_spp:
+            min_spp = self.samples.spp
+        return self.most_samples / (min_spp * self.light.passes * _MIN_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -296,13 +297,11 @@ class Plan:
         The film of a scene without detail takes its part where the plan does not choose it.
         """
         others = [decision for decision in self.decisions if decision.subject != STACK]
-        chart = self.film.chart
-        chosen = (
-            chart is None
-            or not chart.uniform
-            or any(decision.subject == FILM for decision in others)
-        )
-        if self.full or not chosen or not all(decision.bounded for decision in others):
+        has_detail = self.film.chart is None or not self.film.chart.uniform
+        chooses_film = any(decision.subject == FILM for decision in others)
+        if self.full or not (has_detail or chooses_film):
+            return 0.0
+        if not all(decision.bounded for decision in others):
             return 0.0
         return max(0.0, self.tolerance_e - sum(decision.bound_e for decision in others))
 
@@ -317,30 +316,26 @@ class Plan:
         table: dict[str, Any] = {
             "decisions": [asdict(decision) for decision in self.decisions],
             "tolerance_e": self.tolerance_e,
-        }
-        table |= {
             "bound_e": self.bound_e,
             "bounded": self.bounded,
             "lamp_spectra": len(self.light.lamps),
-        }
-        table |= {"passes": self.light.passes, "passes_full": self.light.full_passes}
-        table |= {"spp": self.samples.spp, "spp_full": self.samples.full_spp}
-        table |= {
+            "passes": self.light.passes,
+            "passes_full": self.light.full_passes,
+            "spp": self.samples.spp,
+            "spp_full": self.samples.full_spp,
             "resolution": self.film.resolution,
             "diffraction": self.film.diffraction,
             "warnings": list(self.warnings),
-        }
-        table |= {
             "lens": self.samples.lens,
             "integrator": self.samples.integrator,
             "white_spectrum": self.light.white_name,
         }
         if self.film.in_focus_m is not None:
             table["in_focus_m"] = finite_or_none(self.film.in_focus_m)
-        return table | {
-            "wavelength_nm": bands.wavelength_nm.tolist(),
-            "band_width_nm": bands.width_nm.tolist(),
-        }
+
+        table["wavelength_nm"] = bands.wavelength_nm.tolist()
+        table["band_width_nm"] = bands.width_nm.tolist()
+        return table
 
     def __repr__(self) -> str:
         return (
@@ -376,24 +371,30 @@ def make_render_plan(
     and 1.
     """
     if not 0 < tolerance_e < 1:
-        raise invalid(
-            "tolerance_e",
-            f"{tolerance_e:g}",
-            "above 0 and below 1, a relative error of mean electrons",
-        )
+        allowed = "above 0 and below 1, a relative error of mean electrons"
+        raise invalid("tolerance_e", f"{tolerance_e:g}", allowed)
+
     options = [pixel] if isinstance(pixel, Pixel) else pixel or []
     pixels = [derive(option, load_technology(option.technology)) for option in options]
     camera = camera or scene.camera()
-    tiling, real_lens = decide_real_lens(
+    tiling, lens_decisions = decide_real_lens(
         scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um
     )
+
     thin_camera = rendered_camera(camera if tiling else without_lens(camera))
     inspection = inspect_scene(scene, thin_camera, pixels or _packaged_pixels())
-    plan = _plan_of(inspection, camera, pixels, tolerance_e, full, tiling, real_lens)
+    plan = _plan_inspected_scene(
+        inspection,
+        camera,
+        pixels,
+        tolerance_e,
+        full=full,
+        tiling=tiling,
+        lens_decisions=lens_decisions,
+    )
     if scene.diffuser and not inspection.chart_white:
-        plan = replace(
-            plan, light=replace(plan.light, plate=_plate_of(inspection, pixels, tolerance_e))
-        )
+        plate = _plan_white_plate(inspection, pixels, tolerance_e)
+        plan = replace(plan, light=replace(plan.light, plate=plate))
     return _without_samples(plan) if exact and not full else plan
 
 
@@ -404,125 +405,112 @@ def _packaged_pixels() -> list[PixelPhysics]:
     ]
 
 
-def _plate_of(
+def _plan_white_plate(
     inspection: Inspection, pixels: Sequence[PixelPhysics], tolerance_e: float
 ) -> WhitePlate:
     """Return how a white plate in a scene is rendered."""
     camera, sensor = inspection.camera, inspection.sensor
     focus_m = camera.object_distance_m
     distance_m = distance_of_plate_m(inspection.state, sensor, focus_m)
-    place = place_of_plate(sensor, distance_m, focus_m)
     scene = replace(
-        inspection.scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={}
+        inspection.scene,
+        diffuser=False,
+        plate=place_of_plate(sensor, distance_m, focus_m),
+        resolution=white_plate.RESOLUTION,
+        _texts={},
     )
-    plan = _plan_of(inspect_scene(scene, camera, inspection.pixels), camera, pixels, tolerance_e)
+
+    plate_inspection = inspect_scene(scene, camera, inspection.pixels)
+    plan = _plan_inspected_scene(plate_inspection, camera, pixels, tolerance_e)
     samples = replace(
         plan.samples, lens="perspective", spp=white_plate.FIRST_SPP, sampler="multijitter"
     )
-    return WhitePlate(
-        scene,
-        replace(plan, samples=samples, film=replace(plan.film, chart=None)),
-        camera,
-        distance_m,
-    )
+    plan = replace(plan, samples=samples, film=replace(plan.film, chart=None))
+    return WhitePlate(scene=scene, plan=plan, camera=camera, distance_m=distance_m)
 
 
-def _plan_of(
+def _plan_inspected_scene(
     inspection: Inspection,
     camera: Camera,
     pixels: Sequence[PixelPhysics],
     tolerance_e: float,
+    *,
     full: bool = False,
     tiling: Tiling | None = None,
-    real_lens: Sequence[Decision] = (),
+    lens_decisions: Sequence[Decision] = (),
 ) -> Plan:
     """Return the plan of an inspected scene, without a white plate.
 
     camera : with its real lens
     pixels : whose electrons have the tolerance; none where nobody states one
-    tiling, real_lens : from `decide_real_lens`
+    tiling, lens_decisions : from `decide_real_lens`
     """
-    scene, state, bodies, thin_camera = (
-        inspection.scene,
-        inspection.state,
-        inspection.bodies,
-        inspection.camera,
-    )
+    scene, state, bodies = inspection.scene, inspection.state, inspection.bodies
+    thin_camera = inspection.camera
     physics = pixels[0] if pixels else None
-    rendered = camera if tiling else without_lens(camera)
+    film_camera = camera if tiling else without_lens(camera)
 
     # Light
-    integrator, surfaces_met, bounces = rules.decide_bounces(state, bodies, full)
-    lamps, bands, full_passes, spectral = _lights(inspection, surfaces_met, tolerance_e, full)
+    integrator, max_surfaces, bounces = rules.decide_bounces(state, bodies, full)
+    lamps, bands, full_passes, spectral = _decide_light(inspection, max_surfaces, tolerance_e, full)
     by_index, tables = rules.decide_tables(state, full)
     passes = sum(len(light.fit.passes) for light in lamps)
 
-    # Samples. An unfocused chart differs from its picture, and the lens needs samples too.
+    # Lens. What is left out does not change what is in focus.
     lens, focus = rules.decide_lens(
         state, thin_camera, bodies, inspection.aspect, physics, tolerance_e, full
     )
-    chart = (
-        rules.lone_chart(state, thin_camera, bodies, inspection.shape)
-        if lens == "perspective"
-        else None
-    )
+    lens_in_focus = lens
+    if full:
+        lens_in_focus, _ = rules.decide_lens(
+            state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False
+        )
+    is_in_focus = lens_in_focus == "perspective"
+
+    # Samples. An unfocused chart differs from its picture, and the lens needs samples too.
+    chart: Chart | None = None
+    if lens == "perspective":
+        chart = rules.lone_chart(state, thin_camera, bodies, inspection.shape)
     scene_spp = sample_count(state, inspection.sensor)
     given_spp = "spp" in scene.parameters
-    finer = (inspection.shape[1] / max(1, film_size(state, inspection.sensor)[1])) ** 2
+    scene_width = max(1, film_size(state, inspection.sensor)[1])
+    finer = (inspection.shape[1] / scene_width) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, full, given_spp, finer)
 
-    # Film. What is left out does not change where the scene ends.
-    sharp = (
-        rules.decide_lens(state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False)[
-            0
-        ]
-        if full
-        else lens
-    )
-    ends = (
-        rules.ends_with_film(state, thin_camera, bodies, inspection.shape)
-        if tiling and sharp == "perspective"
-        else (False, False)
-    )
-    film_um = 1e3 * rendered.die_mm / inspection.shape[1]
+    # Film
+    ends = (False, False)
+    if tiling and is_in_focus:
+        ends = rules.ends_with_film(state, thin_camera, bodies, inspection.shape)
+    film_pitch_um = 1e3 * film_camera.die_mm / inspection.shape[1]
     diffraction = rules.decide_diffraction(
-        chart, rendered, film_um, tolerance_e, full or tiling is not None, inspection.span.high_nm
+        chart,
+        film_camera,
+        film_pitch_um,
+        tolerance_e,
+        full or tiling is not None,
+        inspection.span.high_nm,
     )
 
+    # Decisions and warnings
     outside = outside_header(inspection.lamp_spectra, inspection.span)
+    decisions = [*spectral, tables, bounces, focus, samples, diffraction, *lens_decisions]
     warnings = [*real_lens_warnings(camera, tiling, tolerance_e), *inspection.warnings]
-    decisions = [*spectral, tables, bounces, focus, samples, diffraction, *real_lens]
-    if tiling is not None and sharp != "perspective":
+    if tiling is not None and not is_in_focus:
         decision, note = out_of_focus()
         decisions.append(decision)
         warnings.append(note)
-    left_out = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
-    if left_out > SHOWN_SHARE:
-        warnings.append(
-            Note(
-                "light_left_out",
-                words=outside_words(left_out, inspection.span),
-                hint=outside_hint(),
-            )
-        )
+    warnings += _outside_notes(outside, inspection.span, pixels)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
-    if bound_e > tolerance_e:
-        limits = (
-            f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or"
-            f" {spectral_bands.MAX_BANDS} bands"
-        )
-        warnings.append(
-            Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits)
-        )
+    warnings += _tolerance_notes(bound_e, tolerance_e)
+
+    held_tables = inspection.surfaces.held.items()
     return Plan(
         light=LightPlan(
             lamps=tuple(lamps),
             bands=bands,
             full_passes=full_passes,
             regular_tables=by_index,
-            held=tuple(
-                (index, name, table) for (index, name), table in inspection.surfaces.held.items()
-            ),
+            held=tuple((index, name, table) for (index, name), table in held_tables),
             outside=outside,
             white=inspection.white,
             white_lamps=scene.white_lamps,
@@ -535,7 +523,14 @@ def _plan_of(
             ends=ends,
             in_focus_m=depth_of_field_m(camera, physics.read_pitch_um) if physics else None,
         ),
-        samples=SamplePlan(lens, integrator, sampler, spp, scene_spp, given_spp),
+        samples=SamplePlan(
+            lens=lens,
+            integrator=integrator,
+            sampler=sampler,
+            spp=spp,
+            full_spp=scene_spp,
+            given_spp=given_spp,
+        ),
         decisions=tuple(decisions),
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
@@ -543,113 +538,145 @@ def _plan_of(
     )
 
 
+def _outside_notes(
+    outside: dict[str, Any], span: Span, pixels: Sequence[PixelPhysics]
+) -> list[Note]:
+    """Return a note on light outside the range that is computed, if a pixel sees enough of it."""
+    share = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
+    if share <= SHOWN_SHARE:
+        return []
+    return [Note("light_left_out", words=outside_words(share, span), hint=outside_hint())]
+
+
+def _tolerance_notes(bound_e: float, tolerance_e: float) -> list[Note]:
+    """Return a note where the bound of the error exceeds the tolerance."""
+    if bound_e <= tolerance_e:
+        return []
+    limits = (
+        f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or"
+        f" {spectral_bands.MAX_BANDS} bands"
+    )
+    return [Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits)]
+
+
 def _without_samples(plan: Plan) -> Plan:
     """Return the plan with film cells that are computed, if it is of a chart in focus that is seen
     straight; else the plan.
     """
     chart, integrator = plan.film.chart, plan.samples.integrator
-    straight = integrator is not None and integrator.get("max_depth") == 1
-    if chart is None or chart.beyond is None or not straight or plan.samples.given_spp:
+    is_seen_straight = integrator is not None and integrator.get("max_depth") == 1
+    if chart is None or chart.beyond is None or not is_seen_straight or plan.samples.given_spp:
         return plan
+
     between = "even over each of its texels" if chart.nearest else "linear between its texels"
-    reason = f"none: each film cell is the exact mean of the chart, which is {between}"
     exact = Decision(
-        "texture samples", False, reason, f"all {plan.samples.full_spp} samples, and their noise"
+        TEXTURE_SAMPLES,
+        False,
+        f"none: each film cell is the exact mean of the chart, which is {between}",
+        f"all {plan.samples.full_spp} samples, and their noise",
     )
     decisions = tuple(
-        exact if decision.subject == exact.subject else decision for decision in plan.decisions
+        exact if decision.subject == TEXTURE_SAMPLES else decision for decision in plan.decisions
     )
     return replace(plan, samples=replace(plan.samples, spp=0, exact=True), decisions=decisions)
 
 
-def _detectors(derived: Sequence[PixelPhysics]) -> list[Detector]:
-    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and
-    the luminance.
+def _detectors(pixels: Sequence[PixelPhysics]) -> list[Detector]:
+    """Return the responses that the bands must reproduce.
 
-    Of colour sensors, those of each channel, and XYZ.
+    These are electrons per joule of the pixels, and the luminance. For colour sensors they are the
+    electrons of each channel, and XYZ.
     """
 
-    def response(physics: PixelPhysics) -> spectral_bands.Response:
+    def electrons_per_joule(physics: PixelPhysics) -> spectral_bands.Response:
         return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
 
     def observer(number: int) -> spectral_bands.Response:
         return lambda nm: np.asarray(colour_matching(nm)[..., number])
 
-    responses = [response(channel) for physics in derived for channel in physics.channels]
-    if not any(physics.layout for physics in derived):
-        return [*map(Detector, responses), Detector(photopic_efficiency, _LUMINANCE_SLACK)]
+    responses = [electrons_per_joule(channel) for pixel in pixels for channel in pixel.channels]
+    if not any(pixel.layout for pixel in pixels):
+        return [*map(Detector, responses), Detector(photopic_efficiency, _LUMINANCE_TOLERANCE)]
 
-    # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and
-    # lines.
     channels = [
-        Detector(channel, tolerance_factor=_COLOUR_SLACK, min_share_of_neutral=_MIN_SHARE_OF_WHITE)
-        for channel in responses
+        Detector(
+            response, tolerance_factor=_COLOUR_TOLERANCE, min_share_of_neutral=_MIN_SHARE_OF_WHITE
+        )
+        for response in responses
     ]
-    return [
-        *channels,
-        *(
-            Detector(observer(number), min_share_of_neutral=_MIN_SHARE_OF_WHITE)
-            for number in range(3)
-        ),
+    # X, Y and Z have the tolerance itself: a ColorChecker is then right within 0.04 ΔE under smooth
+    # lamps and lines.
+    observers = [
+        Detector(observer(number), min_share_of_neutral=_MIN_SHARE_OF_WHITE) for number in range(3)
     ]
+    return [*channels, *observers]
 
 
-def _lights(
-    inspection: Inspection, bounces: int, tolerance_e: float, full: bool
+def _decide_light(
+    inspection: Inspection, max_surfaces: int, tolerance_e: float, full: bool
 ) -> tuple[list[_FittedLamp], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band,
-    and the reasons.
+    and the decisions.
+
+    max_surfaces : that light can meet; -1 for any number
     """
     lamps, surfaces = inspection.lamps, inspection.surfaces
     detectors = _detectors(inspection.pixels)
-    products = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
+    products = surfaces.products(1)[:0]
+    if max_surfaces:
+        products = surfaces.products(max_surfaces)
+
+    # Bands
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     bands = spectral_bands.place_bands(
         spectra, products, detectors, tolerance_e * BANDS_SHARE, surfaces.span
     )
 
-    has_spectra = surfaces.spectra is not None or bounces == 0
-    in_colour = any(physics.pixel.colour for physics in inspection.pixels)
-    stiffness = spectral_bands.COLOUR_STIFFNESS if in_colour else spectral_bands.STIFFNESS
-    lights, full_passes, bands_error = [], 0, 0.0
+    # Pulses. Where the spectra of all surfaces are known, a few pulses determine all bands.
+    has_spectra = surfaces.spectra is not None or max_surfaces == 0
+    has_colour = any(physics.pixel.colour for physics in inspection.pixels)
+    stiffness = spectral_bands.COLOUR_STIFFNESS if has_colour else spectral_bands.STIFFNESS
+    lights = []
+    full_passes = 0
+    bands_error = 0.0
     for lamp in lamps:
+        fit: Fit | None = None
         every_band = spectral_bands.every_band(lamp.spectrum, bands)
         full_passes += len(every_band.passes)
-        fitted: Fit | None = None
         if lamp.spectrum:
-            errors = spectral_bands.band_errors(
-                bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), detectors
-            )
+            fine_lamp = spectral_bands.resolved(lamp.spectrum, products, surfaces.span)
+            errors = spectral_bands.band_errors(bands, fine_lamp, detectors)
             bands_error = max(bands_error, float(np.abs(errors.sum(axis=2)).max()))
-            if has_spectra and not full:
-                fitted = spectral_bands.fit(
-                    lamp.spectrum,
-                    bands,
-                    products,
-                    detectors,
-                    tolerance_e * SPECTRUM_SHARE,
-                    stiffness,
-                )
-        lights.append(_FittedLamp(lamp, fitted or every_band))
+        if lamp.spectrum and has_spectra and not full:
+            fit = spectral_bands.fit(
+                lamp.spectrum,
+                bands,
+                products,
+                detectors,
+                tolerance=tolerance_e * SPECTRUM_SHARE,
+                stiffness=stiffness,
+            )
+        lights.append(_FittedLamp(lamp, fit or every_band))
 
+    # Decisions
     widths = bands.width_nm
-    reason = (
+    placing = Decision(
+        "wavelength bands",
+        True,
         f"{widths.size} bands of {widths.min():g} to {widths.max():g} nm, finer where lamps or"
-        " surfaces change"
+        " surfaces change",
+        bound_e=bands_error,
     )
-    placing = Decision("wavelength bands", True, reason, bound_e=bands_error)
     passes = sum(len(light.fit.passes) for light in lights)
-    saved = f"{passes} of {full_passes} passes" if passes < full_passes else ""
-    is_bounded = all(lamp.spectrum is not None for lamp in lamps) and has_spectra
     # The fit's error includes that of its bands.
-    error = max(0.0, max(light.fit.error for light in lights) - bands_error)
+    fit_error = max(0.0, max(light.fit.error for light in lights) - bands_error)
     rank = Decision(
         "spectral rank",
         passes >= full_passes,
         _rank_reason(lights, surfaces, full),
-        saved,
-        error,
-        is_bounded,
+        f"{passes} of {full_passes} passes" if passes < full_passes else "",
+        bound_e=fit_error,
+        bounded=has_spectra and all(lamp.spectrum is not None for lamp in lamps),
     )
     return lights, bands, full_passes, [placing, rank]
 
@@ -665,11 +692,6 @@ def _rank_reason(lights: Sequence[_FittedLamp], surfaces: Surfaces, full: bool) 
     if surfaces.spectra is None:
         return f"{reason}, one for each band, because of {surfaces.unknown}"
     return f"{reason}, which determine all bands for {len(surfaces.spectra)} surface spectra"
-
-
-UNIFORM_RESOLUTION = (
-    64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
-)
 
 
 def make_plan(
@@ -700,31 +722,34 @@ def make_plan(
 
     >>> from pixsim import load_scene
     >>> plan = make_plan(load_scene("csf", resolution=64))
-    >>> plan.light.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture determines all bands
-    (1, True)
+    >>> plan.light.passes  # a chart under one lamp: one picture determines all bands
+    1
+    >>> plan.bound_e < plan.tolerance_e
+    True
     """
-    camera, pixel = camera or scene.camera(), pixel or Pixel()
+    camera = camera or scene.camera()
+    pixel = pixel or Pixel()
     exposure = exposure or Exposure()
     physics = derive(pixel, load_technology(pixel.technology))
-    readout = Readout.of(physics, exposure)
     options: dict[str, Any] = {
         "tolerance_e": tolerance_e,
         "full": full,
         "exact": display is not None,
     }
-    plan = make_render_plan(
-        scene, rendered_camera(camera), pixel, **options
-    )  # the film does not depend on a real lens's blur
+
+    # The film does not depend on a real lens's blur.
+    plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution or camera.lens is not None:
-        plan = make_render_plan(
-            scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options
-        )
-    longest_s = (
-        exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames
-    )  # of each exposure
-    saturation = decide_saturation(readout, longest_s)
-    others = *plan.decisions, sampling
+        film_scene = scene.with_resolution(resolution) if resolution else scene
+        plan = make_render_plan(film_scene, camera, pixel, **options)
+
+    # Of each exposure
+    integration_s = exposure.integration_s or exposure.max_integration_s
+    longest_s = exposure.times * integration_s / exposure.frames
+    saturation = decide_saturation(Readout.of(physics, exposure), longest_s)
+
+    others = (*plan.decisions, sampling)
     plan = replace(
         plan, film=replace(plan.film, resolution=resolution), decisions=(*others, saturation)
     )
@@ -744,33 +769,29 @@ def decide_oversampling(
 
     A scene without detail takes a coarser film than the XML's. Every other film has at least two
     samples for each detail that matters on the display, within its limits, if the display is given;
-    the XML's film is the least.
+    it is never coarser than the XML's.
     """
-    height, width = (
-        max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera)))
-    )
+    shape = scene.film_shape(camera, scene.for_camera(rendered_camera(camera)))
+    height, width = (max(1, side) for side in shape)
     chart = plan.film.chart
-    is_uniform, is_free = chart is not None and chart.uniform, scene.resolution is None
-    is_stated = not is_free or "resolution" in scene.parameters
-    # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width
-    # squared, so halve the samples.
-    n = UNIFORM_RESOLUTION
-    middle, parts = (
-        camera_factor(camera, (side, side), 1e3 * camera.die_mm / side) for side in (n, 2 * n)
-    )
-    error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
-    if (
-        is_uniform
-        and not full
-        and not is_stated
-        and width > n
-        and plan.bound_e + error <= plan.tolerance_e
-    ):
-        reason = f"a scene without detail: {n} samples across resolve the fall-off of the lens"
-        return n, Decision(FILM, False, reason, f"{n}² of {width}² samples", error)
+    is_uniform = chart is not None and chart.uniform
+    is_free = scene.resolution is None
+
+    # A scene without detail
+    may_be_coarse = is_free and "resolution" not in scene.parameters and not full
+    if is_uniform and may_be_coarse and width > UNIFORM_RESOLUTION:
+        error = _fall_off_error(camera, UNIFORM_RESOLUTION)
+        if plan.bound_e + error <= plan.tolerance_e:
+            reason = (
+                f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off"
+                " of the lens"
+            )
+            saved = f"{UNIFORM_RESOLUTION}² of {width}² samples"
+            return UNIFORM_RESOLUTION, Decision(FILM, False, reason, saved, error)
     if display is None or full or is_uniform:
         return None, Decision(FILM, True, _sampling(camera, physics, width))
 
+    # The finest detail that matters
     details, name = film.details_across(
         camera,
         physics.aperture_side_um,
@@ -778,23 +799,36 @@ def decide_oversampling(
         physics.pitch_um,
         chart.details if chart else None,
     )
-    widest = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
+    widest = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     words = f"{details:.4g} {name} across the die"
     if not is_free or width >= min(needed, widest):
         set_by = "" if is_free else "; as set by --resolution"
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}{set_by}")
+
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, widest)
-    limits = (
-        f"{film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures,"
-        f" {amount(plan.most_samples, 2)} rays"
-    )
-    limit = f", the limit ({limits})" if needed > widest else ""
-    return chosen, Decision(
-        FILM,
-        True,
-        f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}",
-    )
+    limit = ""
+    if needed > widest:
+        limit = (
+            f", the limit ({film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures,"
+            f" {amount(plan.most_samples, 2)} rays)"
+        )
+    reason = f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}"
+    return chosen, Decision(FILM, True, reason)
+
+
+def _fall_off_error(camera: Camera, width: int) -> float:
+    """Return the largest relative error of taking the lens's fall-off at the middle of a film cell
+    for its mean, on a square film of `width` cells.
+
+    The error grows as the square of the width of a cell, so it follows from cells of half the
+    width.
+    """
+    pitch_um = 1e3 * camera.die_mm / width
+    middle = camera_factor(camera, (width, width), pitch_um)
+    quarters = camera_factor(camera, (2 * width, 2 * width), 1e3 * camera.die_mm / (2 * width))
+    mean = quarters.reshape(width, 2, width, 2).mean(axis=(1, 3))
+    return float(4 / 3 * np.abs(middle / mean - 1).max())
 
 
 def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
@@ -819,20 +853,16 @@ def _decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: b
     if stack is None:
         reason = "none, or switched off: light on the photodiode is collected from every direction"
         return Decision(STACK, full, reason, "" if full else "its shares")
+
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
-    kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
+    opening = "microlens" if stack.microlens else "opening"
     reason = (
-        f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis,"
-        f" {percent(corner)} "
+        f"{opening} {stack.height_um:.4g} µm above the photodiode: a pixel collects"
+        f" {percent(axis)} of its light on axis, {percent(corner)} in the corner ({GREEN_NM:g} nm)"
     )
-    reason += f"in the corner ({GREEN_NM:g} nm)"
-    error = scale_error(
-        physics,
-        camera_pupil(camera),
-        half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)),
-        spare_e,
-    )
+    half_um = half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um))
+    error = scale_error(physics, camera_pupil(camera), half_um, spare_e)
     if error is None:
         return Decision(STACK, True, reason)
     return Decision(
@@ -848,14 +878,12 @@ def decide_saturation(readout: Readout, integration_s: float) -> Decision:
     """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the
     well, holds below that limit.
     """
-    pixel, diode, full_well_e = readout.physics.pixel, readout.physics.diode, readout.full_well_e
+    pixel, diode = readout.physics.pixel, readout.physics.diode
+    full_well_e = readout.full_well_e
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"
-        return Decision(
-            "saturation",
-            True,
-            f"a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-",
-        )
+        saturation_e = rounded(readout.burst(1).saturation_e, 3)
+        return Decision("saturation", True, f"a hard clip {clips}, {saturation_e} e-")
 
     limit_e = linear_limit_e(diode, full_well_e, integration_s)
     limit = (

@@ -265,6 +265,7 @@ def _steepest(chart: Chart) -> tuple[slice, slice]:
     return part[0], part[1]
 
 
+TEXTURE_SAMPLES = "texture samples"  # subject of a decision
 TOLERANCE_E = 1e-3  # relative error of the mean electrons
 BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance, for leaving out blur and diffraction
 # A blur disc of diameter c moves 2c/(3π) of the light across an edge, which is at the centre of a
@@ -576,7 +577,7 @@ def decide_samples(
         spp,
         sampler,
         Decision(
-            "texture samples", spp >= scene_spp, f"{spp} per film cell and pass: {reason}", saved
+            TEXTURE_SAMPLES, spp >= scene_spp, f"{spp} per film cell and pass: {reason}", saved
         ),
     )
 

@@ -24,8 +24,8 @@ from pixsim.scene import bands as spectral_bands
 from pixsim.scene.bands import (
     SHAPE_TOLERANCE,
     Bands,
-    Pulse,
     Detector,
+    Pulse,
     band_edges_nm,
     every_band,
     fit,
