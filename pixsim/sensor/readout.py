@@ -61,22 +61,22 @@ from pixsim.sensor.technology import load_technology
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
 # lacks only the skewness 1/√mean, 3e-5 and less.
 _POISSON_LIMIT_E = 1e9
-BLACK_SIGMAS = (
-    6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
-)
-# Of bursts: what is farther from both ends clips 1e-12 of a normal signal, and some electrons more
-# of few Poisson counts; and the noise that makes rounding a noise.
-CLIP_SIGMAS, FEW_E, MIN_DITHER_DN = 7.0, 10.0, 0.6
+# Of the dark signal, below the black level: clipping at 0 DN would bias dark statistics.
+BLACK_SIGMAS = 6.0
+# A level that is farther from both ends of the codes is clipped in 1e-12 of normal signals; few
+# Poisson counts need some electrons more.
+CLIP_SIGMAS = 7.0
+FEW_E = 10.0
+MIN_DITHER_DN = 0.6  # noise from which rounding is a noise, too
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure
-# ---------------------------------------------------------------------------------------------------------
 
 
 def lasting(exposure: Exposure, total_s: float) -> Exposure:
-    """Return the exposure with a time that its exposures share."""
+    """Return the exposure with another time, which its subexposures share."""
     return exposure.model_copy(update={"integration_s": total_s, "frame_time": "shared"})
 
 
@@ -86,7 +86,7 @@ def integration_time_s(
     """Return the manual integration time, or the time that exposes the brightest pixel to the
     target, up to the maximum.
 
-    It is that of all exposures of a frame together. The target is a share of `Readout.saturation_e`
+    All subexposures of a frame share it. The target is a share of `Readout.saturation_e`
     in the exposure, for the mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
@@ -113,7 +113,6 @@ def metered_motion(
 
 
 # --- fixed pattern
-# ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -144,14 +143,14 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
     have negative currents; hot pixels (`pixsim.sensor.mismatch`) have a stream of their own, so
     that all other maps are those of a sensor without them.
     """
-    p, dark_spread = readout.burst(1), readout.dark_spread
-    uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_uniform
-    pixel_spread_e, column_spread_e = (
-        constant_e(p, is_temporal=False, along=along) for along in ("pixel", "column")
-    )
-    gain, dark_gain, offset_e = (
-        np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, pixel_spread_e)
-    )
+    p = readout.burst(1)
+    dark_spread = readout.dark_spread
+    dark_differs = p.dark_current_e_per_s > 0 and not dark_spread.is_uniform
+    pixel_spread_e = constant_e(p, is_temporal=False, along="pixel")
+    column_spread_e = constant_e(p, is_temporal=False, along="column")
+    gain = np.empty(shape) if p.prnu else None
+    dark_gain = np.empty(shape) if dark_differs else None
+    offset_e = np.empty(shape) if pixel_spread_e else None
 
     def draw(block: slice, rng: np.random.Generator) -> None:
         if gain is not None:
@@ -196,7 +195,9 @@ def make_sensor(
     Raises PixsimError if the pitch is too small for the technology, larger than the die, or gives
     too many pixels.
 
-    >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
+    The sensor of Chen et al. (2000):
+
+    >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape
     (512, 512)
     """
     physics = derive(pixel, load_technology(pixel.technology))
@@ -212,7 +213,6 @@ def make_sensor(
 
 
 # --- noise, in the order of the charge
-# --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -381,74 +381,91 @@ def _expose(
     """Return the frame of `read_out`, its saturated pixels and their fraction, as `Frame` defines
     them.
 
-    subexposures_e : mean electrons in each exposure of a burst, if they differ; else none
+    subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
     before its read noise.
     """
     if sensor.readout.exposures > 1:
         return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
+
+    _check_shape(mean_e, sensor)
+    p = sensor.readout
+    mean_dark_e = p.dark_current_e_per_s * integration_s
+    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+    row_sigma_e = constant_e(p, is_temporal=True, along="row")
+    full_e = saturation_level_e(integration_s, p)
+    top_dn = p.adc.top_code_dn
+
+    generated_e = np.empty(mean_e.shape)
+    dn = np.empty(mean_e.shape, np.int32)
+    saturated = np.empty(mean_e.shape, bool)
+    saturated_counts: list[int] = []
+
+    def expose(block: slice, rng: np.random.Generator) -> None:
+        parts = [
+            slice(block.start + rows.start, block.start + rows.stop)
+            for rows in strips(block.stop - block.start, dn.shape[1])
+        ]
+        largest = max(rows.stop - rows.start for rows in parts)
+        work, dark_work = np.empty((2, largest, dn.shape[1]))
+
+        for rows in parts:
+            count = rows.stop - rows.start
+            charge_e = work[:count]
+            gain = 1.0 if sensor.gain is None else sensor.gain[rows]
+            np.multiply(mean_e[rows], gain, out=charge_e)
+            if mean_dark_e and sensor.dark_gain is not None:
+                charge_e += np.multiply(mean_dark_e, sensor.dark_gain[rows], out=dark_work[:count])
+            elif mean_dark_e:
+                charge_e += mean_dark_e
+            generated_e[rows] = _shot_noise(charge_e, rng)
+
+        for rows in parts:
+            charge_e = generated_e[rows]
+            # Counted before readout: reset noise and negative offsets keep half of the full pixels
+            # off the top code.
+            is_saturating = charge_e >= full_e
+            level = stored_signal_e(charge_e, integration_s, p)
+            is_full = full_pixels(charge_e, level, p)
+
+            if pixel_sigma_e:
+                noise = work[: rows.stop - rows.start]
+                _draw_gaussian(pixel_sigma_e, noise, rng)
+                level += noise
+            if row_sigma_e:
+                level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
+            for offset_e in _offset_maps_e(sensor, rows):
+                level += offset_e
+
+            level *= p.dn_per_e
+            if p.adc.black_level_dn:
+                level += p.adc.black_level_dn
+            _quantise(level, p.adc.bits, dn[rows])
+            at_top = dn[rows] >= top_dn
+            np.logical_or(is_full, at_top, out=saturated[rows])
+            saturated_counts.append(int(np.count_nonzero(is_saturating | at_top)))
+
+    _by_block(expose, mean_e.shape, rng)
+    return dn, saturated, sum(saturated_counts) / max(dn.size, 1)
+
+
+def _check_shape(mean_e: Array, sensor: Sensor) -> None:
+    """Raise PixsimError if a picture has not the shape of the sensor."""
     if mean_e.shape != sensor.shape:
         raise invalid(
             "mean_e",
             f"an array of shape {mean_e.shape}",
             f"the pixels of the sensor, {sensor.shape}",
         )
-    p, generated, dn = sensor.readout, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
-    mean_dark_e = p.dark_current_e_per_s * integration_s
-    pixel_sigma_e, row_sigma_e = (
-        constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row")
-    )
-    # Counted before readout: reset noise and negative offsets keep half of the full pixels off the
-    # top code.
-    full_e, top_dn = saturation_level_e(integration_s, p), p.adc.top_code_dn
-    saturated, counts = np.empty(mean_e.shape, bool), list[int]()
 
-    def expose(block: slice, rng: np.random.Generator) -> None:
-        within = [
-            slice(block.start + rows.start, block.start + rows.stop)
-            for rows in strips(block.stop - block.start, dn.shape[1])
-        ]
-        charge, dark_e = (
-            np.empty((max(rows.stop - rows.start for rows in within), dn.shape[1]))
-            for _ in range(2)
-        )
-        for rows in within:
-            mean, dark = (work[: rows.stop - rows.start] for work in (charge, dark_e))
-            np.multiply(mean_e[rows], 1.0 if sensor.gain is None else sensor.gain[rows], out=mean)
-            if mean_dark_e:
-                mean += (
-                    mean_dark_e
-                    if sensor.dark_gain is None
-                    else np.multiply(mean_dark_e, sensor.dark_gain[rows], out=dark)
-                )
-            generated[rows] = _shot_noise(mean, rng)
-        for rows in within:
-            level, noise = generated[rows], charge[: rows.stop - rows.start]
-            saturating, charge_e = level >= full_e, level
-            level = stored_signal_e(level, integration_s, p)
-            full = full_pixels(charge_e, level, p)
-            if pixel_sigma_e:
-                _draw_gaussian(pixel_sigma_e, noise, rng)
-                level += noise
-            if row_sigma_e:
-                level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
-            for added_e in (
-                None if sensor.offset_e is None else sensor.offset_e[rows],
-                sensor.column_offset_e,
-            ):
-                if added_e is not None:
-                    level += added_e
-            level *= p.dn_per_e
-            if p.adc.black_level_dn:
-                level += p.adc.black_level_dn
-            _quantise(level, p.adc.bits, dn[rows])
-            at_top = dn[rows] >= top_dn
-            np.logical_or(full, at_top, out=saturated[rows])
-            counts.append(int(np.count_nonzero(saturating | at_top)))
 
-    _by_block(expose, mean_e.shape, rng)
-    return dn, saturated, sum(counts) / max(dn.size, 1)
+def _offset_maps_e(sensor: Sensor, rows: slice) -> list[Array]:
+    """Return the fixed offsets of some rows: of pixels, (rows, columns), and of columns, (1,
+    columns), where the sensor has them.
+    """
+    pixel_e = None if sensor.offset_e is None else sensor.offset_e[rows]
+    return [offset_e for offset_e in (pixel_e, sensor.column_offset_e) if offset_e is not None]
 
 
 def _expose_burst(
@@ -456,119 +473,167 @@ def _expose_burst(
     integration_s: float,
     sensor: Sensor,
     rng: np.random.Generator,
-    each_e: Sequence[Array],
+    subexposures_e: Sequence[Array],
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
-    """Return `_expose` of a burst, for the mean electrons and the time of all its exposures.
+    """Return `_expose` of a burst, for the mean electrons and the time of all its subexposures.
 
-    The sum of the codes of pixels that no exposure clips, and whose noise makes rounding a noise
-    (`quantise`), is drawn at once: the sum of Poisson counts is one, that of normals and of all
-    roundings but the last is a normal. Of all other pixels each exposure is read out.
+    The sum of the codes of pixels that no subexposure clips, and whose noise makes rounding a noise
+    (`quantise`), is drawn at once. Of all other pixels each subexposure is read out.
     """
-    if mean_e.shape != sensor.shape:
-        raise invalid(
-            "mean_e",
-            f"an array of shape {mean_e.shape}",
-            f"the pixels of the sensor, {sensor.shape}",
-        )
-    p, count = sensor.readout.burst(1), sensor.readout.exposures
-    time_s, gain, black_dn, top_dn = (
-        integration_s / count,
-        p.dn_per_e,
-        p.adc.black_level_dn,
-        p.adc.top_code_dn,
-    )
-    mean_dark_e, full_e = p.dark_current_e_per_s * time_s, saturation_level_e(time_s, p)
-    of_pixels_e, of_rows_e = (
-        constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row")
-    )
-    is_linear, last_roundings_e = responds_linearly(p.physics), math.sqrt((count - 1) / 12) / gain
-    dn, saturated, counts = (
-        np.empty(mean_e.shape, np.int32),
-        np.zeros(mean_e.shape, bool),
-        list[int](),
-    )
+    _check_shape(mean_e, sensor)
+    p = sensor.readout.burst(1)
+    count = sensor.readout.exposures
+    time_s = integration_s / count
+    row_sigma_e = constant_e(p, is_temporal=True, along="row")
+
+    dn = np.empty(mean_e.shape, np.int32)
+    saturated = np.zeros(mean_e.shape, bool)
+    saturated_counts: list[int] = []
 
     def expose(block: slice, rng: np.random.Generator) -> None:
         for part in strips(block.stop - block.start, dn.shape[1]):
             rows = slice(block.start + part.start, block.start + part.stop)
-            gain_of = 1.0 if sensor.gain is None else sensor.gain[rows]
-            dark_e = (
-                mean_dark_e
-                if sensor.dark_gain is None or not mean_dark_e
-                else mean_dark_e * sensor.dark_gain[rows]
-            )
-            means = [one[rows] * gain_of + dark_e for one in each_e] or [
-                mean_e[rows] * (gain_of / count) + dark_e
-            ]
-            least, most = (
-                (means[0], means[0])
-                if len(means) == 1
-                else (np.minimum.reduce(means), np.maximum.reduce(means))
-            )
-            offset_e = np.zeros(least.shape)
-            for added_e in (
-                None if sensor.offset_e is None else sensor.offset_e[rows],
-                sensor.column_offset_e,
-            ):
-                if added_e is not None:
-                    offset_e += added_e
-            of_row_e = (
-                of_rows_e * rng.standard_normal((count, len(least), 1))
-                if of_rows_e
-                else np.zeros((count, len(least), 1))
-            )
-            low_dn, high_dn = (
-                gain
-                * (
-                    mean
-                    + offset_e
-                    + edge_e
-                    + sign * (CLIP_SIGMAS * np.sqrt(mean + of_pixels_e**2) + FEW_E)
-                )
-                + black_dn
-                for sign, mean, edge_e in (
-                    (-1, least, of_row_e.min(axis=0)),
-                    (1, most, of_row_e.max(axis=0)),
-                )
-            )
-            free = (
-                (low_dn > 0)
-                & (high_dn < top_dn)
-                & (gain * np.sqrt(least + of_pixels_e**2) >= MIN_DITHER_DN)
-            )
-            free &= most + CLIP_SIGMAS * np.sqrt(most) + FEW_E < (full_e if is_linear else 0.0)
-            level = np.asarray(
-                _shot_noise(np.add.reduce(means) if each_e else count * least, rng), float
-            )
-            level += math.hypot(
-                math.sqrt(count) * of_pixels_e, last_roundings_e
-            ) * rng.standard_normal(level.shape)
-            level += count * offset_e + of_row_e.sum(axis=0)
-            level = np.rint(gain * level + count * black_dn)
-            clipped, count_full = np.nonzero(~free), 0
+            charges_e = _subexposure_charges_e(mean_e, time_s, sensor, rows, subexposures_e)
+            offset_e = np.zeros(charges_e[0].shape)
+            for map_e in _offset_maps_e(sensor, rows):
+                offset_e += map_e
+            row_noise = np.zeros((count, len(offset_e), 1))
+            if row_sigma_e:
+                row_noise = row_sigma_e * rng.standard_normal(row_noise.shape)
+
+            codes = _draw_summed_codes(charges_e, offset_e, row_noise, p, rng)
+            clipped = np.nonzero(~_never_clips(charges_e, offset_e, row_noise, p, time_s))
+            saturated_count = 0
             if clipped[0].size:
-                total = np.zeros(clipped[0].size)
-                is_full, is_saturating = (np.zeros(clipped[0].size, bool) for _ in range(2))
-                for number, row_e in enumerate(of_row_e):
-                    generated = np.asarray(
-                        _shot_noise(means[number % len(means)][clipped], rng), float
-                    )
-                    stored = stored_signal_e(generated, time_s, p)
-                    is_saturating |= generated >= full_e
-                    is_full |= full_pixels(generated, stored, p)
-                    one = stored + of_pixels_e * rng.standard_normal(generated.size)
-                    one += offset_e[clipped] + row_e[clipped[0], 0]
-                    codes = np.clip(np.rint(gain * one + black_dn), 0, top_dn)
-                    is_full |= codes >= top_dn
-                    is_saturating |= codes >= top_dn
-                    total += codes
-                level[clipped], saturated[rows][clipped] = total, is_full
-                count_full = int(np.count_nonzero(is_saturating))
-            np.copyto(dn[rows], level, casting="unsafe")  # whole numbers
-            counts.append(count_full)
+                clipped_charges_e = [charge_e[clipped] for charge_e in charges_e]
+                clipped_rows = row_noise[:, clipped[0], 0]
+                codes[clipped], is_full, is_saturating = _read_one_by_one(
+                    clipped_charges_e, offset_e[clipped], clipped_rows, p, time_s, rng
+                )
+                saturated[rows][clipped] = is_full
+                saturated_count = int(np.count_nonzero(is_saturating))
+
+            np.copyto(dn[rows], codes, casting="unsafe")  # whole numbers
+            saturated_counts.append(saturated_count)
 
     _by_block(expose, mean_e.shape, rng)
-    return dn, saturated, sum(counts) / max(dn.size, 1)
+    return dn, saturated, sum(saturated_counts) / max(dn.size, 1)
+
+
+def _subexposure_charges_e(
+    mean_e: Array, time_s: float, sensor: Sensor, rows: slice, subexposures_e: Sequence[Array]
+) -> list[Array]:
+    """Return the mean charge of light and dark in each subexposure of some rows, (rows, columns);
+    a single one if all are the same.
+
+    mean_e : mean photo-electrons of the whole burst, (rows, columns)
+    time_s : of a subexposure
+    subexposures_e : mean photo-electrons in each subexposure, if they differ; else none
+    """
+    gain = 1.0 if sensor.gain is None else sensor.gain[rows]
+    dark_e: Array | float = sensor.readout.dark_current_e_per_s * time_s
+    if dark_e and sensor.dark_gain is not None:
+        dark_e = dark_e * sensor.dark_gain[rows]
+    if not subexposures_e:
+        return [mean_e[rows] * (gain / sensor.readout.exposures) + dark_e]
+
+    return [photo_e[rows] * gain + dark_e for photo_e in subexposures_e]
+
+
+def _never_clips(
+    charges_e: Sequence[Array], offset_e: Array, row_noise: Array, p: Readout, time_s: float
+) -> NDArray[np.bool_]:
+    """Return which pixels no subexposure clips, and whose noise makes rounding a noise, (rows,
+    columns).
+
+    charges_e : mean charges of the subexposures, as of `_subexposure_charges_e`
+    offset_e : fixed offsets, (rows, columns)
+    row_noise : (subexposures, rows, 1) electrons
+    p : of one subexposure
+    """
+    darkest_e = np.minimum.reduce(charges_e)
+    brightest_e = np.maximum.reduce(charges_e)
+    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+
+    def extreme_dn(charge_e: Array, row_e: Array, sign: int) -> Array:
+        """Level that a subexposure exceeds by chance as good as never, down (-1) or up (1)."""
+        spread_e = CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + FEW_E
+        return np.asarray(
+            p.dn_per_e * (charge_e + offset_e + row_e + sign * spread_e) + p.adc.black_level_dn
+        )
+
+    above_zero = extreme_dn(darkest_e, row_noise.min(axis=0), -1) > 0
+    below_top = extreme_dn(brightest_e, row_noise.max(axis=0), 1) < p.adc.top_code_dn
+    is_dithered = p.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= MIN_DITHER_DN
+
+    limit_e = saturation_level_e(time_s, p) if responds_linearly(p.physics) else 0.0
+    below_full = brightest_e + CLIP_SIGMAS * np.sqrt(brightest_e) + FEW_E < limit_e
+    return np.asarray(above_zero & below_top & is_dithered & below_full)
+
+
+def _draw_summed_codes(
+    charges_e: Sequence[Array],
+    offset_e: Array,
+    row_noise: Array,
+    p: Readout,
+    rng: np.random.Generator,
+) -> Array:
+    """Draw the sum of the codes of all subexposures at once, (rows, columns), without clipping.
+
+    The sum of Poisson counts is one; that of normal values, and of all roundings but the last, is
+    a normal value.
+
+    charges_e, offset_e, row_noise, p : as in `_never_clips`
+    """
+    count = len(row_noise)
+    total_e = count * charges_e[0] if len(charges_e) == 1 else np.add.reduce(charges_e)
+    level_e = np.asarray(_shot_noise(total_e, rng), float)
+
+    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+    rounding_sigma_e = math.sqrt((count - 1) / 12) / p.dn_per_e
+    sigma_e = math.hypot(math.sqrt(count) * pixel_sigma_e, rounding_sigma_e)
+    level_e += sigma_e * rng.standard_normal(level_e.shape)
+    level_e += count * offset_e + row_noise.sum(axis=0)
+    return np.rint(p.dn_per_e * level_e + count * p.adc.black_level_dn)
+
+
+def _read_one_by_one(
+    charges_e: Sequence[Array],
+    offset_e: Array,
+    row_noise: Array,
+    p: Readout,
+    time_s: float,
+    rng: np.random.Generator,
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Read out each subexposure of some pixels. Return the sums of their codes, which pixels were
+    full in any subexposure, and which began to saturate, (n,) each.
+
+    charges_e : mean charges of the subexposures, (n,); a single one if all are the same
+    offset_e : fixed offsets, (n,)
+    row_noise : (subexposures, n) electrons
+    p : of one subexposure
+    """
+    size = offset_e.size
+    total_dn = np.zeros(size)
+    is_full = np.zeros(size, bool)
+    is_saturating = np.zeros(size, bool)
+    full_e = saturation_level_e(time_s, p)
+    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+
+    for number, row_e in enumerate(row_noise):
+        charge_e = charges_e[number % len(charges_e)]
+        generated_e = np.asarray(_shot_noise(charge_e, rng), float)
+        stored_e = stored_signal_e(generated_e, time_s, p)
+        is_saturating |= generated_e >= full_e
+        is_full |= full_pixels(generated_e, stored_e, p)
+
+        level_e = stored_e + pixel_sigma_e * rng.standard_normal(size)
+        level_e += offset_e + row_e
+        codes = np.clip(np.rint(p.dn_per_e * level_e + p.adc.black_level_dn), 0, p.adc.top_code_dn)
+        is_full |= codes >= p.adc.top_code_dn
+        is_saturating |= codes >= p.adc.top_code_dn
+        total_dn += codes
+    return total_dn, is_full, is_saturating
 
 
 def _by_block(
@@ -658,8 +723,8 @@ def capture_from_rates(
 
     Light that flickers has these rates in its mean, on which the automatic exposure is metered.
 
-    each : the rates in each exposure of a burst, whose mean is the signal, if they differ; else
-        none
+    each : (rows, columns) rates in each subexposure of a burst, whose mean is the signal; empty if
+        all are the same
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for
     the numbers of the rates.
@@ -678,19 +743,20 @@ def capture_from_rates(
         )
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, p, brightest_e_per_s)
+    subexposure_rates = list(each)
     planes = p.physics.planes
     if gains := row_gains(time_s, len(signal_e_per_s) // planes, exposure, rng):
-        each = [
-            one * np.tile(gain, planes)[:, None]
-            for gain, one in zip(gains, each or [signal_e_per_s] * len(gains), strict=True)
+        steady_rates = subexposure_rates or [signal_e_per_s] * len(gains)
+        subexposure_rates = [
+            rate * np.tile(gain, planes)[:, None]
+            for gain, rate in zip(gains, steady_rates, strict=True)
         ]
-        signal_e_per_s = np.mean(each, axis=0)
+        signal_e_per_s = np.mean(subexposure_rates, axis=0)
         brightest_e_per_s = float(signal_e_per_s.max())
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
     exposed = sensor if p is sensor.readout else replace(sensor, readout=p)
-    dn, saturated, fraction = _expose(
-        mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each]
-    )
+    subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
+    dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
     return _frame(dn, fraction, mean_e, time_s, p, exposure, saturated)
 
 
@@ -795,11 +861,14 @@ def capture(
     Raises PixsimError if the picture does not fill the sensor, or if the light is negative or not
     finite.
 
-    >>> light = SpectralImage([550.0], 10.0, 169.6, data=np.full((16, 16, 1), 1e-3))  # 10 mW/m² of green
+    10 mW/m² of green light make E Δλ λ/hc A t photons, each of which frees QE electrons:
+
+    >>> light = SpectralImage([550.0], 10.0, 169.6, data=np.full((16, 16, 1), 1e-3))
     >>> camera, pixel = Camera(), Pixel(pitch_um=100.0, infrared_cut_nm=700.0)
     >>> frame = capture(light, camera, make_sensor(pixel, camera), rng=np.random.default_rng(0))
     >>> area_m2 = derive(pixel).photodiode_area_um2 * 1e-12
-    >>> photons = 1e-3 * 10 * 550e-9 / (6.62607015e-34 * 299792458) * area_m2 * frame.integration_s  # E Δλ λ/hc A t
+    >>> photons_per_joule = 550e-9 / (6.62607015e-34 * 299792458)
+    >>> photons = 1e-3 * 10 * photons_per_joule * area_m2 * frame.integration_s
     >>> round(float(frame.mean_e.mean() / photons / derive(pixel).quantum_efficiency(550.0)), 6)
     1.0
     """
