@@ -24,7 +24,7 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
 # Settings that a designer turns; what this version does not have is left out.
 PITCH = "pixel.pitch_um"
-TURNED = (
+CONTROLLED_FIELDS = (
     *(
         PITCH,
         "pixel.read_noise_e",
@@ -40,7 +40,7 @@ TURNED = (
         "display.samples_per_deg",
     ),
 )
-OF_ALL = (
+SHARED_TABLES = (
     "scene",
     "camera",
     "lens",
@@ -64,27 +64,27 @@ class Control:
     label: str
     unit: str = ""
     help: str = ""
-    least: float | None = None
-    most: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
     choices: tuple[str, ...] = ()
     pair: bool = False
 
     @property
-    def of_all(self) -> bool:
+    def is_shared(self) -> bool:
         """Whether two sensors have the same value."""
-        return self.path.partition(".")[0] in OF_ALL
+        return self.path.partition(".")[0] in SHARED_TABLES
 
-    def value(self, given: object) -> object:
+    def value(self, sent: object) -> object:
         """Return the value of the field for what a page sent. Raises PixsimError for what is no
         number, or none of the choices.
         """
         if self.choices:
-            if given not in self.choices:
-                raise invalid(self.path, repr(given)[:80], ", ".join(self.choices))
-            return None if given == NO_LENS else given
-        if isinstance(given, bool) or not isinstance(given, int | float):
-            raise invalid(self.path, repr(given)[:80], "a number")
-        return [float(given), 0.0] if self.pair else float(given)
+            if sent not in self.choices:
+                raise invalid(self.path, repr(sent)[:80], ", ".join(self.choices))
+            return None if sent == NO_LENS else sent
+        if isinstance(sent, bool) or not isinstance(sent, int | float):
+            raise invalid(self.path, repr(sent)[:80], "a number")
+        return [float(sent), 0.0] if self.pair else float(sent)
 
     def shown(self, value: object) -> object:
         """Return what a page shows of a value of the field."""
@@ -96,12 +96,16 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
     neither.
     """
     schema = Run.model_json_schema()
-    own = [control for path in TURNED if (control := _of_field(schema, path)) is not None]
+    controls = [
+        control
+        for path in CONTROLLED_FIELDS
+        if (control := _field_control(schema, path)) is not None
+    ]
     if lenses:
         words = "real lens in place of the thin one, whose f-number then counts no more"
-        own.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
+        controls.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
     if ILLUMINANCE in parameters:
-        own.insert(
+        controls.insert(
             2,
             Control(
                 f"scene.{ILLUMINANCE}",
@@ -114,19 +118,19 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
         )
     elif EMITTER_SCALE in parameters:
         words = "of the chart's white; the display's white follows it, unless it is set"
-        own.insert(
+        controls.insert(
             2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15)
         )
-    return own
+    return controls
 
 
-def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:
+def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
     """Return the control of a field of `Run`, from its JSON schema; None if there is no such
     field.
     """
     table, _, name = path.partition(".")
-    of_table = schema["properties"].get(table, {}).get("$ref", "").rpartition("/")[2]
-    declared = schema["$defs"].get(of_table, {}).get("properties", {}).get(name)
+    record_name = schema["properties"].get(table, {}).get("$ref", "").rpartition("/")[2]
+    declared = schema["$defs"].get(record_name, {}).get("properties", {}).get(name)
     if declared is None:
         return None
     kinds = [kind for kind in declared.get("anyOf", [declared]) if kind.get("type") != "null"]
@@ -139,7 +143,7 @@ def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:
     numbers = [
         inner for kind in kinds for inner in (kind.get("prefixItems", [kind]) if pair else [kind])
     ]
-    least, most = (
+    minimum, maximum = (
         next((kind[key] for kind in numbers if key in kind), None) for key in ("minimum", "maximum")
     )
     ending = next((end for end in UNITS if name.endswith(end)), "") if unit_of(name) else ""
@@ -149,8 +153,8 @@ def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:
         _LABELS.get(label, label),
         unit_of(name),
         declared.get("description", ""),
-        least,
-        most,
+        minimum,
+        maximum,
         choices,
         pair=pair,
     )
@@ -171,12 +175,12 @@ def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset
     """Return the presets: first the files and options of the user, then each of several files, and
     what pixsim packages.
     """
-    found = [Preset("start", "as given", tuple(config), tables)]
-    found += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
+    presets = [Preset("start", "as given", tuple(config), tables)]
+    presets += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
     # A run with a data sheet alone would be shown on the dots of its pixels: all have one display,
     # and a picture comes soon.
-    given = {name: table for name, table in tables.items() if name != "pixel"}
-    others = merge({"display": {"dots": Run().display.dots}}, given)
+    options = {name: table for name, table in tables.items() if name != "pixel"}
+    others = merge({"display": {"dots": Run().display.dots}}, options)
     pixels = [
         ("technologies", name, {"technology": name}) for name in packaged("data/technologies")
     ]
@@ -188,7 +192,7 @@ def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset
         ("colours of cameras", name.replace("_", " "), {"colour": colour})
         for name, colour in colours.items()
     ]
-    return found + [
+    return presets + [
         Preset(group, name, (), {**others, "pixel": pixel}) for group, name, pixel in pixels
     ]
 

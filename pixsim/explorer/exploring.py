@@ -59,9 +59,9 @@ def explore(
     from pixsim.explorer.server import explore_until_closed
 
     names = "pixel", "camera", "exposure", "display", "correction", "develop"
-    own = zip(names, (pixel, camera, exposure, display, correction, develop), strict=True)
+    records = zip(names, (pixel, camera, exposure, display, correction, develop), strict=True)
     stated: dict[str, Any] = {"exclude_unset": True, "exclude_none": True, "exclude": {"lens"}}
     tables = {
-        name: record.model_dump(**stated) for name, record in own if isinstance(record, Record)
+        name: record.model_dump(**stated) for name, record in records if isinstance(record, Record)
     }
     explore_until_closed(Session(light, (), tables), opened)

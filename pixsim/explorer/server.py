@@ -61,11 +61,11 @@ class _SamePage:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
-            found = {
+            headers = {
                 name: [value for key, value in scope["headers"] if key == name]
                 for name in (b"host", b"origin")
             }
-            host, origin = found[b"host"], found[b"origin"]
+            host, origin = headers[b"host"], headers[b"origin"]
             asks = (
                 bool(origin) or scope["type"] == "websocket"
             )  # a page that is opened states no origin
@@ -112,10 +112,10 @@ class Pages:
         await page.accept()
         try:
             first = await asyncio.wait_for(page.receive_json(), FIRST_S)
-            given = first.get("token") if isinstance(first, dict) else None
+            token = first.get("token") if isinstance(first, dict) else None
             if not (
-                isinstance(given, str)
-                and secrets.compare_digest(given.encode(), self.token.encode())
+                isinstance(token, str)
+                and secrets.compare_digest(token.encode(), self.token.encode())
             ):
                 await page.close(REFUSED)
                 return
@@ -177,13 +177,13 @@ def served(session: Session) -> Iterator[Path]:
         Path(name).unlink(missing_ok=True)
 
 
-def explore_until_closed(session: Session, told: Callable[[Path], object] | None = None) -> None:
-    """Open the page of a session by the browser, or by what is `told` its file, and compute what it
+def explore_until_closed(session: Session, opened: Callable[[Path], object] | None = None) -> None:
+    """Open the page of a session in the browser, or pass its file to `opened`, and compute what it
     asks for until it is closed.
     """
     with served(session) as file:
-        if told is not None:
-            told(file)
+        if opened is not None:
+            opened(file)
         elif not webbrowser.open(file.as_uri()):
             hint = "--no-browser, in Python opened=print, names the page's file."
             raise invalid("browser", "none that can be opened", "one", hint)

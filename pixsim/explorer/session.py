@@ -51,11 +51,11 @@ from pixsim.viewer.settings_file import run_settings
 
 MAX_LIGHTS, MAX_SENSORS = 3, 2  # in memory; side by side
 REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
-CURVE_STEPS, A_DECADE = (
+CURVE_STEPS, SIZES_PER_DECADE = (
     4,
     12,
 )  # sizes on each side of the pixel's, and how many there are from one to ten times it
-_TELL_S = 0.2  # between two words on what is being done
+_PROGRESS_INTERVAL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
 LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
     ("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True
@@ -82,12 +82,16 @@ class PageRequest(NamedTuple):
     def of(cls, message: Mapping[str, Any]) -> PageRequest:
         """Return a request from JSON. Raises PixsimError for another message."""
         try:
-            sensors = tuple((int(each["preset"]), dict(each["set"])) for each in message["sensors"])
-            found = cls(
+            sensors = tuple(
+                (int(sensor["preset"]), dict(sensor["set"])) for sensor in message["sensors"]
+            )
+            request = cls(
                 int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"])
             )
-            if 1 <= len(sensors) <= MAX_SENSORS and all(name in METRICS for name in found.metrics):
-                return found
+            if 1 <= len(sensors) <= MAX_SENSORS and all(
+                name in METRICS for name in request.metrics
+            ):
+                return request
         except (KeyError, TypeError, ValueError):
             pass  # no request
         raise invalid(
@@ -102,19 +106,19 @@ class Session:
 
     source : scene, or picture of another program; or light in memory
     config, tables : settings files and options of the user
-    given : further arguments of `prepare`
+    prepare_arguments : further arguments of `prepare`
     send : takes each message for the page
     """
 
     source: str | SpectralImage
     config: Sequence[Path] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
-    given: Mapping[str, Any] = field(default_factory=dict)
+    prepare_arguments: Mapping[str, Any] = field(default_factory=dict)
     send: Callable[[dict[str, Any]], None] = lambda message: None
 
     def __post_init__(self) -> None:
-        self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
-        self._asked: PageRequest | None = None
+        self._wake, self._ended, self._progress_sent_s = threading.Event(), False, 0.0
+        self._request: PageRequest | None = None
         self._lights: dict[str, RenderedRun] = {}  # the last one last
         self._scenes, self._points = RecentScenes(), dict[str, list[float]]()
         self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
@@ -133,7 +137,7 @@ class Session:
             for name, metric in METRICS.items()
             if metric is not DELTA_E
         }
-        controls = [asdict(control) | {"of_all": control.of_all} for control in self.controls]
+        controls = [asdict(control) | {"is_shared": control.is_shared} for control in self.controls]
         return {
             "hello": {
                 "title": self.title,
@@ -144,9 +148,9 @@ class Session:
             }
         }
 
-    def ask(self, asked: PageRequest) -> None:
+    def ask(self, request: PageRequest) -> None:
         """Drop what is asked for now, and compute this."""
-        self._asked = asked
+        self._request = request
         self._wake.set()
 
     def end(self) -> None:
@@ -160,51 +164,59 @@ class Session:
         while not self._ended:
             self._wake.wait(0.5)  # not for ever at once: some systems would then take no Ctrl-C
             self._wake.clear()
-            if (asked := self._asked) is None or asked is answered:
+            if (request := self._request) is None or request is answered:
                 continue
-            answered = asked
+            answered = request
             try:
                 with warnings.catch_warnings():
                     warnings.showwarning = lambda *_, **__: None  # the page has them as notes
-                    self.answer(asked)
+                    self.answer(request)
             except _SupersededError:
                 pass  # what came is next
             except (PixsimError, MemoryError) as error:
                 words = (
                     str(error) or "out of memory: take larger pixels, or a smaller part of the die"
                 )
-                self.send({"number": asked.number, "error": words})
+                self.send({"number": request.number, "error": words})
 
-    def answer(self, asked: PageRequest) -> None:
+    def answer(self, request: PageRequest) -> None:
         """Send the pictures of a request as soon as they are known, then with their errors, then
         curves.
         """
-        jobs, found = [], []
-        for number in range(len(asked.sensors)):
+        jobs, first_results = [], []
+        for number in range(len(request.sensors)):
             with collected_notes(alone=True):
-                jobs.append(self._job(asked, number))
-                kept = self._kept(jobs[-1])
-                first = None if kept is None else score_run(kept, self._stage(asked), self._scenes)
-            found.append(first)
+                jobs.append(self._job(request, number))
+                first_run = self._first_run(jobs[-1])
+                first = (
+                    None
+                    if first_run is None
+                    else score_run(first_run, self._stage(request), self._scenes)
+                )
+            first_results.append(first)
             if first is not None:
-                self.send(self._message(asked, number, first, sure=False))
+                self.send(self._message(request, number, first, sure=False))
         lights = []
-        for number, (job, first) in enumerate(zip(jobs, found, strict=True)):
+        for number, (job, first) in enumerate(zip(jobs, first_results, strict=True)):
             with collected_notes(alone=True):
-                lights.append(self._keep(render_run(job, self._stage(asked))))
-                result = score_run(lights[-1], self._stage(asked), self._scenes)
-                known = first is not None and np.array_equal(first.score.image, result.score.image)
-                self.send(self._message(asked, number, result, sure=True, known=known))
-        for number, lit in enumerate(lights if asked.curve else []):
-            for point in self._curve(asked, number, lit):
-                self.send({"number": asked.number, "sensor": number, "point": point})
-        self.send({"number": asked.number, "done": True})
+                lights.append(self._store_light(render_run(job, self._stage(request))))
+                result = score_run(lights[-1], self._stage(request), self._scenes)
+                has_pictures = first is not None and np.array_equal(
+                    first.score.image, result.score.image
+                )
+                self.send(
+                    self._message(request, number, result, sure=True, has_pictures=has_pictures)
+                )
+        for number, rendered_run in enumerate(lights if request.curve else []):
+            for point in self._curve(request, number, rendered_run):
+                self.send({"number": request.number, "sensor": number, "point": point})
+        self.send({"number": request.number, "done": True})
 
-    def _settings(self, asked: PageRequest, number: int) -> tuple[Preset, dict[str, Any]]:
+    def _settings(self, request: PageRequest, number: int) -> tuple[Preset, dict[str, Any]]:
         """Return the preset of a sensor, and its options. Raises PixsimError for what this page
         does not have.
         """
-        place, values = asked.sensors[number]
+        place, values = request.sensors[number]
         controls = {control.path: control for control in self.controls}
         if unknown := [path for path in values if path not in controls]:
             raise invalid("page", f"'{unknown[0]}'"[:80], "a control of this page")
@@ -212,19 +224,23 @@ class Session:
             raise invalid("page", f"preset {place}", "a preset of this page")
         shared = {
             path: value
-            for path, value in asked.sensors[0][1].items()
-            if path in controls and controls[path].of_all
+            for path, value in request.sensors[0][1].items()
+            if path in controls and controls[path].is_shared
         }
-        own = {path: value for path, value in values.items() if not controls[path].of_all}
-        set_here = {path: controls[path].value(value) for path, value in (shared | own).items()}
+        sensor_values = {
+            path: value for path, value in values.items() if not controls[path].is_shared
+        }
+        set_here = {
+            path: controls[path].value(value) for path, value in (shared | sensor_values).items()
+        }
         tables = with_values(self.presets[place].tables, set_here)
         return self.presets[place], tables | (
-            {"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {}
+            {"metrics": (DELTA_E.name, *request.metrics)} if request.metrics else {}
         )
 
-    def _job(self, asked: PageRequest, number: int) -> Job[Run]:
+    def _job(self, request: PageRequest, number: int) -> Job[Run]:
         """Return the prepared run of a sensor."""
-        (preset, tables), source = self._settings(asked, number), self.source
+        (preset, tables), source = self._settings(request, number), self.source
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
             source = copy(source)
             source.header = dict(source.header)
@@ -233,19 +249,21 @@ class Session:
             run_settings(preset.config, tables),
             repeats=REPEATS,
             judges_settings=False,
-            **self.given,
+            **self.prepare_arguments,
         )
 
-    def _stage(self, asked: PageRequest) -> Callable[[str], Progress]:
+    def _stage(self, request: PageRequest) -> Callable[[str], Progress]:
         """Return stages that tell the page what is done, and end when other settings come."""
 
         def stage(name: str) -> Progress:
             def progress(done: float = 0.0, note: str = "") -> None:
-                if self._asked not in (None, asked) or self._ended:
+                if self._request not in (None, request) or self._ended:
                     raise _SupersededError
-                if time.monotonic() - self._told_s > _TELL_S:
-                    self._told_s = time.monotonic()
-                    self.send({"number": asked.number, "busy": f"{name}: {100 * done:.0f} %{note}"})
+                if time.monotonic() - self._progress_sent_s > _PROGRESS_INTERVAL_S:
+                    self._progress_sent_s = time.monotonic()
+                    self.send(
+                        {"number": request.number, "busy": f"{name}: {100 * done:.0f} %{note}"}
+                    )
 
             progress()
             return progress
@@ -265,15 +283,15 @@ class Session:
             ]
         )
 
-    def _kept(self, job: Job[Run]) -> RenderedRun | None:
+    def _first_run(self, job: Job[Run]) -> RenderedRun | None:
         """Return a run for the first picture, by ΔE alone, in light that is known or comes at once;
         None if it must be rendered.
         """
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
-            self._keep(RenderedRun(job, case.picture))
+            self._store_light(RenderedRun(job, case.picture))
         elif key not in self._lights and job.request.plan.samples.exact:
-            self._keep(
+            self._store_light(
                 RenderedRun(
                     job,
                     job.request.render(job.request.first, job.request.plan)[0],
@@ -290,121 +308,139 @@ class Session:
         first = replace(job, cases=(case,))
         return RenderedRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
-    def _keep(self, lit: RenderedRun) -> RenderedRun:
+    def _store_light(self, rendered_run: RenderedRun) -> RenderedRun:
         """Keep the light of a run; if it is the same as one that is kept, return the run in that
         one.
         """
-        key = self._light_key(lit.prepared)
+        key = self._light_key(rendered_run.prepared)
         old = self._lights.pop(key).irradiance if key in self._lights else None
         if (
             old is not None
-            and old.shape == lit.irradiance.shape
-            and _bare(old.header) == _bare(lit.irradiance.header)
+            and old.shape == rendered_run.irradiance.shape
+            and _bare(old.header) == _bare(rendered_run.irradiance.header)
         ):
-            old.header = lit.irradiance.header  # with the white
-            lit = replace(lit, irradiance=old)
+            old.header = rendered_run.irradiance.header  # with the white
+            rendered_run = replace(rendered_run, irradiance=old)
         while len(self._lights) >= MAX_LIGHTS:
             del self._lights[next(iter(self._lights))]
-        self._lights[key] = lit
-        self._scenes.drop_all_but([each.irradiance for each in self._lights.values()])
-        return lit
+        self._lights[key] = rendered_run
+        self._scenes.drop_all_but([run.irradiance for run in self._lights.values()])
+        return rendered_run
 
     def _message(
-        self, asked: PageRequest, number: int, result: RunResult, *, sure: bool, known: bool = False
+        self,
+        request: PageRequest,
+        number: int,
+        result: RunResult,
+        *,
+        sure: bool,
+        has_pictures: bool = False,
     ) -> dict[str, Any]:
         """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if
-        these are `known`.
+        the page `has_pictures` already.
         """
         score, job = result.score, result.prepared
-        found: dict[str, Any] = {
-            "number": asked.number,
+        content: dict[str, Any] = {
+            "number": request.number,
             "sensor": number,
             "sure": sure,
             "values": self._values(result),
         }
-        if not known:
+        if not has_pictures:
             end = scale_end(result.statistics[0]["p99_delta_e"])
             codes = {"ideal": display_codes(score.ideal), "image": display_codes(score.image)}
             codes["delta_e"] = delta_e_colours(score.delta_e, end)
             uris = {
-                name: "data:image/png;base64," + base64.b64encode(png_bytes(each)).decode()
-                for name, each in codes.items()
+                name: "data:image/png;base64," + base64.b64encode(png_bytes(picture)).decode()
+                for name, picture in codes.items()
             }
-            found |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
+            content |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
         if not sure:
             words = (
                 f"mean ΔE {estimate(result.mean_delta_e)} of one sensor, with errors that are being"
                 " measured"
             )
-            return found | {"lines": [words], "unsure": "errors not measured yet"}
-        preset, tables = self._settings(asked, number)
+            return content | {"lines": [words], "unsure": "errors not measured yet"}
+        preset, tables = self._settings(request, number)
         flags = [
             word
             for name in ("sensor", "variant", "units")
             if (value := getattr(job, name))
             for word in (f"--{name}", value)
         ]
-        own = (
+        command = (
             (job.file, preset.config, tables)
             if isinstance(self.source, str)
             else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
         )
         is_sure = converged(result.light, result.light_limit)
-        found |= {
+        content |= {
             "lines": text(run_document(result), LINE).splitlines(),
             "unsure": "" if is_sure else NOT_CONVERGED,
         }
-        return found | {
-            "command": command_words(*own, REPEATS, flags),
+        return content | {
+            "command": command_words(*command, REPEATS, flags),
             "settings": run_settings_text(job, result.irradiance),
         }
 
     def _values(self, result: RunResult) -> dict[str, object]:
         """Return the values of the controls in effect, by their paths, as they are shown."""
-        settings, shown = result.settings, {}
+        settings, values = result.settings, {}
         for control in self.controls:
             table, _, name = control.path.partition(".")
             score = result.score
-            of_pixel = score.physics, score.readout, score.readout.adc
-            places: list[object] = [getattr(settings, table), result.camera, *of_pixel, score.frame]
+            pixel_records = score.physics, score.readout, score.readout.adc
+            places: list[object] = [
+                getattr(settings, table),
+                result.camera,
+                *pixel_records,
+                score.frame,
+            ]
             value = next(
-                (each for place in places if (each := getattr(place, name, None)) is not None), None
+                (
+                    record_value
+                    for place in places
+                    if (record_value := getattr(place, name, None)) is not None
+                ),
+                None,
             )
             if table == "scene":
-                given = settings.scene.get(
+                parameter = settings.scene.get(
                     name, result.prepared.cases[0].scene.text().defaults.get(name)
                 )
                 value = (
                     result.plan.light.chart_white.get(LUMINANCE)
-                    if given is None and result.plan
-                    else given
+                    if parameter is None and result.plan
+                    else parameter
                 )
-            shown[control.path] = (
+            values[control.path] = (
                 settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
             )
-        return shown
+        return values
 
-    def _curve(self, asked: PageRequest, number: int, lit: RenderedRun) -> Iterator[list[float]]:
+    def _curve(
+        self, request: PageRequest, number: int, rendered_run: RenderedRun
+    ) -> Iterator[list[float]]:
         """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the
         nearest first, in one light.
         """
-        middle = round(A_DECADE * np.log10(lit.prepared.settings.pixel.pitch_um))
+        middle = round(SIZES_PER_DECADE * np.log10(rendered_run.prepared.settings.pixel.pitch_um))
         for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):
             pitch_um, sensors = (
-                float(f"{10 ** ((middle + step) / A_DECADE):.3g}"),
-                list(asked.sensors),
+                float(f"{10 ** ((middle + step) / SIZES_PER_DECADE):.3g}"),
+                list(request.sensors),
             )
             sensors[number] = sensors[number][0], {**sensors[number][1], PITCH: pitch_um}
             try:
                 with collected_notes(alone=True):
-                    job = self._job(asked._replace(sensors=tuple(sensors), metrics=()), number)
+                    job = self._job(request._replace(sensors=tuple(sensors), metrics=()), number)
                     key = content_hash(
-                        [job.settings.model_dump(mode="json"), lit.irradiance.header]
+                        [job.settings.model_dump(mode="json"), rendered_run.irradiance.header]
                     )
                     if key not in self._points:
                         result = score_run(
-                            RenderedRun(job, lit.irradiance, None, lit.plan),
-                            self._stage(asked),
+                            RenderedRun(job, rendered_run.irradiance, None, rendered_run.plan),
+                            self._stage(request),
                             self._scenes,
                         )
                         low, high = result.interval_delta_e or (0.0, 0.0)

@@ -85,7 +85,7 @@ from pixsim.studies.design import BASE, Case, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.paired import Pairs, mean_interval
-from pixsim.studies.sensors import OF_A_SENSOR, ComparisonJob, SensorGroup, pixels_of
+from pixsim.studies.sensors import SENSOR_TABLES, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import paths_of
 from pixsim.studies.table import ROWS_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS
@@ -219,7 +219,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
         "samples_per_deg",
     } - first.display.model_fields_set  # where both are stated, no other display is shown
     parameters = scene_table(job.pictured_group.first.scene.path.parent, first.scene)
-    tables: dict[str, Any] = {name: {} for name in OF_A_SENSOR}
+    tables: dict[str, Any] = {name: {} for name in SENSOR_TABLES}
     tables |= {
         "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
         "scene": parameters,
@@ -233,7 +233,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
         }
     texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
     shared: dict[str, Any] = {
-        name: {} for name in type(first).model_fields if name not in OF_A_SENSOR
+        name: {} for name in type(first).model_fields if name not in SENSOR_TABLES
     }
     spreads = [{}] * len(files) if job.types is None else job.types.spreads
     for file, settings, spread in zip(files, job.base, spreads, strict=True):
@@ -737,9 +737,9 @@ def _settings(result: Comparison) -> list[Block]:
         tables = settings_tables(
             scene, case.settings, case.camera, pixel, is_coloured, pixel.technology == NO_TECHNOLOGY
         )
-        shared = shared or [table for table in tables if table.name not in OF_A_SENSOR]
+        shared = shared or [table for table in tables if table.name not in SENSOR_TABLES]
         for table in tables:
-            for name, value, _, source in table.rows if table.name in OF_A_SENSOR else ():
+            for name, value, _, source in table.rows if table.name in SENSOR_TABLES else ():
                 setting = f"{table.name}.{name}"
                 values.setdefault(setting, {})[case.sensor] = value
                 changed |= {setting} if source not in DEFAULTS else set()

@@ -315,8 +315,8 @@ def verdicts(result: CasesResult) -> list[Verdict]:
             row,
             tuple(
                 curve
-                for curve, own in zip(cases, agrees, strict=True)
-                if own.get(row.statement, row.agrees) != row.agrees
+                for curve, agreement in zip(cases, agrees, strict=True)
+                if agreement.get(row.statement, row.agrees) != row.agrees
             ),
         )
         for row in result.findings[0]
@@ -332,22 +332,25 @@ def reference_process(study: Study) -> Technology:
 
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
-    for size_um, given in _FILL_FACTORS.items():
+    for size_um, published in _FILL_FACTORS.items():
         result = float(fill_factor_law(size_um, process))
         yield Finding(
             f"Fill factor at {size_um:g} µm",
-            percent(given),
+            percent(published),
             percent(result, 1),
-            abs(result - given) < 0.015,
+            abs(result - published) < 0.015,
         )
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = _FIGURE_2_RANGE_DB
     for name, db in zip(
         ("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True
     ):
-        axis, reach = f"within {low:g} to {high:g} dB", f"{db.min():.1f} to {db.max():.1f} dB"
+        limit_words, range_words = (
+            f"within {low:g} to {high:g} dB",
+            f"{db.min():.1f} to {db.max():.1f} dB",
+        )
         inside = bool(low <= db.min() and db.max() <= high)
-        yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside)
+        yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", limit_words, range_words, inside)
         exponent = growth_exponent(pitch_um, db)
         yield Finding(
             f"{name} grows roughly as √pitch",
@@ -388,9 +391,11 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
             f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees
         )
     six, smallest = limits[6.0], limits[5.3]
-    apart = np.flatnonzero(six != smallest)
+    differing = np.flatnonzero(six != smallest)
     crosses = bool(
-        apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]]
+        differing.size
+        and six[differing[0]] > smallest[differing[0]]
+        and smallest[differing[-1]] > six[differing[-1]]
     )
     result = (
         f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at"
@@ -452,20 +457,22 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
         (low and low / feature_um, high and high / feature_um)
         for (low, high), feature_um in zip(size_intervals, features_um, strict=True)
     ]
-    least = [best.mean_delta_e for best in optima]
-    least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
+    best_delta_e = [best.mean_delta_e for best in optima]
+    best_delta_e_intervals = [
+        best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima
+    ]
 
     def row(
-        statement: str, given: str, values: Sequence[float], digits: int, agrees: bool
+        statement: str, published: str, values: Sequence[float], digits: int, agrees: bool
     ) -> Finding:
         result = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
-        return Finding(statement, given, result, agrees)
+        return Finding(statement, published, result, agrees)
 
     optimum, slower, worse = _SCALING
     return [
         row(optimum, "yes", size_um, 2, rise(size_um[::-1], size_intervals[::-1])),
         row(slower, "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals)),
-        row(worse, "rises", least, 3, rise(least, least_intervals)),
+        row(worse, "rises", best_delta_e, 3, rise(best_delta_e, best_delta_e_intervals)),
     ]
 
 

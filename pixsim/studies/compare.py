@@ -64,13 +64,12 @@ from pixsim.viewer.scene_light import PreparedScene
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
 
-# --- results that exist
-# -----------------------------------------------------------------------------------------------------------
+# --- results that exist ---------------------------------------------------------------------------
 
 _MAKE_AGAIN = "Make it again, with its settings.toml."
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
 # What a header of light says of the pixels, not of the light itself.
-_OF_PIXELS = {"plan", "bound_e", "spare_e", "render_noise"}
+_PIXEL_HEADER_KEYS = {"plan", "bound_e", "spare_e", "render_noise"}
 
 
 @dataclass(frozen=True)
@@ -132,9 +131,9 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     try:
         content = json.loads(read_text(data_file, "results", "JSON", MAX_BYTES))
         check_not_newer(f"'{data_file}'", content.get("schema"))
-        lit, streams = _lit_and_streams(content, kind)
-        lights = {name: entry["irradiance"] for name, entry in lit.items()}
-        film_delta_e = _largest_film_error(lit.values())
+        light_entries, streams = _light_entries_and_streams(content, kind)
+        lights = {name: entry["irradiance"] for name, entry in light_entries.items()}
+        film_delta_e = _largest_film_error(light_entries.values())
     except PixsimError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -150,7 +149,7 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     return ResultFolder(folder, kind, lights, film_delta_e, streams, rows)
 
 
-def _lit_and_streams(
+def _light_entries_and_streams(
     content: Mapping[str, Any], kind: str
 ) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
     """Return what of a result states a light and its film, by the name of the light, and its random
@@ -315,23 +314,26 @@ def metrics_of(a: ResultFolder, b: ResultFolder) -> list[Metric]:
 def _what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
     """Yield what of the light and the random streams of two results differs, in words."""
     if a.streams != b.streams:
-        yield f"random streams ({_shown(a.streams)} and {_shown(b.streams)})"
+        yield f"random streams ({_shortened(a.streams)} and {_shortened(b.streams)})"
     for name in a.lights.keys() & b.lights.keys():
         one, other = (
-            {key: value for key, value in each.lights[name].items() if key not in _OF_PIXELS}
+            {
+                key: value
+                for key, value in each.lights[name].items()
+                if key not in _PIXEL_HEADER_KEYS
+            }
             for each in (a, b)
         )
         for key in sorted(one.keys() | other.keys()):
             if json.dumps(one.get(key)) != json.dumps(other.get(key)):  # a NaN equals itself
-                yield f"the light's {key} ({_shown(one.get(key))} and {_shown(other.get(key))})"
+                yield f"the light's {key} ({_shortened(one.get(key))} and {_shortened(other.get(key))})"
 
 
-def _shown(value: object) -> str:
+def _shortened(value: object) -> str:
     return f"{value}"[:60]
 
 
-# --- sensors in one scene
-# ---------------------------------------------------------------------------------------------------------
+# --- sensors in one scene -------------------------------------------------------------------------
 
 
 def compare(
@@ -469,9 +471,11 @@ def run_prepared(
         groups, lights = _render_groups(job, stage)
         by_number = {group.first.group: group for group in groups}
         cases = [case for group in groups for case in group.cases]
-        lit = rendered_cases(cases, [light for light, _ in lights])
-        _check(groups, lit)
-        table = evaluate_points(lit, files[ROWS_FILE], workers, lambda: stage("sense and score"))
+        rendered_sensors = rendered_cases(cases, [light for light, _ in lights])
+        _check_sensors(groups, rendered_sensors)
+        table = evaluate_points(
+            rendered_sensors, files[ROWS_FILE], workers, lambda: stage("sense and score")
+        )
         for case, rows in zip(cases, table.by_case(), strict=True):
             for reason in dict.fromkeys(rows.reasons.values()):
                 warn(
@@ -481,8 +485,12 @@ def run_prepared(
                 )
         measuring = stage("error of the film")
         sensors = []
-        for number, (sensor, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
-            progress_of_sensor = share_of(measuring, number / len(lit), (number + 1) / len(lit))
+        for number, (sensor, (light, plan)) in enumerate(
+            zip(rendered_sensors, lights, strict=True)
+        ):
+            progress_of_sensor = share_of(
+                measuring, number / len(rendered_sensors), (number + 1) / len(rendered_sensors)
+            )
             sensors.append(
                 _compared_sensor(
                     by_number[sensor.case.group], sensor, light, plan, progress_of_sensor
@@ -496,27 +504,37 @@ def run_prepared(
         )
         if job.types is not None:
             drawn = _differences_of_types(
-                job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types")
+                job.types,
+                result,
+                rendered_sensors,
+                files[TYPES_FILE],
+                workers,
+                stage("sensor types"),
             )
             result = replace(result, uncertainty=tuple(drawn))
     return replace(result, warned=tuple(notes))
 
 
-def _check(groups: Sequence[SensorGroup], lit: Sequence[RenderedCase]) -> None:
+def _check_sensors(groups: Sequence[SensorGroup], rendered_sensors: Sequence[RenderedCase]) -> None:
     """Raise PixsimError for sensors whose ideal images differ; warn of their numbers, their stacks
     and what the display clips.
     """
     for group in groups:
-        members = [one for one in lit if one.case.group == group.first.group]
+        members = [
+            rendered for rendered in rendered_sensors if rendered.case.group == group.first.group
+        ]
         with named(group.words):
             check_ideals(members)
-        for one in members:
-            imaging, image = one.imaging, one.scenes.irradiance
-            with named(one.case.sensor):
-                prepared = one.light()
+        for rendered in members:
+            imaging, image = rendered.imaging, rendered.scenes.irradiance
+            with named(rendered.case.sensor):
+                prepared = rendered.light()
                 assert isinstance(prepared, PreparedScene)
                 warn_of_clipping(prepared.beyond_white, image.header, imaging.display)
-    warn_of_reviews((one.case.sensor, one.case, one.scenes.light) for one in lit)
+    warn_of_reviews(
+        (rendered.case.sensor, rendered.case, rendered.scenes.light)
+        for rendered in rendered_sensors
+    )
 
 
 def _render_groups(
@@ -553,10 +571,10 @@ def _render_groups(
             stack.enter_context(
                 named(", ".join(filter(None, (f"{pair} alone" if pair else "", group.words))))
             )
-            of_group = _lights_on_one_film(group, part)
-        on_film[len(groups)] = of_group[0][0].image.shape[1]
+            group_lights = _lights_on_one_film(group, part)
+        on_film[len(groups)] = group_lights[0][0].image.shape[1]
         groups.append(group)
-        lights += of_group
+        lights += group_lights
     return groups, lights
 
 
@@ -578,21 +596,25 @@ def _lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, P
                 width = across
                 break
         else:
-            seen = []
+            imaging_and_images = []
             for case, (light, _) in zip(group.cases, lights, strict=True):
                 shared = {"display": group.display, "border_um": group.border_um(case.camera)}
-                seen.append((Imaging.of(case.settings, case.camera).changed(**shared), light.image))
+                imaging_and_images.append(
+                    (Imaging.of(case.settings, case.camera).changed(**shared), light.image)
+                )
             # Of a plate each light says what it holds: one that ends at 830 nm has less of an
             # infrared lamp.
-            of_all = {} if group.display.white else white_header(seen)
-            for imaging, image in seen:
-                image.header |= white_header([(imaging, image)]) if group.display.white else of_all
+            common_white = {} if group.display.white else white_header(imaging_and_images)
+            for imaging, image in imaging_and_images:
+                image.header |= (
+                    white_header([(imaging, image)]) if group.display.white else common_white
+                )
             return lights
 
 
 def _compared_sensor(
     group: SensorGroup,
-    lit: RenderedCase,
+    rendered: RenderedCase,
     light: Light,
     plan: Plan,
     progress: Progress | None = None,
@@ -602,21 +624,21 @@ def _compared_sensor(
 
     progress : of the measurement of the film's errors
     """
-    case, imaging = lit.case, lit.imaging
-    chain = make_chain(imaging.registered(0), lit.light())
+    case, imaging = rendered.case, rendered.imaging
+    chain = make_chain(imaging.registered(0), rendered.light())
     score = chain.simulate(*case.stream, 0)
-    is_shown = not case.labels.get(PAIR) and group.weight > 0
+    is_pictured = not case.labels.get(PAIR) and group.weight > 0
     budget = (
         noise_budget(chain, light.image, *case.stream, 0)
-        if case.settings.noise_budget and is_shown
+        if case.settings.noise_budget and is_pictured
         else None
     )
     time_s = score.frame.integration_s
     white_e = chain.white_e_per_s * time_s
     with suppressed_warnings():  # the result itself warns
-        of_run = Imaging.of(case.settings, case.camera)
+        run_imaging = Imaging.of(case.settings, case.camera)
         largest_um = group.border_um(case.camera) / BORDER_PIXELS
-        steps = cached_film_steps(light.image, of_run, plan.film.chart, largest_um, progress)
+        steps = cached_film_steps(light.image, run_imaging, plan.film.chart, largest_um, progress)
     return ComparedSensor(
         case=case,
         light=light,
@@ -632,7 +654,7 @@ def _compared_sensor(
 def _differences_of_types(
     types: Types,
     result: Comparison,
-    lit: Sequence[RenderedCase],
+    rendered_sensors: Sequence[RenderedCase],
     file: Path | None,
     workers: Workers | None,
     progress: Progress,
@@ -644,7 +666,7 @@ def _differences_of_types(
     unknown number.
 
     result : with the sensors as they are
-    lit : the cases of the comparison in their light
+    rendered_sensors : the cases of the comparison in their light
     file : as `results` of `evaluate_points`
     """
     first = result.names[0]
@@ -658,26 +680,28 @@ def _differences_of_types(
             )
             warn(Note("no_effect", words=words))
     base = {
-        (group.first.group, one.case.sensor): one
+        (group.first.group, rendered.case.sensor): rendered
         for other, groups in uncertain.items()
         for group in groups
-        for one in lit
-        if one.case.group == group.first.group and one.case.sensor in (first, other)
+        for rendered in rendered_sensors
+        if rendered.case.group == group.first.group and rendered.case.sensor in (first, other)
     }
     cases: list[Case[Any]] = []
     lights: list[Light] = []
-    for number, one in enumerate(base.values()):
-        assert one.case.imaging is not None
+    for number, rendered in enumerate(base.values()):
+        assert rendered.case.imaging is not None
         light = Light(
-            one.scenes.irradiance, one.case.camera, background=one.scenes.light.background
+            rendered.scenes.irradiance,
+            rendered.case.camera,
+            background=rendered.scenes.light.background,
         )
-        for draw, imaging in enumerate(types.imagings(one.case.sensor, one.case.imaging)):
+        for draw, imaging in enumerate(types.imagings(rendered.case.sensor, rendered.case.imaging)):
             cases.append(
                 replace(
-                    one.case,
+                    rendered.case,
                     imaging=imaging,
                     further_displays=(),
-                    labels=one.case.labels | {"draw": draw},
+                    labels=rendered.case.labels | {"draw": draw},
                     group=(number, draw),
                     sizes={imaging.pixel.pitch_um: FEW_SENSORS},
                 )

@@ -380,7 +380,9 @@ class Comparison(Result):
         """
         stated, film = self.pairs(other, match=match), self.film_of_pair(other, match)
         group = self.groups_of_pair(other, match)[0]
-        found = [DisplayDifference(group.display.dots, stated.difference, stated.interval, film)]
+        differences = [
+            DisplayDifference(group.display.dots, stated.difference, stated.interval, film)
+        ]
         largest = max(float(stated.a.mean()), float(stated.b.mean()))
         for display in group.first.further_displays:
             here = self.pairs(other, dots=display.dots, match=match)
@@ -395,12 +397,12 @@ class Comparison(Result):
             )
             half = stated.half_width * growth
             film_here = None if film is None else film * _OTHER_DISPLAY_FACTOR * growth
-            found.append(
+            differences.append(
                 DisplayDifference(
                     display.dots, difference, (difference - half, difference + half), film_here
                 )
             )
-        return tuple(found)
+        return tuple(differences)
 
     @property
     def film_of_sensors(self) -> dict[str, float | None]:

@@ -50,8 +50,7 @@ from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
 if TYPE_CHECKING:
     from pixsim.studies.evaluate import RenderedCase
 
-# --- the curve of a table
-# ---------------------------------------------------------------------------------------------------------
+# --- the curve of a table -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -326,11 +325,11 @@ class Curve(Result):
         if not self.judged_by_delta_e:
             return None  # the threshold is one of ΔE
         mean, ci95 = mean_and_ci95(self.delta_e)
-        apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
+        largest_differences = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
         best, widest = int(np.argmin(mean)), None
         for first in range(best + 1):
             for last in range(best, mean.size):
-                differ = apart[first : last + 1, first : last + 1].copy()
+                differ = largest_differences[first : last + 1, first : last + 1].copy()
                 np.fill_diagonal(differ, 0.0)
                 ratio = float(self.pitch_um[last] / self.pitch_um[first])
                 if (
@@ -475,21 +474,20 @@ def first_metric_and_ci95(curve: Curve) -> tuple[Array, Array]:
     """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 %
     interval, NaN where not `fittable`.
     """
-    told, shown, ci95 = (
+    fittable, values, ci95 = (
         curve.fittable,
         curve.mean(curve.metric.columns[0]),
         np.full(curve.pitch_um.shape, np.nan),
     )
-    mean, half = mean_and_ci95(curve.delta_e[told])
-    shown[told], ci95[told] = (
+    mean, half = mean_and_ci95(curve.delta_e[fittable])
+    values[fittable], ci95[fittable] = (
         curve.metric.from_loss(mean),
         half if curve.metric.better == "less" else half / mean**2,
     )
-    return shown, ci95
+    return values, ci95
 
 
-# --- further points
-# ---------------------------------------------------------------------------------------------------------------
+# --- further points -------------------------------------------------------------------------------
 
 ROUND = 4  # additions chosen together from one fitted curve
 SENSORS_PER_ADDITION = (
@@ -645,8 +643,7 @@ def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     return rise_variance(fit_of_design, fit.places_of(ends))
 
 
-# --- the rounds of a study
-# --------------------------------------------------------------------------------------------------------
+# --- the rounds of a study ------------------------------------------------------------------------
 
 
 def next_round(
@@ -666,23 +663,33 @@ def next_round(
     chosen = dict(sampling)
     for curve in curves:
         sensors = sampling[curve.technology]
-        told = {um: sensors[um] for um in curve.pitch_um[curve.fittable].tolist() if um in sensors}
-        sizes, most = (
+        fittable_sensors = {
+            um: sensors[um] for um in curve.pitch_um[curve.fittable].tolist() if um in sensors
+        }
+        sizes, max_sensors = (
             len(study_pitches_um(study, curve.technology)),
             max(study.repeats, study.max_repeats),
         )
         if study.target_ci_um is None:
             if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
-            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
-            more = next_near_best(curve.fit, told, sizes) if more == told else more
+            more = next_where_open(curve.fit, fittable_sensors, sizes * study.repeats, max_sensors)
+            more = (
+                next_near_best(curve.fit, fittable_sensors, sizes)
+                if more == fittable_sensors
+                else more
+            )
         elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
         else:
-            more = next_sensors(curve.fit, told, most)
-        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
+            more = next_sensors(curve.fit, fittable_sensors, max_sensors)
+        more = (
+            more
+            if len(fittable_sensors) == len(sensors)
+            else dict(sorted((sensors | more).items()))
+        )
         if study.max_evaluations is None:
-            within = sum(more.values()) <= sizes * most
+            within = sum(more.values()) <= sizes * max_sensors
         else:
             evaluations = sum(
                 sum(counts.values()) for counts in (chosen | {curve.technology: more}).values()

@@ -106,7 +106,7 @@ def moved_view(study: Study) -> list[str]:
     sets, as dotted names.
     """
     moved = {path for axis in study.axis for path in axis.paths} | {
-        path for each in study.condition for path in paths_of(each.set)
+        path for condition in study.condition for path in paths_of(condition.set)
     }
     return [
         ".".join(path)
@@ -272,13 +272,13 @@ def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
     """Return the NEQ of each sensor of a study, at its best size by information, by its label;
     nothing without that metric.
     """
-    found: dict[str, NeqCurve] = {}
+    neq_curves: dict[str, NeqCurve] = {}
     for curve in result.curves if INFORMATION.name in result.study.metrics else ():
-        lit = result.sensors[curve.technology]
+        rendered = result.sensors[curve.technology]
         best = curve.optima.get(INFORMATION.name, curve.optimum)
-        chain = make_chain(lit.imaging.at(best.pitch_um).registered(0), lit.light())
-        found[curve.label] = NeqCurve.of(chain.expected(chain.integration_s))
-    return found
+        chain = make_chain(rendered.imaging.at(best.pitch_um).registered(0), rendered.light())
+        neq_curves[curve.label] = NeqCurve.of(chain.expected(chain.integration_s))
+    return neq_curves
 
 
 def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
@@ -293,9 +293,9 @@ def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
     for case in result.cases:
         for curve in case.curves:
             pitch_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
-            lit = case.sensors[curve.technology]
-            chain = make_chain(lit.imaging.at(pitch_um).registered(0), lit.light())
-            budget = noise_budget(chain, case.irradiance, *lit.case.stream_at(pitch_um), 0)
+            rendered = case.sensors[curve.technology]
+            chain = make_chain(rendered.imaging.at(pitch_um).registered(0), rendered.light())
+            budget = noise_budget(chain, case.irradiance, *rendered.case.stream_at(pitch_um), 0)
             budgets[f"{curve.label}, {pitch_um:.3g} µm"] = budget
         case.scenes.clear()
     return budgets

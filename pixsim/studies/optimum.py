@@ -275,18 +275,18 @@ class Posterior:
 
     def covariance(self, places: Array) -> Array:
         """Return the posterior covariance between places, (n, n)."""
-        known = self._whitener @ _curve_covariance(self.u, places, self.stiffness, self.ripple)
-        unknown = self._basis_whitener @ (quadratic(places).T - self._basis.T @ known)
+        explained = self._whitener @ _curve_covariance(self.u, places, self.stiffness, self.ripple)
+        quadratic_part = self._basis_whitener @ (quadratic(places).T - self._basis.T @ explained)
         prior = _curve_covariance(places, places, self.stiffness, self.ripple)
-        return prior - known.T @ known + unknown.T @ unknown
+        return prior - explained.T @ explained + quadratic_part.T @ quadratic_part
 
 
-def _curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) -> Array:
+def _curve_covariance(places: Array, other_places: Array, stiffness: float, ripple: float) -> Array:
     """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a
     ripple.
     """
-    smooth = stiffness**2 * wiener_covariance(one, other)
-    return smooth + ripple**2 * ripple_covariance(one, other) if ripple else smooth
+    smooth = stiffness**2 * wiener_covariance(places, other_places)
+    return smooth + ripple**2 * ripple_covariance(places, other_places) if ripple else smooth
 
 
 Covariance = Callable[[Array, Array], Array]
@@ -304,12 +304,12 @@ def _cached_for_places(covariance: Covariance) -> Covariance:
         return result
 
     @wraps(covariance)
-    def of_places(row_places: Array, column_places: Array) -> Array:
+    def cached_covariance(row_places: Array, column_places: Array) -> Array:
         return computed(
             np.asarray(row_places, float).tobytes(), np.asarray(column_places, float).tobytes()
         )
 
-    return of_places
+    return cached_covariance
 
 
 @_cached_for_places
@@ -328,8 +328,8 @@ def wiener_covariance(a: Array, b: Array) -> Array:
 
     It is ∫ (a - w)² (b - w)²/4 dw, from 0 to min(a, b).
     """
-    least, distance = np.minimum(a, b), np.abs(a - b)
-    return np.asarray(least**3 * (least**2 / 5 + distance * least / 2 + distance**2 / 3) / 4)
+    smaller, distance = np.minimum(a, b), np.abs(a - b)
+    return np.asarray(smaller**3 * (smaller**2 / 5 + distance * smaller / 2 + distance**2 / 3) / 4)
 
 
 def quadratic(places: Array) -> Array:
@@ -493,8 +493,8 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     )
     noise = float(np.median(relative[~data.loud]))  # equal, but for rounding
     loud = {
-        float(pitch): float(own)
-        for pitch, own in zip(pitch_um[data.loud], relative[data.loud], strict=True)
+        float(pitch): float(variance)
+        for pitch, variance in zip(pitch_um[data.loud], relative[data.loud], strict=True)
     }
     return FittedCurve(
         fine_um,
@@ -547,8 +547,8 @@ class Measured:
     @property
     def ci95(self) -> Array:
         """Half the width of the 95 % interval of each pitch's own mean ΔE, (P,)."""
-        of_mean = self.mean * np.sqrt(self.relative / self.design.sensors)
-        return np.asarray(stdtrit(self.degrees, (1 + CONFIDENCE) / 2) * of_mean)
+        standard_error = self.mean * np.sqrt(self.relative / self.design.sensors)
+        return np.asarray(stdtrit(self.degrees, (1 + CONFIDENCE) / 2) * standard_error)
 
     @property
     def noise_scale(self) -> Array:
@@ -612,12 +612,15 @@ def _loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> ND
     loud = np.zeros(mean.shape, bool)
     while loud.sum() < mean.size // 2:
         left = (~loud & (degrees > 0)).nonzero()[0]
-        others, of_others = scatter[left].sum() - scatter[left], degrees[left].sum() - degrees[left]
+        others, others_degrees = (
+            scatter[left].sum() - scatter[left],
+            degrees[left].sum() - degrees[left],
+        )
         if left.size < 2 or not others.any():
             break
         with np.errstate(divide="ignore"):
-            ratio = scatter[left] / degrees[left] / (others / of_others)
-        chance = fdtrc(degrees[left], of_others, ratio)
+            ratio = scatter[left] / degrees[left] / (others / others_degrees)
+        chance = fdtrc(degrees[left], others_degrees, ratio)
         worst = int(np.argmin(chance))
         if chance[worst] >= _LOUD / mean.size:
             break
@@ -722,8 +725,8 @@ def minima(places: Array, curves: Array) -> Array:
     """Return the position of the minimum of each curve (n, places), (n,), by a parabola through the
     lowest three points.
     """
-    least = curves.argmin(axis=1)
-    inner = np.clip(least, 1, places.size - 2)
+    lowest = curves.argmin(axis=1)
+    inner = np.clip(lowest, 1, places.size - 2)
     left, middle, right = (
         np.take_along_axis(curves, (inner + step)[:, None], axis=1)[:, 0] for step in (-1, 0, 1)
     )
@@ -732,7 +735,7 @@ def minima(places: Array, curves: Array) -> Array:
         between = places[inner] + (places[1] - places[0]) * np.clip(
             (left - right) / (2 * bend), -1, 1
         )
-    return np.where(inner == least, between, places[least])
+    return np.where(inner == lowest, between, places[lowest])
 
 
 def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float | None]:
@@ -772,8 +775,8 @@ def close_to_least(
     """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an
     end of the curve.
     """
-    least = float(curve.min())
-    near = np.flatnonzero(curve <= least + share * abs(least))
+    minimum = float(curve.min())
+    near = np.flatnonzero(curve <= minimum + share * abs(minimum))
     low, high = int(near[0]), int(near[-1])
     return None if low == 0 else float(pitch_um[low]), (
         None if high == pitch_um.size - 1 else float(pitch_um[high])
@@ -791,8 +794,7 @@ def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
     return data.mean, data.ci95
 
 
-# --- optima of metrics
-# ----------------------------------------------------------------------------------------------------
+# --- optima of metrics ----------------------------------------------------------------------------
 
 MIN_SIZES = 3  # of a curve, whose smoothest form is a parabola
 
@@ -801,11 +803,11 @@ def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
     """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN
     where all of them are.
     """
-    found = np.full(len(values), np.nan)
-    known = np.isfinite(values).any(axis=1)
-    if known.any():
-        found[known] = statistic(values[known], axis=1)
-    return found
+    result = np.full(len(values), np.nan)
+    has_number = np.isfinite(values).any(axis=1)
+    if has_number.any():
+        result[has_number] = statistic(values[has_number], axis=1)
+    return result
 
 
 def mean_of_sensors(values: Array) -> Array:
@@ -826,13 +828,13 @@ def fittable_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
     """
     loss = metric.loss(values)
     dead = (np.isfinite(values) & ~np.isfinite(loss)).any(axis=1)
-    told = np.isfinite(loss).any(axis=1) & ~dead
-    if told.any() and dead.any():
-        best = int(np.nanargmin(np.where(told, mean_of_sensors(loss), np.nan)))
+    fittable = np.isfinite(loss).any(axis=1) & ~dead
+    if fittable.any() and dead.any():
+        best = int(np.nanargmin(np.where(fittable, mean_of_sensors(loss), np.nan)))
         at = np.flatnonzero(dead)
         low, high = at[at < best].max(initial=-1), at[at > best].min(initial=len(values))
-        told &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
-    return np.asarray(told)
+        fittable &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
+    return np.asarray(fittable)
 
 
 def fit_of_metric(
@@ -843,16 +845,16 @@ def fit_of_metric(
 
     values : (pitches, sensors)
     """
-    told = fittable_pitches(metric, values)
-    loss = metric.loss(values)[told]
+    fittable = fittable_pitches(metric, values)
+    loss = metric.loss(values)[fittable]
     if (
         not metric.has_optimum
-        or told.sum() < MIN_SIZES
-        or np.isfinite(loss).sum() == told.sum()
+        or fittable.sum() < MIN_SIZES
+        or np.isfinite(loss).sum() == fittable.sum()
         or not np.nanmin(loss) >= 0
     ):
         return None
-    fit = fit_curve(pitch_um[told], loss, width_um)
+    fit = fit_curve(pitch_um[fittable], loss, width_um)
     if metric.better == "less":
         return fit
     return replace(fit, optimum=replace(fit.optimum, is_of_reciprocal=True))

@@ -372,12 +372,12 @@ class Types:
         sheet_unknowns = [
             unknown
             for unknown in unknowns
-            if unknown.of_sheet and getattr(pixel, unknown.quantity) == unknown.value
+            if unknown.is_data_sheet and getattr(pixel, unknown.quantity) == unknown.value
         ]
         process_unknowns = [
             unknown
             for unknown in unknowns
-            if not unknown.of_sheet and getattr(pixel, unknown.quantity, None) is None
+            if not unknown.is_data_sheet and getattr(pixel, unknown.quantity, None) is None
         ]
         technology = load_technology(pixel.technology)
         for draw in self.sample.draws:

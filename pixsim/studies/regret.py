@@ -110,7 +110,9 @@ def metric_regrets(curve: Curve) -> Regrets | None:
         return None
     by_metric = [curve.judged_by(name) for name in curve.optima]
     return Regrets(
-        curve.label, "metric", tuple(_criterion_of(each, each.metric.words) for each in by_metric)
+        curve.label,
+        "metric",
+        tuple(_criterion_of(metric_curve, metric_curve.metric.words) for metric_curve in by_metric),
     )
 
 
@@ -200,10 +202,10 @@ def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array
         (curve.statistics[curve.metric.columns[0]], curve.pitch_um, weight)
         for curve, weight in weighted
     ]
-    sensors = min(own.shape[1] for own, _, _ in values)
+    sensors = min(sensor_values.shape[1] for sensor_values, _, _ in values)
     total = np.zeros((pitches_um.size, sensors))
-    for own, tried_um, weight in values:
-        total += weight * own[np.searchsorted(tried_um, pitches_um), :sensors]
+    for sensor_values, tried_um, weight in values:
+        total += weight * sensor_values[np.searchsorted(tried_um, pitches_um), :sensors]
     return pitches_um, total
 
 

@@ -69,7 +69,7 @@ class StudyResult(Result):
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types
         were asked for
     table : of all evaluations
-    lit : the sensors in their light, where it is prepared already
+    prepared_sensors : the sensors in their light, where it is prepared already
     """
 
     study: Study
@@ -80,7 +80,7 @@ class StudyResult(Result):
     warned: tuple[Note, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     table: Table | None = field(default=None, repr=False, compare=False)
-    lit: tuple[RenderedCase, ...] = field(default=(), repr=False, compare=False)
+    prepared_sensors: tuple[RenderedCase, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -163,9 +163,9 @@ class StudyResult(Result):
     @cached_property
     def sensors(self) -> dict[str, RenderedCase]:
         """Each sensor in its light by its name, of a study without axes and conditions."""
-        lit = self.lit
+        rendered_sensors = self.prepared_sensors
         if (
-            not lit or lit[0].imaging.display != self.study.display
+            not rendered_sensors or rendered_sensors[0].imaging.display != self.study.display
         ):  # of a copy with another display
             combination = Case(
                 self.study,
@@ -173,8 +173,8 @@ class StudyResult(Result):
                 background=self.light.background,
             )
             cases = list(cases_of_sensors(combination))
-            lit = tuple(rendered_cases(cases, [self.light] * len(cases)))
-        return {sensor.case.sensor: sensor for sensor in lit}
+            rendered_sensors = tuple(rendered_cases(cases, [self.light] * len(cases)))
+        return {sensor.case.sensor: sensor for sensor in rendered_sensors}
 
     @property
     def scenes(self) -> SceneCache:
@@ -219,24 +219,24 @@ class StudyResult(Result):
 
         Raises PixsimError as `scores` does.
         """
-        return self._scores(technology, pitch_um, repeats, shown=True)
+        return self._scores(technology, pitch_um, repeats, light_optional=True)
 
     def _scores(
-        self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False
+        self, technology: str, pitch_um: float, repeats: int | None, light_optional: bool = False
     ) -> list[FrameScore]:
-        lit = self.sensors[technology]
+        rendered = self.sensors[technology]
         light, count = (
-            lit.light(),
+            rendered.light(),
             self.sensors_at(technology, pitch_um) if repeats is None else repeats,
         )
         scores: list[FrameScore] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             repeats_of_block = range(first, min(count, first + REPEATS_PER_TASK))
             frames = frames_of(
-                task_of(lit, lit.imaging.at(pitch_um), block, {}),
+                task_of(rendered, rendered.imaging.at(pitch_um), block, {}),
                 light,
                 repeats_of_block,
-                light_optional=shown,
+                light_optional=light_optional,
             )
             scores += [chain.development.score(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
@@ -251,9 +251,9 @@ class StudyResult(Result):
         technology : name or path as in `Study.technologies`
         part : cuts it out of the whole picture
         """
-        lit = self.sensors[technology]
-        task = task_of(lit, lit.imaging.at(pitch_um), 0, {})
-        _, chain, frame, _ = next(frames_of(task, lit.light(), [0], light_optional=True))
+        rendered = self.sensors[technology]
+        task = task_of(rendered, rendered.imaging.at(pitch_um), 0, {})
+        _, chain, frame, _ = next(frames_of(task, rendered.light(), [0], light_optional=True))
         return display_image(chain.development.light(frame, part), self.study.display)
 
     def sensors_at(self, technology: str, pitch_um: Pitch) -> int:
@@ -325,42 +325,42 @@ class CasesResult(StudyResult):
             [part.curves[0].at for part in self.parts],
             [part.curves[0].condition for part in self.parts],
         )
-        found = [
+        matches = [
             part
             for part, values, name in zip(self.parts, *of_study, strict=True)
             if condition in (None, name)
             and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
         ]
-        if len(found) == 1:
-            return found[0]
+        if len(matches) == 1:
+            return matches[0]
         got = ", ".join(
             [f"{name} = {value}" for name, value in at.items()]
             + ([f"condition {condition}"] if condition else [])
         )
         allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
         allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
-        raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
+        raise invalid("case", f"{got or 'nothing'}, which names {len(matches)} cases", allowed)
 
 
-def _is_value(value: float | int | str, asked: float | int | str) -> bool:
+def _is_value(value: float | int | str, requested: float | int | str) -> bool:
     """Return whether a value of an axis is the one that is asked for, by itself or by its label."""
-    return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
+    return value == requested or (not isinstance(value, str) and f"{value:.4g}" == str(requested))
 
 
 def causes_of_curve(
-    lit: RenderedCase, curve: Curve, lightness: tuple[float, float], table: Table
+    rendered: RenderedCase, curve: Curve, lightness: tuple[float, float], table: Table
 ) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the
     largest first.
 
-    lit : the case of the curve
+    rendered : the case of the curve
     lightness : the ideal image's, lowest and highest
     table : of the curve
     """
     best_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
     at_best = np.flatnonzero(table.columns["pitch_um"] == best_um)[:_FEW_ROWS]
     return causes_of_frames(
-        lit.scenes.irradiance, lit.imaging.at(best_um), lightness, table.take(at_best)
+        rendered.scenes.irradiance, rendered.imaging.at(best_um), lightness, table.take(at_best)
     )
 
 

@@ -74,8 +74,7 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import UserSettings, warn_of_settings_without_effect
 
-# --- where a target is just seen
-# --------------------------------------------------------------------------------------------------
+# --- where a target is just seen ------------------------------------------------------------------
 
 _SOUGHT = "metric.detectability.solve_for"
 WITHIN = 1e-3  # relative, of the value that is found
@@ -304,8 +303,7 @@ class Search:
         return self.at[away]
 
 
-# --- a run
-# ------------------------------------------------------------------------------------------------------------------------
+# --- a run ----------------------------------------------------------------------------------------
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 _MAX_REPEATS = 10_000
@@ -313,8 +311,7 @@ _BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
 
-# --- what is run, before anything is rendered
-# ----------------------------------------------------------------------------------
+# --- what is run, before anything is rendered -----------------------------------------------------
 
 
 def prepare(
@@ -354,11 +351,15 @@ def prepare(
             LIGHT_FILE,
         )
     elif is_picture(source):
-        of_scenes = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant} | {
+        scene_options = {
+            "-D ([scene])": settings.scene,
+            "--sensor": sensor,
+            "--variant": variant,
+        } | {
             f"--{name.removesuffix('_mm').replace('_', '-')} ({name})": getattr(settings, name)
             for name in ("tolerance_delta_e", "resolution", "window_mm")
         }
-        if stated := [words for words, value in of_scenes.items() if value]:
+        if stated := [words for words, value in scene_options.items() if value]:
             hint = "Take them out of a settings file of the scene, too."
             raise invalid(
                 ", ".join(stated),
@@ -380,8 +381,8 @@ def prepare(
             sensor=sensor,
         )
         whole = scene.camera(settings.camera, settings.lens)
-    known = scene or picture
-    assert known is not None
+    light_source = scene or picture
+    assert light_source is not None
     _start_of(settings, scene)
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
@@ -392,7 +393,7 @@ def prepare(
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    seen = known if scene is None else scene_with_view(scene, view)
+    seen = light_source if scene is None else scene_with_view(scene, view)
     case = Case(
         complete, resolved=(seen, camera), stream=("evaluate", settings.seed), frames=frames
     )
@@ -415,8 +416,7 @@ def prepare(
     return job
 
 
-# --- the result
-# ------------------------------------------------------------------------------------------------------------------
+# --- the result -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -610,8 +610,7 @@ class RunResult(RenderedRun, Result):
         )
 
 
-# --- the way from the settings to the result
-# -------------------------------------------------------------------------------------
+# --- the way from the settings to the result ------------------------------------------------------
 
 
 def run(
@@ -663,11 +662,13 @@ def run(
     if metrics:
         settings["metrics"] = names_of(metrics)
     with collected_notes():  # also of what is found before the run begins
-        own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
-        asked = run_settings(config, settings | own)
+        overrides = {
+            name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table
+        }
+        run_setting = run_settings(config, settings | overrides)
         prepared = prepare(
             str(scene),
-            asked,
+            run_setting,
             full=full,
             repeats=repeats,
             frames=frames,
@@ -718,10 +719,10 @@ def score_run(
         scored = stage("sense and score")
         background = case.background if light is None else light.background
         with watched(share_of(scored, 0.0, _BEFORE_FRAME)):
-            lit = _lit_run(case, SceneLight(image, background), prepare)
+            rendered = _rendered_case(case, SceneLight(image, background), prepare)
         first: list[FirstFrame] = []
         evaluating = share_of(scored, _BEFORE_FRAME, 1.0)
-        table = evaluate_points([lit], None, progress=lambda: evaluating, first=first)
+        table = evaluate_points([rendered], None, progress=lambda: evaluating, first=first)
         for reason in table.impossible.values():
             raise AlikeChannelsError(reason)
         chain_of_first, judged = first[0]
@@ -730,8 +731,11 @@ def score_run(
             warn(Note("undefined_metric", words=reason))
 
         at_first = None
-        if job.repeats > 1 and registered_in(lit.imaging, lit.light(), 1) != lit.imaging:
-            at_first = evaluate_points(_sensors_at_first(lit), None, Workers())
+        if (
+            job.repeats > 1
+            and registered_in(rendered.imaging, rendered.light(), 1) != rendered.imaging
+        ):
+            at_first = evaluate_points(_sensors_at_first(rendered), None, Workers())
     warned = tuple(dict.fromkeys([*rendered_run.warned, *notes]))
     threshold = None
     if light is not None and _start_of(settings, case.scene) is not None:
@@ -745,13 +749,13 @@ def score_run(
         score=score,
         table=table,
         table_at_first=at_first,
-        keys=tuple(lit.keys(settings.pixel.pitch_um, job.repeats)),
+        keys=tuple(rendered.keys(settings.pixel.pitch_um, job.repeats)),
         threshold=threshold,
     )
     return replace(result, score=replace(score, light=result.light))
 
 
-def _lit_run(
+def _rendered_case(
     case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]
 ) -> RenderedCase:
     """Return the case of a run in its light, with the white that the light says.
@@ -774,20 +778,23 @@ def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
     assert case.imaging is not None
     imaging = case.imaging.changed(metrics=MetricRequest((DETECTABILITY,), case.settings.metric))
     case = replace(case, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
-    table = evaluate_points([_lit_run(case, light, prepare_scene)], None, Workers())
+    table = evaluate_points([_rendered_case(case, light, prepare_scene)], None, Workers())
     for reason in table.reasons.values():
         raise NoNumberError(reason)
     return float(table.columns[DETECTABILITY.columns[0]][0])
 
 
-def _sensors_at_first(lit: RenderedCase) -> list[RenderedCase]:
+def _sensors_at_first(rendered: RenderedCase) -> list[RenderedCase]:
     """Return further sensors at the registration of the first one, each a case of its own."""
-    case = lit.case
+    case = rendered.case
     streams = [
         (*case.stream, "at the first registration", number) for number in range(1, NOISE_SENSORS)
     ]
     cases = [replace(case, stream=stream, group=number) for number, stream in enumerate(streams)]
-    return [replace(lit, case=replace(each, sizes=dict.fromkeys(case.sizes, 1))) for each in cases]
+    return [
+        replace(rendered, case=replace(sensor, sizes=dict.fromkeys(case.sizes, 1)))
+        for sensor in cases
+    ]
 
 
 def _with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:

@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS, USUAL_REPEATS = (MIN_PAIRS, 10_000), 8
-OF_A_SENSOR = (
+SENSOR_TABLES = (
     "camera",
     "lens",
     "pixel",
@@ -91,8 +91,8 @@ OF_A_SENSOR = (
 )  # tables that each file has of its own; the others are those of the first
 # What a study says to a comparison: the scene and the settings of all sensors, and a lens for files
 # that state none. Its pixels, technologies and pixel sizes are not used.
-_OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
-SHARED = [name for name in _OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
+_STUDY_TABLES = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
+SHARED = [name for name in _STUDY_TABLES if name not in ("scene", "camera", "lens", "pixel")]
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
 DIGITS = (
     12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
@@ -188,9 +188,9 @@ def sensor_layer(file: str) -> Layer:
     """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged
     one; or a technology.
     """
-    known = packaged("data/technologies")
-    if file not in known:
-        path, names = Path(file), [*known, *packaged_sensors()]
+    technologies = packaged("data/technologies")
+    if file not in technologies:
+        path, names = Path(file), [*technologies, *packaged_sensors()]
         if path.suffix != ".toml" and file not in names:
             got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
             raise invalid(
@@ -226,17 +226,17 @@ def _read_sensors(
     """
     sensors: list[Case[Run]] = []
     for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
-        own = sensor_layer(file)
+        sensor_table = sensor_layer(file)
         run: Run = checked(
-            Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])]
+            Run, [lens, sensor_table, *config, Layer(options), *([overrides] if overrides else [])]
         )
         first = sensors[0].settings if sensors else run
         if unused := [
             n
-            for n in own.table
-            if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)
+            for n in sensor_table.table
+            if n not in SENSOR_TABLES and getattr(run, n, None) != getattr(first, n, None)
         ]:
-            tables = ", ".join(f"[{name}]" for name in OF_A_SENSOR)
+            tables = ", ".join(f"[{name}]" for name in SENSOR_TABLES)
             reason = f"only {tables} are used of it, and else the first file"
             warn(Note("not_used", setting=f"{file}: {', '.join(unused)}", reason=reason))
         sensors.append(Case(run, sensor=label, file=file))
@@ -292,7 +292,7 @@ def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
 
     where : names the condition and the values
     """
-    allowed = [name for name in _OF_STUDY if name != "seed"]
+    allowed = [name for name in _STUDY_TABLES if name != "seed"]
     if others := [name for name in table if name not in allowed]:
         hint = "The sensors of a comparison have their numbers from their own files."
         raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
@@ -301,9 +301,9 @@ def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
         raise invalid(
             where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die"
         )
-    if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
+    if isinstance(pixel, Mapping) and (size := [name for name in SIZE if name in pixel]):
         raise invalid(
-            where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size"
+            where, f"set.pixel.{size[0]}", "settings that leave each sensor its own pixel size"
         )
     files = "set.scene.file, set.scene.parameters.<name>"
     if scene is not None and not isinstance(scene, Mapping):
@@ -435,7 +435,7 @@ def _warn_of_uncertainty(sources: Sequence[str]) -> None:
 
 
 def _warn_of_settings_without_effect(
-    given: Sequence[Sequence[Case[Run]]],
+    stated: Sequence[Sequence[Case[Run]]],
     complete: Sequence[Sequence[Case[Run]]],
     match: Match,
     unused: Sequence[str],
@@ -443,7 +443,7 @@ def _warn_of_settings_without_effect(
     """Warn of the settings that have no effect in any condition of a comparison, with the sensors
     that set them.
 
-    given : the sensors under each condition, as the user set them
+    stated : the sensors under each condition, as the user set them
     complete : the same, with their cameras
     unused : dotted names of settings that only a study takes
 
@@ -451,9 +451,9 @@ def _warn_of_settings_without_effect(
     unless each has its own.
     """
     sensors: dict[str, list[UserSettings]] = {}
-    for sensors_of_condition, found in zip(given, complete, strict=True):
+    for sensors_of_condition, resolved_cases in zip(stated, complete, strict=True):
         first = sensors_of_condition[0].settings
-        for sensor, case in zip(sensors_of_condition, found, strict=True):
+        for sensor, case in zip(sensors_of_condition, resolved_cases, strict=True):
             shared = {
                 table: getattr(first, table)
                 for table in ("motion", "correction", "develop", "display")
@@ -531,12 +531,12 @@ def _group_of(
         view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, loaded)
     if common is not None:
         view = {name: common.view.get(name, value) for name, value in view.items()}
-    of_first = {
+    first_chart = {
         name: _on_other_die(view[name], finest.camera, cameras[0])
         for name in view
         if name == MAX_LP_PER_MM
     }
-    settings = with_view(settings, view | of_first)
+    settings = with_view(settings, view | first_chart)
     border = 0.0
     for case in resolved:
         pixel, exposure = case.settings.pixel, case.settings.exposure
@@ -549,18 +549,22 @@ def _group_of(
     highest = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     complete = []
     for case in resolved:
-        of_sensor, camera, run = loaded, case.camera, case.settings
+        sensor_scene, camera, run = loaded, case.camera, case.settings
         if highest is not None:
             on_sensor = _on_other_die(float(highest), cameras[0], camera)
-            of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
-        own = {
+            sensor_scene = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
+        sensor_tables = {
             "camera": camera.options,
             "lens": camera.lens_options,
             "pixel": run.pixel,
             "exposure": run.exposure,
         }
         complete.append(
-            replace(case, settings=settings.model_copy(update=own), resolved=(of_sensor, camera))
+            replace(
+                case,
+                settings=settings.model_copy(update=sensor_tables),
+                resolved=(sensor_scene, camera),
+            )
         )
     first_camera, pitch_um = complete[0].camera, complete[0].settings.pixel.pitch_um
     border_um = border * first_camera.die_um[1]
@@ -583,21 +587,21 @@ def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
     """Return each file's own camera. A file without a die, such as a technology's, has that of the
     first file which states one.
     """
-    own = [each.settings.camera for each in sensors]
+    stated_options = [options.settings.camera for options in sensors]
     die = next(
         (
-            each.model_dump(include={"die_mm", "die_height_mm"})
-            for each in own
-            if each.die_mm is not None
+            options.model_dump(include={"die_mm", "die_height_mm"})
+            for options in stated_options
+            if options.die_mm is not None
         ),
         None,
     )
     cameras = []
-    for sensor, each in zip(sensors, own, strict=True):
+    for sensor, options in zip(sensors, stated_options, strict=True):
         stated = (
-            each
-            if die is None or each.die_mm is not None
-            else CameraOptions(**die | each.model_dump(exclude_none=True))
+            options
+            if die is None or options.die_mm is not None
+            else CameraOptions(**die | options.model_dump(exclude_none=True))
         )
         with named(sensor.sensor):
             cameras.append(scene.camera(stated, sensor.settings.lens))
@@ -615,8 +619,7 @@ def _on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
     )
 
 
-# --- the job
-# --------------------------------------------------------------------------------------------------------------------
+# --- the job --------------------------------------------------------------------------------------
 
 
 PAIR, MATCH = "pair", "match"  # labels, beside those of axes and conditions
@@ -733,9 +736,9 @@ def prepare(
     parts = [
         parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options or {})))
     ]
-    *layers, of_options = [of_run for of_run, _ in parts]
-    options = of_options.table
-    varied = [of_study for _, of_study in parts if of_study.table]
+    *layers, option_layer = [run_layer for run_layer, _ in parts]
+    options = option_layer.table
+    varied = [study_layer for _, study_layer in parts if study_layer.table]
     check_supported(
         "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
     )
@@ -762,8 +765,8 @@ def prepare(
             for name, value in stated.table.get("camera", {}).items()
             if name not in OF_DIE
         }
-        of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
-        lens = Layer({name: table for name, table in of_lens.items() if table}, stated.source)
+        lens_tables = {"camera": camera, "lens": stated.table.get("lens", {})}
+        lens = Layer({name: table for name, table in lens_tables.items() if table}, stated.source)
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
         plan = None  # nothing of it holds for a comparison
     base = _read_sensors(sources, lens, layers, options)
@@ -773,12 +776,12 @@ def prepare(
         """Return some of the sensors in each case, as if there were no others."""
         groups: list[SensorGroup] = []
         for under in combined:
-            shown = next(place for place, stated in enumerate(under) if stated.weight)
+            weighted = next(place for place, stated in enumerate(under) if stated.weight)
             made: dict[int, SensorGroup] = {}
-            for place in dict.fromkeys((shown, *range(len(under)))):
+            for place in dict.fromkeys((weighted, *range(len(under)))):
                 with named(under[place].words):
                     made[place] = _group_of(
-                        under[place], numbers, made.get(shown), by, sensor, variant
+                        under[place], numbers, made.get(weighted), by, sensor, variant
                     )
             groups += [made[place] for place in range(len(under))]
         return groups
@@ -786,13 +789,19 @@ def prepare(
     chosen = match or "view"
     everyone = range(len(sources))
     groups = groups_of(everyone, chosen)
-    given = [stated.sensors for under in combined for stated in under]
+    stated_sensors = [stated.sensors for under in combined for stated in under]
     _warn_of_settings_without_effect(
-        given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE)
+        stated_sensors,
+        [group.cases for group in groups],
+        chosen,
+        unused_settings(varied, STUDY_ALONE),
     )
     with suppressed_warnings():  # those of all sensors are shown
         further = [] if match else groups_of(everyone, _OTHER_MATCH[chosen])
-        if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):
+        if all(
+            first_group.sees_the_same(other)
+            for first_group, other in zip(groups, further, strict=False)
+        ):
             further = []
         alone = [(0, other) for other in everyone[1:]] if len(sources) > 2 else []
         pairs = [group for numbers in alone for group in groups_of(numbers, chosen)]
@@ -802,8 +811,8 @@ def prepare(
             if further
             for group in groups_of(numbers, _OTHER_MATCH[chosen])
         ]
-    asked = uncertainty_request(uncertainty, sobol, (), {})
-    if asked is None:
+    type_request = uncertainty_request(uncertainty, sobol, (), {})
+    if type_request is None:
         _warn_of_uncertainty(sources)
     every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
     warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
@@ -820,7 +829,7 @@ def prepare(
         match=chosen,
         base=tuple(case.settings for case in base),
         study=plan,
-        types=None if asked is None else Types.of(asked, base),
+        types=None if type_request is None else Types.of(type_request, base),
     )
 
 
@@ -828,14 +837,18 @@ def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGro
     """Yield groups whose cases are complete: their imaging, random streams, sizes, and the labels
     that tell any of them apart.
     """
-    most = len(groups[0].cases)
+    sensor_count = len(groups[0].cases)
     tables = []
     for group in groups:
-        pair = " and ".join(case.sensor for case in group.cases) if len(group.cases) < most else ""
+        pair = (
+            " and ".join(case.sensor for case in group.cases)
+            if len(group.cases) < sensor_count
+            else ""
+        )
         tables.append({PAIR: pair, **group.first.labels, MATCH: group.match})
-    told_by = [name for name in tables[0] if len({repr(table[name]) for table in tables}) > 1]
+    varied_names = [name for name in tables[0] if len({repr(table[name]) for table in tables}) > 1]
     for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
-        labels = {name: table[name] for name in told_by}
+        labels = {name: table[name] for name in varied_names}
         cases = [replace(case, labels=labels, group=number) for case in group.cases]
         yield replace(group, cases=tuple(_complete(case, group, repeats) for case in cases))
 

@@ -102,55 +102,59 @@ def _repeated_settings(
     job: Job[Study],
     image: SpectralImage,
     spreads: Uncertainty,
-    asked: UncertaintyRequest | None = None,
+    type_request: UncertaintyRequest | None = None,
 ) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     image : the render of the study
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
-    asked : about its unknown numbers
+    type_request : about its unknown numbers
     """
     from pixsim.scene.convergence import without_clock
 
     if isinstance(job.source, SpectralImage):
-        without = job.cases[0].background
-        more = "" if without is None else f" and, without its target, {without.header[DIGEST]}"
-        names = "light=…" if without is None else "light=…, without=…"
+        background = job.cases[0].background
+        more = (
+            "" if background is None else f" and, without its target, {background.header[DIGEST]}"
+        )
+        names = "light=…" if background is None else "light=…, without=…"
         command = (
             f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest"
             f" {image.header[DIGEST]}{more}"
         )
         return settings_text(job.complete, command, spreads_of_study(job.complete, spreads))
-    scene, kept = job.source, without_clock(job.complete, image)
-    file = kept.scene.file
-    of_scene = {
+    scene, settings = job.source, without_clock(job.complete, image)
+    file = settings.scene.file
+    scene_tables = {
         "file": file if file in packaged_scenes() else str(scene.path),
-        "parameters": scene_table(scene.path.parent, kept.scene.parameters),
+        "parameters": scene_table(scene.path.parent, settings.scene.parameters),
     }
-    camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
+    camera = scene.camera(settings.camera, settings.lens).options.model_dump(exclude_none=True)
     # Where dots and distance are stated, no further display is shown: one of them stays open if it
     # was.
     stated = job.stated.display.model_fields_set
     is_open = any(case.further_displays for case in job.cases)
     left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
-    display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
+    display = settings.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
     return settings_text(
-        kept,
-        _repeating_command(job.variant, asked),
-        spreads_of_study(kept, spreads),
-        scene=of_scene,
+        settings,
+        _repeating_command(job.variant, type_request),
+        spreads_of_study(settings, spreads),
+        scene=scene_tables,
         camera=camera,
         display=display,
     )
 
 
-def _repeating_command(variant: str | None, asked: UncertaintyRequest | None = None) -> str:
+def _repeating_command(variant: str | None, type_request: UncertaintyRequest | None = None) -> str:
     """Return the command that repeats a study in the folder of its settings.toml."""
     words = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
-    if asked is None:
+    if type_request is None:
         return words
-    sizes = "".join(f" --smaller-than {size!r}" for size in asked.smaller_than_um)
-    return f"{words} --{'sobol' if asked.total else 'uncertainty'} {asked.draws}{sizes}"
+    sizes = "".join(f" --smaller-than {size!r}" for size in type_request.smaller_than_um)
+    return (
+        f"{words} --{'sobol' if type_request.total else 'uncertainty'} {type_request.draws}{sizes}"
+    )
 
 
 def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
@@ -168,14 +172,14 @@ def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[Disp
     )
 
 
-def _on_their_films(lit: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
+def _on_their_films(case_lights: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
     """Return cases whose settings state the film of their light; those of a group share them."""
     settings: dict[object, Study] = {}
-    for case, light in lit:
+    for case, light in case_lights:
         if case.group not in settings:
             film = None if light.film is None else light.image.shape[1]
             settings[case.group] = case.settings.model_copy(update={"resolution": film})
-    return [replace(case, settings=settings[case.group]) for case, _ in lit]
+    return [replace(case, settings=settings[case.group]) for case, _ in case_lights]
 
 
 def _evaluate_cases(
@@ -185,20 +189,20 @@ def _evaluate_cases(
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
-    begun: Callable[[StudyResult], None] | None = None,
+    on_start: Callable[[StudyResult], None] | None = None,
 ) -> tuple[list[StudyResult | str], Counts, Table]:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is
     met, and fit the optima.
 
-    begun : called once with a study of one case in its light, without curves, when workers have
+    on_start : called once with a study of one case in its light, without curves, when workers have
         made its first evaluations
 
     Returns the result of each combination, or the reason why too few of its pixel sizes are
     possible, how much was computed, and the table of all points.
     """
-    lit = rendered_cases(cases, lights)
+    rendered_sensors = rendered_cases(cases, lights)
     by_scene: dict[tuple[str, str], list[RenderedCase]] = {}
-    for sensor in lit:
+    for sensor in rendered_sensors:
         by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(
             sensor
         )
@@ -208,8 +212,8 @@ def _evaluate_cases(
     groups: dict[object, list[int]] = {}
     for number, case in enumerate(cases):
         groups.setdefault(case.group, []).append(number)
-    rounds, counts = Rounds(lit, len(groups) <= FEW_CASES), Counts(0, 0, 0)
-    awaits = [begun] if begun is not None and len(groups) == 1 and workers.jobs > 1 else []
+    rounds, counts = Rounds(rendered_sensors, len(groups) <= FEW_CASES), Counts(0, 0, 0)
+    awaits = [on_start] if on_start is not None and len(groups) == 1 and workers.jobs > 1 else []
 
     def reports() -> Progress:
         report = progress() or no_stage("")
@@ -217,7 +221,13 @@ def _evaluate_cases(
         def evaluated(share: float) -> None:
             if awaits:
                 awaits.pop()(
-                    StudyResult(cases[0].settings, (), lights[0], view=dict(view), lit=tuple(lit))
+                    StudyResult(
+                        cases[0].settings,
+                        (),
+                        lights[0],
+                        view=dict(view),
+                        prepared_sensors=tuple(rendered_sensors),
+                    )
                 )
             report(share)
 
@@ -225,7 +235,7 @@ def _evaluate_cases(
 
     has_target = any(case.settings.target_ci_um is not None for case in cases)
     table = evaluate_points(
-        lit,
+        rendered_sensors,
         results,
         workers,
         reports,
@@ -237,18 +247,22 @@ def _evaluate_cases(
 
     tables = table.by_case()
     curves = [rounds.curve(number, rows) for number, rows in enumerate(tables)]
-    _warn_of_left_out(lit, curves)
+    _warn_of_left_out(rendered_sensors, curves)
     possible = (
-        sensor for sensor, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve)
+        sensor
+        for sensor, curve in zip(rendered_sensors, curves, strict=True)
+        if isinstance(curve, Curve)
     )
     warn_of_reviews(
         (label_of(sensor.case.sensor), sensor.case, sensor.scenes.light) for sensor in possible
     )
     combinations: list[StudyResult | str] = []
     for members in groups.values():
-        of_members = [(lit[number], curves[number], tables[number]) for number in members]
+        member_curves = [
+            (rendered_sensors[number], curves[number], tables[number]) for number in members
+        ]
         rows = table.take(np.isin(table.case, members))
-        combinations.append(_combination_result(of_members, lights[members[0]], view, rows))
+        combinations.append(_combination_result(member_curves, lights[members[0]], view, rows))
     return combinations, counts, table
 
 
@@ -282,19 +296,26 @@ def _combination_result(
         complete.append(replace(curve, case=labels, errors=errors, on_displays=on_displays))
     sensors = tuple(sensor for sensor, _, _ in members)
     return StudyResult(
-        sensors[0].case.settings, tuple(complete), light, view=dict(view), table=rows, lit=sensors
+        sensors[0].case.settings,
+        tuple(complete),
+        light,
+        view=dict(view),
+        table=rows,
+        prepared_sensors=sensors,
     )
 
 
 def _warn_of_left_out(cases: Sequence[RenderedCase], curves: Sequence[Curve | str]) -> None:
     """Warn of the pixel sizes that a study leaves out of each of its cases."""
     notes = []
-    for lit, curve in zip(cases, curves, strict=True):
+    for rendered, curve in zip(cases, curves, strict=True):
         if isinstance(curve, Curve) and curve.left_out:
             sizes = dict(curve.left_out)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
             notes.append(
-                Note("left_out", words=f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}")
+                Note(
+                    "left_out", words=f"{rendered.label}: {listed} µm left out: {sizes[max(sizes)]}"
+                )
             )
     for note in first_notes([notes]):
         warn(note)
@@ -328,8 +349,8 @@ def _findings_of_cases(
         for key, part in first.items()
     ]
     rows: dict[str, list[Finding]] = {"": []}
-    for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
-        rows[key] = own
+    for done, (key, findings) in enumerate(results_of(_reference_task, calls, workers), 1):
+        rows[key] = findings
         progress(done / len(calls))
     return tuple(
         (*rows[key], *scaling_rows(part.curves)) if key else ()
@@ -346,7 +367,7 @@ def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
 
 def draw_types(
     result: StudyResult,
-    asked: UncertaintyRequest,
+    type_request: UncertaintyRequest,
     folder: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -371,7 +392,7 @@ def draw_types(
                 for base in result.cases
             ]
             results += _types_by_metric(
-                bases, asked, folder / types_file(metric), workers, progress
+                bases, type_request, folder / types_file(metric), workers, progress
             )
         else:
             reason = "it tells no best size of some of the study's own sensors"
@@ -386,7 +407,7 @@ def draw_types(
 
 def _types_by_metric(
     bases: Sequence[StudyResult],
-    asked: UncertaintyRequest,
+    type_request: UncertaintyRequest,
     file: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
@@ -395,7 +416,7 @@ def _types_by_metric(
     curves.
     """
     study, metric = bases[0].study, bases[0].curves[0].metric
-    sample = asked.sample(study)
+    sample = type_request.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
     cases: list[Case[Study]] = []  # by case of the study, then by type, then by technology
     lights: list[Light] = []
@@ -436,14 +457,16 @@ def _types_by_metric(
                 )
                 lights.append(light)
 
-    lit = rendered_cases(cases, lights)
+    rendered_sensors = rendered_cases(cases, lights)
     curves: dict[int, Curve] = {}
 
     def fit(number: int, table: Table) -> None:
         case = cases[number]
-        curves[number] = curve_of(case.settings, case.sensor, table, label=lit[number].label)
+        curves[number] = curve_of(
+            case.settings, case.sensor, table, label=rendered_sensors[number].label
+        )
 
-    evaluate_points(lit, file, workers, progress, on_case_done=fit)
+    evaluate_points(rendered_sensors, file, workers, progress, on_case_done=fit)
 
     results = []
     ordered = (curves[number] for number in range(len(cases)))
@@ -451,13 +474,20 @@ def _types_by_metric(
         types_curves = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
         for place, curve in enumerate(base.curves):
             table, holds = _results_of_types(
-                list(zip(*types_curves, strict=True)), place, base, asked
+                list(zip(*types_curves, strict=True)), place, base, type_request
             )
-            inputs = sample if asked.total else sample_of(sample, curve.technology)
+            inputs = sample if type_request.total else sample_of(sample, curve.technology)
             label = curve.label if sum(len(other.curves) for other in bases) > 1 else ""
             results.append(
                 UncertaintyResult(
-                    inputs, table, holds, asked.draws, study.seed, label, asked.total, metric
+                    inputs,
+                    table,
+                    holds,
+                    type_request.draws,
+                    study.seed,
+                    label,
+                    type_request.total,
+                    metric,
                 )
             )
     return results
@@ -474,7 +504,10 @@ def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
 
 
 def _results_of_types(
-    curves: Sequence[Sequence[Curve]], place: int, base: StudyResult, asked: UncertaintyRequest
+    curves: Sequence[Sequence[Curve]],
+    place: int,
+    base: StudyResult,
+    type_request: UncertaintyRequest,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return `UncertaintyResult.table` and `holds` of one technology.
 
@@ -503,7 +536,7 @@ def _results_of_types(
     is_known = table["inside"] | (pitch_um == smallest_um)
     holds = {
         f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size)
-        for size in asked.smaller_than_um
+        for size in type_request.smaller_than_um
     }
     labels = [curve.plain_label for curve in base.curves]
     delta_e = [np.array([curve.optimum.mean_delta_e for curve in drawn]) for drawn in curves]
@@ -593,14 +626,14 @@ def study(
             "a value without light",
             f"light beside it; of a scene, {setting('metric.detectability.without')}",
         )
-    given = {
+    options = {
         "config": config,
         "parameters": parameters,
         "pixel": pixel,
         "scene": scene,
         "quick": quick,
     } | settings
-    if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
+    if isinstance(plan, Study) and (names := [name for name, value in options.items() if value]):
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
@@ -614,7 +647,7 @@ def study(
             if isinstance(plan, str | os.PathLike)
             else {}
         )
-        asked = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
+        type_request = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
         job = prepare(chosen, variant, light=light, background=without)
         return run_prepared(
             job,
@@ -624,7 +657,7 @@ def study(
             progress=progress,
             agreed=agreed,
             spreads=spreads,
-            asked=asked,
+            type_request=type_request,
         )
 
 
@@ -637,18 +670,20 @@ def run_prepared(
     progress: Stage | None = None,
     agreed: bool = False,
     spreads: Uncertainty | None = None,
-    asked: UncertaintyRequest | None = None,
-    begun: Callable[[StudyResult], None] | None = None,
+    type_request: UncertaintyRequest | None = None,
+    on_start: Callable[[StudyResult], None] | None = None,
 ) -> StudyResult:
     """Run a prepared study; the other arguments are those of `study`.
 
-    begun : that of `_evaluate_cases`
+    on_start : that of `_evaluate_cases`
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
-    asked : about its unknown numbers
+    type_request : about its unknown numbers
     """
     check_number(len(job.combinations), job.evaluations, agreed)
-    if asked is not None:
-        check_types(job.complete, [case.settings for case in job.combinations], asked, agreed)
+    if type_request is not None:
+        check_types(
+            job.complete, [case.settings for case in job.combinations], type_request, agreed
+        )
 
     stage = progress or no_stage
     if jobs is None and scheduler is None:
@@ -658,7 +693,7 @@ def run_prepared(
     with collected_notes() as notes, ExitStack() as stack:
         for name in (
             "results.csv",
-            *(map(types_file, drawn_metrics(job.complete)) if asked else ()),
+            *(map(types_file, drawn_metrics(job.complete)) if type_request else ()),
         ):
             check_replaceable_results(Path(out) / name)
         workers, folder = (
@@ -668,45 +703,45 @@ def run_prepared(
         chosen = job.complete
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = list(dict.fromkeys(light for light in lights if isinstance(light, str)))
-        found: list[StudyResult] = []
-        if lit := [
+        results: list[StudyResult] = []
+        if case_lights := [
             (case, light)
             for case, light in zip(job.cases, lights, strict=True)
             if isinstance(light, Light)
         ]:
-            cases = _on_their_films(lit)
-            made, counts, table = _evaluate_cases(
+            cases = _on_their_films(case_lights)
+            evaluated, counts, table = _evaluate_cases(
                 cases,
-                [light for _, light in lit],
+                [light for _, light in case_lights],
                 job.view,
                 folder / "results.csv",
                 workers,
                 lambda: stage("evaluate"),
-                begun,
+                on_start,
             )
-            reasons += [reason for reason in made if isinstance(reason, str)]
-            found = [part for part in made if isinstance(part, StudyResult)]
-        if not found:
+            reasons += [reason for reason in evaluated if isinstance(reason, str)]
+            results = [part for part in evaluated if isinstance(part, StudyResult)]
+        if not results:
             raise PixsimError(reasons[0])
         for note in first_notes(
             [[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]
         ):
             warn(note)
-        curves = found[0].curves
+        curves = results[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
         if chosen.has_cases and chosen.paper:
-            findings = _findings_of_cases(found, workers, stage("paper's statements"))
-    first = found[0]
-    settings_toml = _repeated_settings(job, first.irradiance, spreads or {}, asked)
+            findings = _findings_of_cases(results, workers, stage("paper's statements"))
+    first = results[0]
+    settings_toml = _repeated_settings(job, first.irradiance, spreads or {}, type_request)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
     if chosen.has_cases:
-        names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
+        names = dict.fromkeys(curve.technology for part in results for curve in part.curves)
         final = CasesResult(
             chosen,
             tuple(
                 curve
                 for name in names
-                for part in found
+                for part in results
                 for curve in part.curves
                 if curve.technology == name
             ),
@@ -715,14 +750,14 @@ def run_prepared(
             settings_toml=settings_toml,
             warned=tuple(notes),
             table=table,
-            lit=first.lit,
-            parts=tuple(found),
+            prepared_sensors=first.prepared_sensors,
+            parts=tuple(results),
             counts=counts,
             left_out=tuple(reasons),
             findings=findings,
         )
-    if asked is None:
+    if type_request is None:
         return final
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
-        unknown = draw_types(final, asked, folder, workers, lambda: stage("sensor types"))
+        unknown = draw_types(final, type_request, folder, workers, lambda: stage("sensor types"))
     return replace(final, uncertainty=tuple(unknown))

@@ -71,7 +71,7 @@ from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settin
 
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
-_OF_RENDER = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
+_RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
 NOT_TAKEN = (
     *STUDY_ALONE,
     "detail",
@@ -205,15 +205,15 @@ def sweep(
     )  # once for all cases
 
     with collected_notes(), ExitStack() as stack:
-        plan, of_all = _sweep_plan(layers, variant)
+        plan, sensor_layers = _sweep_plan(layers, variant)
         unused = unused_settings(layers, NOT_TAKEN) + ["quick"] * quick
         cases = [
             replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
-            for case in _prepare_cases(light, by_name, camera, plan, of_all, without, unused)
+            for case in _prepare_cases(light, by_name, camera, plan, sensor_layers, without, unused)
         ]
-        asked = uncertainty_request(uncertainty, sobol, (), {})
-        if asked is not None:
-            cases = _with_types(cases, asked)
+        type_request = uncertainty_request(uncertainty, sobol, (), {})
+        if type_request is not None:
+            cases = _with_types(cases, type_request)
         check_number(
             len({case.group for case in cases}),
             sum(sum(case.sizes.values()) for case in cases),
@@ -227,13 +227,13 @@ def sweep(
         workers: Workers | None = None
         if jobs is not None or scheduler is not None:
             workers = stack.enter_context(workers_for(jobs, scheduler))
-        lit = rendered_cases(
+        rendered_sensors = rendered_cases(
             cases, [Light(light, case.camera, background=case.background) for case in cases]
         )
-        check_ideals(lit)
+        check_ideals(rendered_sensors)
         stage = progress or no_stage
-        table = evaluate_points(lit, results, workers, lambda: stage("evaluate"))
-        _warn_of_frames(lit, table, light)
+        table = evaluate_points(rendered_sensors, results, workers, lambda: stage("evaluate"))
+        _warn_of_frames(rendered_sensors, table, light)
     return table
 
 
@@ -246,17 +246,17 @@ def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, li
     Raises PixsimError for what only light of a scene has.
     """
     parts = [parts_of_study(layer) for layer in layers]
-    of_all = [of_run for of_run, _ in parts]
-    of_scene = {
+    sensor_layers = [run_layer for run_layer, _ in parts]
+    scene_settings = {
         name: value
-        for layer in of_all
+        for layer in sensor_layers
         for name, value in layer.table.items()
         if name in _ONLY_OF_SCENE
     }
     plan = checked_study(
-        [Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)]
+        [Layer({"name": "sweep"} | scene_settings), *(study_layer for _, study_layer in parts)]
     )
-    return with_range_ends(with_given_light(plan, variant)), of_all
+    return with_range_ends(with_given_light(plan, variant)), sensor_layers
 
 
 def _prepare_cases(
@@ -264,35 +264,39 @@ def _prepare_cases(
     pixels: Mapping[Any, Pixel],
     camera: Camera | Mapping[str, Any] | None,
     plan: Study,
-    of_all: Sequence[Layer],
-    without: SpectralImage | None,
+    sensor_layers: Sequence[Layer],
+    given_background: SpectralImage | None,
     unused: Sequence[str],
 ) -> list[Case[Run]]:
     """Return each pixel at each combination of the axes and under each condition, checked, with
     white and border in common.
 
     camera : as it was given
-    plan, of_all : of `_sweep_plan`
+    plan, sensor_layers : of `_sweep_plan`
     unused : names of settings that change nothing in a sweep
 
     Raises PixsimError with the name of the pixel.
     """
     cases: list[Case[Run]] = []
-    given: list[UserSettings] = []
+    stated_settings: list[UserSettings] = []
     for place in (place for under in circumstances(plan) for place in under):
         labels = {name: ", ".join(filter(None, (f"pixel {name}", place.words))) for name in pixels}
         group: list[Case[Run]] = []
         for name, pixel in pixels.items():
             with named(labels[name]):
                 table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
-                run: Run = checked(Run, [table, *of_all, *([place.layer] if place.layer else [])])
+                run: Run = checked(
+                    Run, [table, *sensor_layers, *([place.layer] if place.layer else [])]
+                )
                 group.append(place.placed(_prepared_case(run, light, camera), **{PIXEL: name}))
-            given.append(
-                _given_settings(group[-1], light, unused, has_background=without is not None)
+            stated_settings.append(
+                _given_settings(
+                    group[-1], light, unused, has_background=given_background is not None
+                )
             )
         records = [case.settings.pixel for case in group]
         background = check_metrics(
-            group[0].settings, records, light, without, names=list(labels.values())
+            group[0].settings, records, light, given_background, names=list(labels.values())
         )
         cases += (
             replace(case, background=background)
@@ -300,9 +304,9 @@ def _prepare_cases(
         )
     check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
     warn_of_reviews(
-        (f"pixel {case.labels[PIXEL]}", case, SceneLight(light, without)) for case in cases
+        (f"pixel {case.labels[PIXEL]}", case, SceneLight(light, given_background)) for case in cases
     )
-    warn_of_settings_without_effect({"": given})
+    warn_of_settings_without_effect({"": stated_settings})
     return cases
 
 
@@ -316,7 +320,11 @@ def _given_settings(
     """
     run = case.settings
     settings = UserSettings.from_records(_imaging_of_case(case), light)
-    names = *settings.names, *unused, *(name for name in _OF_RENDER if name in run.model_fields_set)
+    names = (
+        *settings.names,
+        *unused,
+        *(name for name in _RENDER_SETTINGS if name in run.model_fields_set),
+    )
     names = tuple(dict.fromkeys(names))
     not_taken = *NOT_TAKEN, SOLVE_FOR
     return replace(
@@ -380,7 +388,7 @@ def _with_one_screen(
         )
 
 
-def _with_types(cases: Sequence[Case[Run]], asked: UncertaintyRequest) -> list[Case[Run]]:
+def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) -> list[Case[Run]]:
     """Return cases and their sensor types, whose labels say the draw and its numbers. Raises
     PixsimError if nothing is unknown.
     """
@@ -389,7 +397,7 @@ def _with_types(cases: Sequence[Case[Run]], asked: UncertaintyRequest) -> list[C
         for case in cases
         if case.group == cases[0].group
     ]
-    types = Types.of(asked, first)
+    types = Types.of(type_request, first)
     unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
     as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
     typed = [replace(case, labels=case.labels | as_is) for case in cases]
@@ -405,19 +413,23 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
     """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
     display clips.
     """
-    of_light: dict[object, IdealFacts] = {}
-    for lit, rows in zip(cases, table.by_case(), strict=True):
-        where = ", ".join(filter(None, (f"pixel {lit.case.labels[PIXEL]}", lit.case.words)))
+    ideal_facts: dict[object, IdealFacts] = {}
+    for rendered, rows in zip(cases, table.by_case(), strict=True):
+        where = ", ".join(
+            filter(None, (f"pixel {rendered.case.labels[PIXEL]}", rendered.case.words))
+        )
         for reason in dict.fromkeys(rows.reasons.values()):
             warn(Note("undefined_metric", words=reason).of([where]))
         if not len(rows.possible):
             continue
-        if lit.light_id not in of_light:
-            of_light[lit.light_id] = lit.scenes.ideal_facts(lit.light_key, lit.imaging)
+        if rendered.light_id not in ideal_facts:
+            ideal_facts[rendered.light_id] = rendered.scenes.ideal_facts(
+                rendered.light_key, rendered.imaging
+            )
         for cause in causes_of_frames(
-            light, lit.imaging, of_light[lit.light_id].lightness, rows.possible
+            light, rendered.imaging, ideal_facts[rendered.light_id].lightness, rows.possible
         ):
             if cause.leaves_nothing:
                 warn(cause.note.of([where]))
-    brightest = max((facts.beyond_white for facts in of_light.values()), default=0.0)
+    brightest = max((facts.beyond_white for facts in ideal_facts.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

@@ -199,7 +199,7 @@ class Unknown:
     spread : its distribution
     technology : that has the number, as a study names it; empty for one of a data sheet
     allowed : bounds of the quantity, at which the distribution is cut off
-    of_sheet : whether a data sheet states it; then it shares its draw with no other sensor
+    is_data_sheet : whether a data sheet states it; then it shares its draw with no other sensor
     process : name of the technology, if several sensors have it and share the draw
 
     Raises PixsimError if more than half of the distribution is out of bounds.
@@ -210,7 +210,7 @@ class Unknown:
     spread: Spread
     technology: str = ""
     allowed: tuple[float, float] = (-math.inf, math.inf)
-    of_sheet: bool = False
+    is_data_sheet: bool = False
     process: str = ""
 
     def __post_init__(self) -> None:
@@ -294,19 +294,19 @@ class Unknown:
 
 
 def unknowns_of_technology(
-    technology: Technology, name: str, known: Sequence[str] = ()
+    technology: Technology, name: str, excluded: Sequence[str] = ()
 ) -> list[Unknown]:
     """Return the numbers of a technology whose file has a range.
 
     name : of the technology in the study
-    known : numbers that the study sets, which have no range then
+    excluded : numbers that the study sets, which have no range then
 
     Where the ranges of two numbers would break their order (`_ORDERED`), they end at the other
     number's value, or at the middle between both values if both are unknown.
     """
     unknowns = {}
     for number, ends in technology.ranges.items():
-        if number not in known and ends[0] < ends[1]:
+        if number not in excluded and ends[0] < ends[1]:
             spread = Spread(
                 range=ends, distribution=technology.distributions.get(number, "uniform")
             )
@@ -353,7 +353,7 @@ def unknowns_of_sheet(
     for name, spread in uncertainty.items():
         value = getattr(pixel, name, None)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            given = sorted(
+            field_names = sorted(
                 field
                 for field in pixel.model_fields_set
                 if isinstance(getattr(pixel, field), float)
@@ -361,8 +361,8 @@ def unknowns_of_sheet(
             raise invalid(
                 f"pixel.uncertainty.{name}",
                 "no such number",
-                ", ".join(given) or "none",
-                did_you_mean(name, given),
+                ", ".join(field_names) or "none",
+                did_you_mean(name, field_names),
             )
         if not spread.holds({name: value}, name):
             low, high = spread.range or (value, value)
@@ -374,7 +374,9 @@ def unknowns_of_sheet(
                 hint,
             )
         unknowns.append(
-            Unknown(name, float(value), spread, technology, _bounds_of(pixel, name), of_sheet=True)
+            Unknown(
+                name, float(value), spread, technology, _bounds_of(pixel, name), is_data_sheet=True
+            )
         )
     return unknowns
 
@@ -414,31 +416,31 @@ def _bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, f
 
 
 def unknowns_of_process(
-    pixel: PixelOptions, technology: Technology, name: str, known: Iterable[str] = ()
+    pixel: PixelOptions, technology: Technology, name: str, excluded: Iterable[str] = ()
 ) -> list[Unknown]:
     """Return the numbers of a technology with a range that neither a pixel gives in its place nor
     are known otherwise.
 
     name : of the sensor
     """
-    given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
-    given = given.union(known, excluded_by(given), _given_for_process(pixel))
-    return unknowns_of_technology(technology, name, sorted(given))
+    stated = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
+    stated = stated.union(excluded, excluded_by(stated), _replaced_by_pixel(pixel))
+    return unknowns_of_technology(technology, name, sorted(stated))
 
 
-def _given_for_process(pixel: PixelOptions) -> set[str]:
+def _replaced_by_pixel(pixel: PixelOptions) -> set[str]:
     """Return the numbers of a technology that a pixel replaces by other names: of its stack, and
     with its read noise.
     """
     replaced = set() if pixel.read_noise_e is None else {"read_noise_after_gain_e"}
     if pixel.stack is None:
         return replaced
-    own = (
+    stated = (
         set(StackOptions.model_fields)
         if not pixel.stack.enabled
         else set(pixel.stack.model_dump(exclude_none=True))
     )
-    return replaced | {f"stack_{name}" for name in own | restated_by(StackOptions, own)}
+    return replaced | {f"stack_{name}" for name in stated | restated_by(StackOptions, stated)}
 
 
 def settings_of(
@@ -550,7 +552,7 @@ def _inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
         )
     draws: dict[tuple[bool, str], list[Unknown]] = {}
     for unknown in unknowns:
-        is_shared = unknown.quantity in SHARED and not unknown.of_sheet
+        is_shared = unknown.quantity in SHARED and not unknown.is_data_sheet
         process_number = (
             f"{unknown.process} {unknown.quantity}" if unknown.process else unknown.name
         )
@@ -770,7 +772,7 @@ FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
 MIN_PITCHES = 5  # of a curve that can be fitted
 # Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
 # 1 % (5 % on a flat curve), as their intervals say, also if it lies a quarter beside the base's.
-REACH = (
+FEW_PITCHES_RATIO = (
     2.0,
     4.0,
 )  # ratio of the few pitches' ends to the base optimum, whose half interval counts three times
@@ -799,10 +801,11 @@ def few_pitches_um(
     if not 0 < low < high:
         raise invalid("range_um", f"[{low:g}, {high:g}]", "0 < low < high")
     ratios = [
-        max(end, optimum_um) / min(end, optimum_um) if end else REACH[1] for end in interval_um
+        max(end, optimum_um) / min(end, optimum_um) if end else FEW_PITCHES_RATIO[1]
+        for end in interval_um
     ]
-    reach = float(np.clip(max(ratios) ** 3, *REACH))
-    first, last = max(low, optimum_um / reach), min(high, optimum_um * reach)
+    ratio = float(np.clip(max(ratios) ** 3, *FEW_PITCHES_RATIO))
+    first, last = max(low, optimum_um / ratio), min(high, optimum_um * ratio)
     pitches = [
         float(f"{pitch:.{PITCH_DIGITS}g}")
         for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
@@ -815,8 +818,7 @@ def few_pitches_um(
     return first_notes
 
 
-# --- types of the sensors of a study or of a comparison
-# ----------------------------------------------------
+# --- types of the sensors of a study or of a comparison -------------------------------------------
 
 
 def types_file(metric: Metric) -> str:

@@ -26,13 +26,13 @@ SMALL = {
     "display": {"dots": 32},
     "pixel": {"pitch_um": 42.4},
 }  # two pixels a dot; its film is measured
-TURNED = {
+CONTROLLED_FIELDS = {
     "pixel.pitch_um": 40.0,
     "camera.f_number": 5.6,
     "exposure.gain_db": 6.1,
     "scene.luminance_cd_per_m2": 300.0,
 }
-TURNED |= {
+CONTROLLED_FIELDS |= {
     "motion.image_um_per_s": 500.0,
     "develop.denoise": "nlm",
     "develop.denoise_strength": 1.5,
@@ -59,7 +59,7 @@ def grey(path: Path) -> NDArray[Any]:
 @pytest.fixture(scope="module")
 def answered() -> tuple[Session, list[dict[str, Any]]]:
     session = Session("csf", (), SMALL)
-    return session, answers(session, PageRequest(1, ((0, TURNED),)))
+    return session, answers(session, PageRequest(1, ((0, CONTROLLED_FIELDS),)))
 
 
 def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
@@ -132,8 +132,8 @@ def test_light_and_ideal_that_are_kept_change_no_bit(answered):
     fresh = next(message for message in sent if "pictures" in message)["pictures"]
     for values in (
         {"pixel.pitch_um": 50.0},
-        {**TURNED, "camera.f_number": 2.8},
-        {**TURNED, "exposure.gain_db": 0.0},
+        {**CONTROLLED_FIELDS, "camera.f_number": 2.8},
+        {**CONTROLLED_FIELDS, "exposure.gain_db": 0.0},
     ):
         answers(
             session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",))
@@ -141,7 +141,7 @@ def test_light_and_ideal_that_are_kept_change_no_bit(answered):
         assert len(session._lights) <= MAX_LIGHTS
     again = next(
         message
-        for message in answers(session, PageRequest(3, ((0, TURNED),)))
+        for message in answers(session, PageRequest(3, ((0, CONTROLLED_FIELDS),)))
         if "pictures" in message
     )["pictures"]
     assert again == fresh
@@ -240,7 +240,7 @@ def test_controls_have_what_their_fields_declare():
     found = {control.path: control for control in controls_of((), ())}
     declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["gain_db"]
     gain = found["exposure.gain_db"]
-    assert (gain.least, gain.most, gain.unit, gain.help) == (
+    assert (gain.minimum, gain.maximum, gain.unit, gain.help) == (
         0,
         declared["maximum"],
         "dB",

@@ -124,7 +124,7 @@ NEAR, FOG, BEHIND = (
     '<scale value="0.1"/><translate z="0.8"/>',
     '<translate z="-0.1"/>',
 )
-TURNED = '<rotate y="1" angle="180"/><scale z="-1"/>'
+CONTROLLED_FIELDS = '<rotate y="1" angle="180"/><scale z="-1"/>'
 ENVIRONMENT = '<emitter type="envmap"><string name="filename" value="coloured.exr"/></emitter>'
 BOTH_SIDES = [
     (BSDF, f'<bsdf type="twosided">{BSDF}'),
@@ -203,7 +203,7 @@ KEPT = {
     ),
     "a board facing the board from the back of its matrix": (
         "macbeth",
-        [shape("rectangle", TURNED + BEHIND)],
+        [shape("rectangle", CONTROLLED_FIELDS + BEHIND)],
         {"bounces"},
     ),
     "a board that shows both sides": ("macbeth", BOTH_SIDES, {"bounces"}),

@@ -289,7 +289,7 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> 
     own, of_sheet = {"prnu": Spread(sd=0.001)}, {"read_noise_e": Spread(range=(15.0, 25.0))}
     assert spreads == {"": own, str(sheets[0]): of_sheet, str(sheets[1]): {}}
     found = unknowns_of_study(load_study(tmp_path / "settings.toml"), spreads)
-    assert [unknown.name for unknown in found if unknown.of_sheet] == [
+    assert [unknown.name for unknown in found if unknown.is_data_sheet] == [
         "prnu",
         f"{sheets[0]} read_noise_e",
     ]

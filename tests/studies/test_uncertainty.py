@@ -366,7 +366,7 @@ def test_unknowns_of_technology_draw_valid_technologies(name: str, distribution:
             {unknown.quantity: draw[unknown.name] for unknown in unknowns}, "here"
         )
         assert drawn.numbers != technology.numbers
-    fewer = unknowns_of_technology(technology, name, known=["dsnu"])
+    fewer = unknowns_of_technology(technology, name, excluded=["dsnu"])
     assert {unknown.quantity for unknown in fewer} == set(base.ranges) - {"dsnu"}
 
 

@@ -8,7 +8,7 @@ history.replaceState(null, "", location.pathname);
 let hello, number = 0, which = 0, asking = 0;
 const sensors = [{preset: 0, set: {}}, {preset: 0, set: {}}], seen = [{}, {}], points = [[], []], fields = {};
 const count = () => at("two").checked ? 2 : 1;
-const setOf = control => sensors[control.of_all ? 0 : which].set;
+const setOf = control => sensors[control.is_shared ? 0 : which].set;
 
 const socket = new WebSocket(`ws://${location.host}/socket`);
 socket.onopen = () => socket.send(JSON.stringify({token}));
@@ -54,7 +54,7 @@ function addControl(control) {
   reset.setAttribute("aria-label", `reset ${control.label}`);
   const isChoice = control.choices.length > 0, slider = isChoice ? null : make("input", {type: "range", min: 0, max: SLIDER});
   const field = isChoice ? make("select", {id})
-    : make("input", {id, type: "number", step: "any", min: control.least ?? "", max: control.most ?? ""});
+    : make("input", {id, type: "number", step: "any", min: control.minimum ?? "", max: control.maximum ?? ""});
   control.choices.forEach(each => field.append(make("option", {textContent: each})));
   slider?.setAttribute("aria-label", `${words}, slider`);
   const turn = value => { setOf(control)[id] = value; mark(control); ask(); };
@@ -74,7 +74,7 @@ function addControl(control) {
 
 // A slider reaches from a part of its first value to a multiple, within the bounds; where these are near, it has all between them.
 function rangeOf(control, value) {
-  const {least, most} = control, low = least ?? -Infinity, high = most ?? Infinity;
+  const low = control.minimum ?? -Infinity, high = control.maximum ?? Infinity;
   if (high - low <= FULL_RANGE) return {low, high, even: true};
   if (control.pair || !(value > 0)) return {low: control.pair ? -1000 : 0, high: control.pair ? 1000 : 100, even: true};
   return {low: Math.max(low, value / REACH), high: Math.min(high, value * REACH), even: false};

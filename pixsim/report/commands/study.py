@@ -91,10 +91,10 @@ def study_files(
                 jobs=jobs,
                 scheduler=scheduler,
                 progress=progress,
-                begun=drawing.begin,
+                on_start=drawing.begin,
                 agreed=agreed,
                 spreads=spreads,
-                asked=type_request,
+                type_request=type_request,
             )
             progress("report")
             first = result.cases[0]
