@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -36,19 +36,19 @@ from pixsim.optics.field_blur import (
     FittedWavefronts,
     Psf,
     RadialPsfs,
-    amid_tiles,
     blur_from_arrays,
     cutoff_per_um,
     even_window,
+    farthest_tile_um,
     field_blur,
     fit_wavefronts,
-    most_cells,
+    max_psf_cells,
     periodic_psf,
     picture_error,
+    psf_transform,
+    psfs_between_tiles,
     radial_psfs,
     resolving_um,
-    tiles_reach_um,
-    transform_of,
 )
 from pixsim.optics.lens import Lens, read_lens
 from pixsim.optics.lens_options import READING, LensOptions, TracedLens
@@ -56,19 +56,21 @@ from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
 # of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
-ROWS = 129
-CIRCLE_STEP, CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
-BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
-LIT = 0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
-NODES = (17, 33, 65)  # of wavefronts from the axis to the corner
-WAVELENGTHS = (4, 6, 8, 12)  # of a light's blur
-_PSF_CELLS = (9, 17, 33, 49, 65, 97, 129)
-_TILES = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
+_CHIEF_RAYS = 129
+_CIRCLE_STEP, _CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
+_BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
+_MIN_ILLUMINATION = (
+    0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
+)
+_NODE_COUNTS = (17, 33, 65)  # of wavefronts from the axis to the corner
+_WAVELENGTH_COUNTS = (4, 6, 8, 12)  # of a light's blur
+_PSF_SIDES = (9, 17, 33, 49, 65, 97, 129)
+_TILE_COUNTS = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
 # film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer
 # film
 _MIN_SPACING = 8
 _TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
-_TRIED = (
+_TEST_HEIGHTS = (
     0.0,
     0.25,
     0.5,
@@ -76,7 +78,7 @@ _TRIED = (
     0.86,
     0.97,
 )  # of the way to the corner of the die, where errors are found
-_TRIED_FIRST = [
+_FIRST_TEST_HEIGHTS = [
     3,
     4,
 ]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
@@ -85,11 +87,11 @@ _TRIED_FIRST = [
 _AREA_POINTS = 64
 # of the period of the finest detail that a lens passes: cells on which errors of its blur are
 # found, at most
-GRID = 0.25
-_TRIED_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
+_PERIOD_SHARE = 0.25
+_TEST_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
 _COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
 _VIEW_STEPS = 4
-LIGHT_SHARE, CUT_SHARE = (
+_LIGHT_SHARE, _CUT_SHARE = (
     0.2,
     0.4,
 )  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
@@ -103,75 +105,85 @@ _OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces 
 # degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
 _SPLINE = 5
 _IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
-SLOPE, CURVATURE = (
+_SLOPE, _CURVATURE = (
     np.array([1, -8, 0, 8, -1]) / 12,
     np.array([-1, 16, -30, 16, -1]) / 12,
 )  # of samples, to the fourth order
 
 
-def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) -> Camera:
+def camera_with_lens(
+    camera: Camera, camera_options: CameraOptions, lens_options: LensOptions
+) -> Camera:
     """Return a camera with a real lens in place of its thin one if there is a file, and with the
     veil and fall-off of the options.
 
     camera : with the die and the object's distance
-    given : options; a focal length and chief rays are those of the lens, and `f_number` stops it
+    camera_options : options; a focal length and chief rays are those of the lens, and `f_number` stops it
         down
 
     Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for
     a plane without real image.
     """
-    camera = camera.with_light_of(chosen)
-    if chosen.file is None:
+    camera = camera.with_light_of(lens_options)
+    if lens_options.file is None:
         return camera
-    for name, instead in (
+    for name, hint in (
         ("focal_length_mm", "Set lens.focal_length_mm, to which the whole lens is scaled."),
         ("chief_ray_angle", ""),
     ):
-        if getattr(given, name) is not None:
+        if getattr(camera_options, name) is not None:
             raise invalid(
                 f"camera.{name}",
-                f"a value beside lens.file = '{chosen.file}'",
+                f"a value beside lens.file = '{lens_options.file}'",
                 "that of the lens",
-                instead,
+                hint,
             )
-    of_user = Path(chosen.file).is_file()
-    file = str(Path(chosen.file).resolve()) if of_user else chosen.file
-    own = read_lens(file, chosen)
+    is_user_file = Path(lens_options.file).is_file()
+    file = str(Path(lens_options.file).resolve()) if is_user_file else lens_options.file
+    unscaled = read_lens(file, lens_options)
     field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     focal_mm, f_number = (
-        own.first_order(own.primary_nm).focal_length_mm,
-        own.first_order(own.primary_nm).f_number,
+        unscaled.first_order(unscaled.primary_nm).focal_length_mm,
+        unscaled.first_order(unscaled.primary_nm).f_number,
     )
-    if chosen.focal_length_mm is None:
-        farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
+    if lens_options.focal_length_mm is None:
+        farthest_mm = abs(
+            float(unscaled.chief_ray(unscaled.max_field_deg, unscaled.primary_nm).height_mm)
+        )
         scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
         if (
-            of_user and abs(scaled_mm / focal_mm - 1) > _OTHER_SCALE
+            is_user_file and abs(scaled_mm / focal_mm - 1) > _OTHER_SCALE
         ):  # a lens that exists; packaged ones are designs
-            warn(Note("lens_scaled", lens=own.prescription.name, focal_mm=focal_mm))
+            warn(Note("lens_scaled", lens=unscaled.prescription.name, focal_mm=focal_mm))
     else:
-        scaled_mm = chosen.focal_length_mm
+        scaled_mm = lens_options.focal_length_mm
     lens = TracedLens(
         file=file,
         focal_length_mm=scaled_mm,
-        refocus=chosen.refocus,
-        focus_nm=chosen.focus_nm,
-        ideal=chosen.ideal,
-        f_number=float(f"{f_number:.9g}") if given.f_number is None else given.f_number,
+        refocus=lens_options.refocus,
+        focus_nm=lens_options.focus_nm,
+        ideal=lens_options.ideal,
+        f_number=float(f"{f_number:.9g}")
+        if camera_options.f_number is None
+        else camera_options.f_number,
         field_mm=field_mm,
-        content=content_hash(own.fingerprint),
-        **{name: getattr(chosen, name) for name in READING},
+        content=content_hash(unscaled.fingerprint),
+        **{name: getattr(lens_options, name) for name in READING},
     )
     traced = traced_lens(lens, camera.object_distance_m)
     object_mm = 1e3 * camera.object_distance_m
     image_mm = traced.paraxial_height_mm
     focal_mm = object_mm * image_mm / (object_mm + image_mm)
-    sine2 = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm)) / math.pi
-    nominal = math.sqrt((1 - sine2) / sine2) / 2 / (1 + focal_mm / (object_mm - focal_mm))
-    rows = chief_rays(lens, camera.object_distance_m, field_mm)
+    squared_aperture = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm)) / math.pi
+    f_number = (
+        math.sqrt((1 - squared_aperture) / squared_aperture)
+        / 2
+        / (1 + focal_mm / (object_mm - focal_mm))
+    )
+    rows = _chief_rays(lens, camera.object_distance_m, field_mm)
     values = {
         "focal_length_mm": focal_mm,
-        "f_number": nominal,
+        "f_number": f_number,
         "chief_ray_angle": rows,
         "lens": lens,
     }
@@ -206,14 +218,16 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
 
     Raises PixsimError if its file is another than when the camera was made.
     """
-    own = read_lens(lens.file, lens)
-    if content_hash(own.fingerprint) != lens.content:
+    unscaled = read_lens(lens.file, lens)
+    if content_hash(unscaled.fingerprint) != lens.content:
         raise invalid(
             "lens.file",
             f"'{lens.file}', which has changed since this light was made",
             "the same prescription",
         )
-    scaled = own.scaled(lens.focal_length_mm / own.first_order(own.primary_nm).focal_length_mm)
+    scaled = unscaled.scaled(
+        lens.focal_length_mm / unscaled.first_order(unscaled.primary_nm).focal_length_mm
+    )
     try:
         scaled = scaled.stopped_down(lens.f_number)
     except PixsimError as error:
@@ -226,58 +240,61 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
 
 
 @lru_cache(maxsize=16)
-def chief_rays(
-    of_camera: TracedLens, object_distance_m: float, corner_mm: float
+def _chief_rays(
+    traced: TracedLens, object_distance_m: float, corner_mm: float
 ) -> tuple[tuple[float, float, float], ...]:
     """Return image heights in mm, chief ray angles in degrees, and relative illuminations, up to
     the corner of a die.
 
     Beyond the image circle the illumination is 0.
     """
-    lens = traced_lens(of_camera, object_distance_m)
-    heights, fields = field_angles(of_camera, object_distance_m, corner_mm)
+    lens = traced_lens(traced, object_distance_m)
+    heights, fields = field_angles(traced, object_distance_m, corner_mm)
     angles = lens.chief_ray(fields, lens.primary_nm).angle_deg
-    light = lens.relative_illumination(fields)
-    rows = [(float(h), float(a), float(r)) for h, a, r in zip(heights, angles, light, strict=True)]
+    illumination = lens.relative_illumination(fields)
+    rows = [
+        (float(h), float(a), float(r))
+        for h, a, r in zip(heights, angles, illumination, strict=True)
+    ]
     rows[0] = (0.0, 0.0, 1.0)
     if heights[-1] < corner_mm:
-        step = BEYOND * corner_mm
+        step = _BEYOND * corner_mm
         rows += [
             (rows[-1][0] + step, rows[-1][1], 0.0),
-            (max(corner_mm, rows[-1][0] + 2 * step) * (1 + BEYOND), rows[-1][1], 0.0),
+            (max(corner_mm, rows[-1][0] + 2 * step) * (1 + _BEYOND), rows[-1][1], 0.0),
         ]
     return tuple(rows)
 
 
 @lru_cache(maxsize=16)
 def field_angles(
-    of_camera: TracedLens, object_distance_m: float, corner_mm: float
+    traced: TracedLens, object_distance_m: float, corner_mm: float
 ) -> tuple[Array, Array]:
     """Return image heights in mm (n,) and their fields in degrees, from 0 to the corner of a die or
     the end of the image circle.
     """
-    lens = traced_lens(of_camera, object_distance_m)
+    lens = traced_lens(traced, object_distance_m)
     nm = lens.primary_nm
     try:
-        largest = lens.field_of_height(corner_mm * (1 + BEYOND), nm)
+        largest_deg = lens.field_of_height(corner_mm * (1 + _BEYOND), nm)
     except PixsimError:  # the image circle ends before the corner
-        largest = math.degrees(math.atan(corner_mm / lens.paraxial_height_mm))
-    for _ in range(CIRCLE_STEPS):
-        fields = np.linspace(0.0, largest, ROWS)
+        largest_deg = math.degrees(math.atan(corner_mm / lens.paraxial_height_mm))
+    for _ in range(_CIRCLE_STEPS):
+        fields = np.linspace(0.0, largest_deg, _CHIEF_RAYS)
         try:
             heights = np.asarray(lens.chief_ray(fields, nm).height_mm)
         except PixsimError:
-            largest *= CIRCLE_STEP
+            largest_deg *= _CIRCLE_STEP
             continue
-        rising = 1 + int(
+        rising_count = 1 + int(
             np.argmax(np.append(np.diff(heights), -1.0) <= 0)
         )  # beyond it, light folds back
-        if rising == ROWS:
+        if rising_count == _CHIEF_RAYS:
             return heights, fields
-        largest = float(fields[rising - 1])
+        largest_deg = float(fields[rising_count - 1])
     raise invalid(
         "lens.file",
-        f"'{of_camera.file}', without an image of {corner_mm:g} mm around its axis",
+        f"'{traced.file}', without an image of {corner_mm:g} mm around its axis",
         "a lens for the die",
     )
 
@@ -350,8 +367,8 @@ class Distortion:
 def _moved(
     picture: Picture,
     pitch_um: float,
-    source_mm: Callable[..., Array],
-    most_mm: float,
+    source_height_mm: Callable[..., Array],
+    max_height_mm: float,
     widening: float,
 ) -> Array:
     """Return a picture, means over cells of pitch · widening, whose points come from other
@@ -360,7 +377,7 @@ def _moved(
     The spline rings at edges, also below zero. That is part of what a lens and pixels see with the
     right contrast: only pixels may end at zero.
 
-    source_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is
+    source_height_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is
         given
     """
     from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
@@ -372,8 +389,8 @@ def _moved(
     def move(rows: slice) -> None:
         radius = np.maximum(np.hypot(x, y[rows, None]), 1e-12)
         grown = (
-            source_mm(np.minimum(radius, most_mm))
-            / np.minimum(radius, most_mm)
+            source_height_mm(np.minimum(radius, max_height_mm))
+            / np.minimum(radius, max_height_mm)
             / (widening * pitch_um * 1e-3)
         )
         at = [
@@ -385,22 +402,25 @@ def _moved(
     in_threads(move, strips(*picture.shape), picture.size)
     # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of
     # their curvature, in each direction.
-    around = np.pad(moved, len(SLOPE) // 2, "symmetric")
+    around = np.pad(moved, len(_SLOPE) // 2, "symmetric")
 
     def widen(rows: slice) -> None:
         height, radius = y[rows, None], np.maximum(np.hypot(x, y[rows, None]), 1e-12)
-        within = np.minimum(radius, most_mm)
-        tangential = 1 - np.square(widening * within / source_mm(within))
+        within = np.minimum(radius, max_height_mm)
+        tangential = 1 - np.square(widening * within / source_height_mm(within))
         radial = np.where(
-            radius > most_mm, tangential, 1 - np.square(widening / source_mm(within, 1))
+            radius > max_height_mm,
+            tangential,
+            1 - np.square(widening / source_height_mm(within, 1)),
         )
-        lines = around[rows.start : rows.stop + len(SLOPE) - 1]
-        down = correlated(lines[:, 2:-2], CURVATURE)
+        lines = around[rows.start : rows.stop + len(_SLOPE) - 1]
+        down = _correlated(lines[:, 2:-2], _CURVATURE)
         across, sloped = (
-            correlated(part.T, of).T for part, of in ((lines[2:-2], CURVATURE), (lines, SLOPE))
+            _correlated(part.T, weights).T
+            for part, weights in ((lines[2:-2], _CURVATURE), (lines, _SLOPE))
         )
         outwards = (
-            np.square(x) * across + 2 * x * height * correlated(sloped, SLOPE) + height**2 * down
+            np.square(x) * across + 2 * x * height * _correlated(sloped, _SLOPE) + height**2 * down
         ) / np.square(radius)
         moved[rows] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
 
@@ -408,7 +428,7 @@ def _moved(
     return moved
 
 
-def correlated(lines: Array, weights: Array) -> Array:
+def _correlated(lines: Array, weights: Array) -> Array:
     """Return the sums of neighbouring lines (n + m - 1, columns) by weights (m,), (n, columns)."""
     count = len(lines) - len(weights) + 1
     total = np.zeros((count, lines.shape[1]))
@@ -432,15 +452,15 @@ def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.f
     seen_by_film = np.hypot(frequency, frequency[:, None]) <= 0.25
     height, source = distortion.height_mm[1:], distortion.undistorted_mm[1:] / distortion.widening
     spline = _odd_spline(distortion.height_mm, distortion.undistorted_mm)
-    change = np.concatenate([source / height, spline(height, 1) / distortion.widening])
-    size = float(change[np.abs(change - 1).argmax()])
+    magnification = np.concatenate([source / height, spline(height, 1) / distortion.widening])
+    cell_ratio = float(magnification[np.abs(magnification - 1).argmax()])
     shift = min(0.5, 1e3 * float(np.abs(source - height).max()) / pitch_um)
     f = np.where(frequency == 0, 1e-9, frequency)
-    of_source, images = f / float(change.min()), np.arange(-_IMAGES, _IMAGES + 1)
-    weight = (of_source[:, None] / (of_source[:, None] + images)) ** (_SPLINE + 1)
+    source_frequency, images = f / float(magnification.min()), np.arange(-_IMAGES, _IMAGES + 1)
+    weight = (source_frequency[:, None] / (source_frequency[:, None] + images)) ** (_SPLINE + 1)
     between = weight / weight.sum(axis=1, keepdims=True) @ np.exp(2j * np.pi * images * shift)
     curvature = (-30 + 32 * np.cos(2 * np.pi * f) - 2 * np.cos(4 * np.pi * f)) / 12
-    cells = np.sinc(f / size) * (1 + (1 - size**-2) / 24 * curvature) / np.sinc(f)
+    cells = np.sinc(f / cell_ratio) * (1 + (1 - cell_ratio**-2) / 24 * curvature) / np.sinc(f)
     error = 1 + np.abs(between - 1) + np.abs(cells - 1)
     return np.asarray(seen_by_film * (np.outer(error, error) - 1))
 
@@ -508,8 +528,8 @@ class Tiling:
     psf_um: float
     error: float
     worst: float = 0.0
-    wavelengths: int = WAVELENGTHS[0]
-    nodes: int = NODES[0]
+    wavelengths: int = _WAVELENGTH_COUNTS[0]
+    nodes: int = _NODE_COUNTS[0]
     cut_error: float = 0.0
     lacking: float = 0.0
 
@@ -533,7 +553,7 @@ def fitted_wavefronts(
         try:
             return _wavefronts(camera, wavelengths_nm, np.linspace(0.0, end_mm, nodes))
         except PixsimError:  # the image circle of one of the wavelengths ends before
-            end_mm *= CIRCLE_STEP
+            end_mm *= _CIRCLE_STEP
             if end_mm < farthest_mm / 2:  # no, something else
                 raise
 
@@ -546,32 +566,34 @@ def _farthest_mm(camera: Camera) -> float:
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     return min(
         float(field_angles(camera.lens, camera.object_distance_m, corner_mm)[0][-1]),
-        _lit_mm(camera),
+        _illuminated_mm(camera),
     )
 
 
 def _wavefronts(
-    camera: Camera, wavelengths_nm: tuple[float, ...], at_mm: Array
+    camera: Camera, wavelengths_nm: tuple[float, ...], height_mm: Array
 ) -> tuple[FittedWavefronts, ...]:
     assert camera.lens is not None
     lens = traced_lens(camera.lens, camera.object_distance_m)
     heights, fields = field_angles(
         camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
     )
-    rays = pupil_rays(lens, _odd_spline(heights, fields)(at_mm), np.array(wavelengths_nm))
+    rays = pupil_rays(lens, _odd_spline(heights, fields)(height_mm), np.array(wavelengths_nm))
     return tuple(
-        fit_wavefronts(nm, 1e3 * at_mm, of_nm)
-        for nm, of_nm in zip(wavelengths_nm, rays, strict=True)
+        fit_wavefronts(nm, 1e3 * height_mm, pupil_rays_at_nm)
+        for nm, pupil_rays_at_nm in zip(wavelengths_nm, rays, strict=True)
     )
 
 
-def _lit_mm(camera: Camera) -> float:
-    """Return the height up to which a real lens's light is more than `LIT` of that on the axis: its
+def _illuminated_mm(camera: Camera) -> float:
+    """Return the height up to which a real lens's light is more than `_MIN_ILLUMINATION` of that on the axis: its
     blur is known to there.
     """
     assert camera.relative_illumination is not None
     return max(
-        height for height, light in zip(*camera.relative_illumination, strict=True) if light > LIT
+        height
+        for height, light in zip(*camera.relative_illumination, strict=True)
+        if light > _MIN_ILLUMINATION
     )
 
 
@@ -632,6 +654,7 @@ def _traced_wavelengths(
 
 
 _Transfer = Callable[[Array, float], Array] | None
+_TransformAt = Callable[[float, float], NDArray[np.complex128]]
 
 
 def light_of(
@@ -668,11 +691,11 @@ def thin_lens_error(
     if error > 1:
         return error
     light, blur = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0)), 0.0
-    pitch_um *= _cells_together(light, pitch_um)
+    pitch_um *= _binned_cells(light, pitch_um)
     for part in (0.0, 0.7, 1.0):
         x_um = part * float(light.fronts[0].height_um[-1])
         window = even_window(
-            light, x_um, 0.0, pitch_um, min(_TRIED_CELLS, most_cells(light, pitch_um))
+            light, x_um, 0.0, pitch_um, min(_TEST_CELLS, max_psf_cells(light, pitch_um))
         )
         frequency = np.hypot(
             np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None],
@@ -689,13 +712,13 @@ def thin_lens_error(
     return error + blur
 
 
-def _cells_together(light: ChannelWavefronts, pitch_um: float) -> int:
+def _binned_cells(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return how many film cells may be one along a side where errors of a blur are found.
 
     On a film much finer than the lens they all lie at low frequencies, which coarser cells hold
     too.
     """
-    return max(1, math.floor(GRID / (pitch_um * cutoff_per_um(light))))
+    return max(1, math.floor(_PERIOD_SHARE / (pitch_um * cutoff_per_um(light))))
 
 
 def dark_share(camera: Camera) -> float:
@@ -712,12 +735,12 @@ def dark_share(camera: Camera) -> float:
 
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
-KEPT_BLURS, KEPT_PSF_BYTES = 8, 1 << 28
+_MAX_CACHED_BLURS, _MAX_CACHED_BYTES = 8, 1 << 28
 # times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
 # for each film
-COARSE = 3.0
+_COARSE_FILM = 3.0
 _SPARE_TILES = 4  # beyond the die, for which there are PSFs
-_BEHIND_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
+_TRANSFER_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
 _DARK_CELLS = 512
 
 
@@ -726,17 +749,17 @@ def _light_key(
 ) -> list[object]:
     """Return all that the PSFs of a light depend on but the film."""
     nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    behind = (
+    transfer_values = (
         []
         if transfer is None
-        else [transfer(_BEHIND_CY_PER_MM, one).tolist() for one in nm.tolist()]
+        else [transfer(_TRANSFER_CY_PER_MM, wavelength).tolist() for wavelength in nm.tolist()]
     )
     return [
         camera.without_veil.model_dump(mode="json"),
         asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)),
         nm.tolist(),
         share.tolist(),
-        behind,
+        transfer_values,
     ]
 
 
@@ -753,12 +776,12 @@ def psfs_of(
     the lens have the same.
     """
     cell_um = resolving_um(light_of(camera, wavelength_nm, weight, tiling))
-    if pitch_um > COARSE * cell_um:
+    if pitch_um > _COARSE_FILM * cell_um:
         cell_um = pitch_um
     key = content_hash([*_light_key(camera, tiling, wavelength_nm, weight, transfer), cell_um])
-    farthest_um = tiles_reach_um(shape, pitch_um, *tiling.cells(pitch_um))
-    known = _PSFS.pop(key, None)
-    if known is None or known.reach_um < farthest_um:
+    farthest_um = farthest_tile_um(shape, pitch_um, *tiling.cells(pitch_um))
+    psfs = _PSFS.pop(key, None)
+    if psfs is None or psfs.max_height_um < farthest_um:
         light = light_of(camera, wavelength_nm, weight, tiling, transfer)
         # Those of the next film, whose cells end elsewhere, are to be the same.
         beyond_um = math.hypot(
@@ -768,13 +791,13 @@ def psfs_of(
             )
         )
         step_um = tiling.spacing_um / RADIAL_STEPS
-        known = radial_psfs(
+        psfs = radial_psfs(
             light, cell_um, tiling.cells(cell_um)[1], step_um, max(farthest_um, beyond_um)
         )
-    while _PSFS and sum(psfs.held_bytes for psfs in list(_PSFS.values())) > KEPT_PSF_BYTES:
+    while _PSFS and sum(cached.cached_bytes for cached in list(_PSFS.values())) > _MAX_CACHED_BYTES:
         _PSFS.pop(next(iter(_PSFS)), None)
-    _PSFS[key] = known
-    return known
+    _PSFS[key] = psfs
+    return psfs
 
 
 def blur_of(
@@ -789,8 +812,8 @@ def blur_of(
     """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are
     remembered.
     """
-    of_light = _light_key(camera, tiling, wavelength_nm, weight, transfer)
-    key = content_hash([*of_light, shape, pitch_um, cache.version_fingerprint()])
+    light_key = _light_key(camera, tiling, wavelength_nm, weight, transfer)
+    key = content_hash([*light_key, shape, pitch_um, cache.version_fingerprint()])
     if key in _BLURS:
         return _BLURS[key]
     spacing, cells = tiling.cells(pitch_um)
@@ -800,7 +823,7 @@ def blur_of(
         psfs = psfs_of(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
         blur = field_blur(psfs, shape, pitch_um, spacing, cells)
         cache.store_arrays("psfs", key, blur.as_arrays())
-    if len(_BLURS) >= KEPT_BLURS:
+    if len(_BLURS) >= _MAX_CACHED_BLURS:
         _BLURS.clear()
     _BLURS[key] = blur
     return blur
@@ -839,17 +862,20 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
             max(image.shape) * image.pitch_um / tiling.spacing_um,
             tiling.psf_um / image.pitch_um,
         )
-        known = 1 <= tiling.wavelengths <= WAVELENGTHS[-1] and 4 <= tiling.nodes <= NODES[-1]
+        has_known_counts = (
+            1 <= tiling.wavelengths <= _WAVELENGTH_COUNTS[-1]
+            and 4 <= tiling.nodes <= _NODE_COUNTS[-1]
+        )
         usable = (
-            0 < tiles <= 2 * _TILES[-1]
-            and 0 <= cells <= max(2 * _PSF_CELLS[-1], *image.shape)
-            and known
+            0 < tiles <= 2 * _TILE_COUNTS[-1]
+            and 0 <= cells <= max(2 * _PSF_SIDES[-1], *image.shape)
+            and has_known_counts
         )
     except (ValidationError, ZeroDivisionError):
         usable = False
     if not usable:
         expected = (
-            f"at most {2 * _TILES[-1]} tiles across, PSFs of {2 * _PSF_CELLS[-1]} cells, and the rest"
+            f"at most {2 * _TILE_COUNTS[-1]} tiles across, PSFs of {2 * _PSF_SIDES[-1]} cells, and the rest"
             " as pixsim.render writes it"
         )
         raise invalid(
@@ -861,7 +887,7 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     return tiling
 
 
-_MTF_PLACES = 9  # along the radius of the die, at which a lens's MTF is found
+_MTF_HEIGHTS = 9  # along the radius of the die, at which a lens's MTF is found
 _MTF_CELLS = 65  # of PSFs for an MTF, at least
 
 
@@ -878,9 +904,26 @@ def lens_mtf(
     tiling = tiling_of(image, camera)
     if tiling is None or not tiling.psf_um:
         return None
-    given = tuple(image.wavelength_nm.tolist()), tuple(np.asarray(weight, float).tolist()), tiling
-    known_cy_per_mm, mtf = _mean_mtf(camera, *given)
-    return np.interp(np.abs(frequency_cy_per_mm), known_cy_per_mm, mtf, right=0.0)
+
+    table_cy_per_mm, mtf = _mean_mtf(
+        camera,
+        wavelength_nm=tuple(image.wavelength_nm.tolist()),
+        weight=tuple(np.asarray(weight, float).tolist()),
+        tiling=tiling,
+    )
+    return np.interp(np.abs(frequency_cy_per_mm), table_cy_per_mm, mtf, right=0.0)
+
+
+def _area_shares(camera: Camera, heights_um: Array) -> Array:
+    """Return the shares of the die's area that are nearest to each distance from the axis, (n,)."""
+    height_um, width_um = camera.die_um
+    midpoints = (np.arange(_AREA_POINTS) + 0.5) / _AREA_POINTS  # of a quarter of the die
+    y_um = midpoints * height_um / 2
+    x_um = midpoints * width_um / 2
+
+    distance_um = np.hypot(x_um, y_um[:, None])
+    nearest = np.abs(distance_um[..., None] - heights_um).argmin(axis=-1)
+    return np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size
 
 
 @lru_cache(maxsize=64)
@@ -891,22 +934,23 @@ def _mean_mtf(
     light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
     pitch_um = 0.5 / cutoff_per_um(light)
     farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
-    along = np.linspace(0.0, farthest_um, _MTF_PLACES)
-    height_um, width_um = camera.die_um
-    y_um, x_um = (
-        (np.arange(_AREA_POINTS) + 0.5) / _AREA_POINTS * side / 2 for side in (height_um, width_um)
-    )
-    nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - along).argmin(axis=-1)
-    share = np.bincount(nearest.ravel(), minlength=_MTF_PLACES) / nearest.size
+    heights_um = np.linspace(0.0, farthest_um, _MTF_HEIGHTS)
+    area_shares = _area_shares(camera, heights_um)
+
+    # One window for all heights, so that their MTFs have the same frequencies.
     cells = max(_MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
-    window = max(even_window(light, place, 0.0, pitch_um, cells) for place in along.tolist())
-    power = np.zeros(window // 2)
-    for place, part in zip(along.tolist(), share.tolist(), strict=True):
-        otf = np.abs(np.fft.rfft2(periodic_psf(light, place, 0.0, pitch_um, window))) ** 2
-        power += part * (otf[0, : window // 2] + otf[: window // 2, 0]) / 2
-    return np.asarray(1e3 * np.arange(window // 2) / (window * pitch_um), float), np.asarray(
-        np.sqrt(power), float
-    )
+    window = max(even_window(light, x_um, 0.0, pitch_um, cells) for x_um in heights_um.tolist())
+
+    half = window // 2
+    power = np.zeros(half)
+    for x_um, area_share in zip(heights_um.tolist(), area_shares.tolist(), strict=True):
+        otf = np.fft.rfft2(periodic_psf(light, x_um, 0.0, pitch_um, window))
+        squared_mtf = np.abs(otf) ** 2
+        tangential_and_sagittal = squared_mtf[0, :half] + squared_mtf[:half, 0]
+        power += area_share * tangential_and_sagittal / 2
+
+    frequency_cy_per_mm = 1e3 * np.arange(half) / (window * pitch_um)
+    return np.asarray(frequency_cy_per_mm, float), np.asarray(np.sqrt(power), float)
 
 
 def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
@@ -939,194 +983,307 @@ def choose_tiling(
     """Return the fewest wavelengths, nodes and tiles and the smallest PSFs within the tolerance;
     the finest ones if none is.
 
-    tolerance : of the rms of a blurred picture about its mean
+    shape, pitch_um : (H, W) and cells of the film
+    wavelength_nm, weight : (B,), of the light
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
+    tolerance : of the rms of a blurred picture about its mean
     """
-    given = [
-        camera.without_veil.model_dump(mode="json"),
-        shape,
-        pitch_um,
-        wavelength_nm,
-        weight,
-        aperture_um,
-        tolerance,
-    ]
-    key = content_hash([*given, cache.version_fingerprint()])
-    settings = (
-        camera,
-        shape,
-        pitch_um,
-        np.array(wavelength_nm),
-        np.array(weight),
-        aperture_um,
-        tolerance,
+    key = content_hash(
+        [
+            camera.without_veil.model_dump(mode="json"),
+            shape,
+            pitch_um,
+            wavelength_nm,
+            weight,
+            aperture_um,
+            tolerance,
+            cache.version_fingerprint(),
+        ]
+    )
+    points = _TestPoints(
+        camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um
     )
     return cache.load_or_compute(
         "tiling",
         key,
         TypeAdapter(Tiling).validate_python,
-        lambda: _chosen_tiling(*settings),
+        lambda: _chosen_tiling(points, tolerance),
         asdict,
     )
 
 
-def _without_blur(
-    camera: Camera,
-    light: ChannelWavefronts,
-    heights_um: Array,
-    share: list[float],
-    pitch_um: float,
-    aperture_um: float,
-) -> Tiling:
+@dataclass(frozen=True)
+class _TestPoints:
+    """Image points from the axis to the corner of the die where the errors of a blur are computed.
+
+    The attributes are the arguments of `choose_tiling`. Errors are computed on cells of `grid_um`,
+    which hold all details that the lens passes: on a film much finer than the lens, each stands
+    for several film cells.
+    """
+
+    camera: Camera
+    shape: tuple[int, int]
+    pitch_um: float
+    wavelength_nm: Array
+    weight: Array
+    aperture_um: float
+
+    @cached_property
+    def heights_um(self) -> Array:
+        """Distances of the points from the axis, (n,)."""
+        height_um, width_um = self.camera.die_um
+        corner_um = math.hypot(width_um, height_um) / 2
+        return np.array(_TEST_HEIGHTS) * min(corner_um, 1e3 * _farthest_mm(self.camera))
+
+    @cached_property
+    def places_um(self) -> list[tuple[float, float]]:
+        """The points (x, y), on a diagonal of the die."""
+        height_um, width_um = self.camera.die_um
+        diagonal_um = 2 * (math.hypot(width_um, height_um) / 2)
+        return [
+            (distance_um * width_um / diagonal_um, distance_um * height_um / diagonal_um)
+            for distance_um in self.heights_um.tolist()
+        ]
+
+    @cached_property
+    def area_shares(self) -> list[float]:
+        """Shares of the die's area for which the points stand."""
+        shares: list[float] = _area_shares(self.camera, self.heights_um).tolist()
+        return shares
+
+    @cached_property
+    def bins(self) -> int:
+        """Film cells along a side of a cell of the grid."""
+        return _binned_cells(self.traced_light(1), self.pitch_um)
+
+    @property
+    def grid_um(self) -> float:
+        """Side of the cells on which errors are computed."""
+        return self.bins * self.pitch_um
+
+    def grid_cells(self, film_cells: int) -> int:
+        """Return the odd number of cells of the grid along the side of a PSF of film cells."""
+        return 2 * math.ceil(film_cells // 2 / self.bins) + 1
+
+    def traced_light(self, count: int) -> ChannelWavefronts:
+        """Return the light with wavefronts that are traced at the points, not interpolated.
+
+        count : number of wavelengths
+        """
+        nm, share = _traced_wavelengths(self.camera, self.wavelength_nm, self.weight, count)
+        fronts = _wavefronts(self.camera, tuple(nm.tolist()), 1e-3 * self.heights_um)
+        return ChannelWavefronts(fronts, share)
+
+    def window(self, light: ChannelWavefronts, cells: int) -> int:
+        """Return the cells along a window that holds a PSF of so many cells at every point."""
+        return max(even_window(light, x, y, self.grid_um, cells) for x, y in self.places_um)
+
+    def transforms_at(
+        self,
+        transform: _TransformAt,
+        window: int,
+        points: Sequence[int] = range(len(_TEST_HEIGHTS)),
+    ) -> NDArray[np.complex128]:
+        """Return the transforms of PSFs at points, (points, window, window // 2 + 1).
+
+        transform : place (x, y) in µm -> transform of its PSF
+        """
+        transforms = np.empty((len(points), window, window // 2 + 1), complex)
+
+        def compute(index: int) -> None:
+            x_um, y_um = self.places_um[points[index]]
+            transforms[index] = transform(x_um, y_um)
+
+        in_threads(compute, range(len(points)), WORTH_THREADS)
+        return transforms
+
+    def transforms(self, light: ChannelWavefronts, window: int) -> NDArray[np.complex128]:
+        """Return the transforms of the exact PSFs of a light at all points."""
+
+        def transform(x_um: float, y_um: float) -> NDArray[np.complex128]:
+            psf = periodic_psf(light, x_um, y_um, self.grid_um, window)
+            return np.asarray(np.fft.rfft2(psf))
+
+        return self.transforms_at(transform, window)
+
+    def error(self, approximate: NDArray[np.complex128], exact: NDArray[np.complex128]) -> float:
+        """Return `picture_error` over the area of the die."""
+        return picture_error(
+            approximate, exact, self.grid_um, self.aperture_um, share=self.area_shares
+        )
+
+    def worst_error(
+        self, approximate: NDArray[np.complex128], exact: NDArray[np.complex128]
+    ) -> float:
+        """Return the largest `picture_error` of a point."""
+        return max(
+            picture_error(approximate_at_point, exact_at_point, self.grid_um, self.aperture_um)
+            for approximate_at_point, exact_at_point in zip(approximate, exact, strict=True)
+        )
+
+
+def _tiling_without_blur(points: _TestPoints, light: ChannelWavefronts) -> Tiling:
     """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving
     the blur of rays out.
     """
-    along, across = (
-        np.fft.fftfreq(_COARSE_WINDOW, pitch_um),
-        np.fft.rfftfreq(_COARSE_WINDOW, pitch_um),
-    )
-    exact = np.zeros((heights_um.size, along.size, across.size), complex)
-    outside = np.zeros(heights_um.size)
-    for front, part in zip(light.fronts, light.share, strict=True):
-        for place, height_um in enumerate(heights_um.tolist()):
+    camera, pitch_um = points.camera, points.pitch_um
+    frequency_y = np.fft.fftfreq(_COARSE_WINDOW, pitch_um)
+    frequency_x = np.fft.rfftfreq(_COARSE_WINDOW, pitch_um)
+
+    # The transform of a PSF of rays is the mean of their phases.
+    exact = np.zeros((points.heights_um.size, frequency_y.size, frequency_x.size), complex)
+    outside_share = np.zeros(points.heights_um.size)
+    for front, share in zip(light.fronts, light.share, strict=True):
+        for index, height_um in enumerate(points.heights_um.tolist()):
             misses_um = front.misses_um(height_um)
-            sagittal, radial = (
-                np.exp(-2j * np.pi * f[:, None] * miss)
-                for f, miss in zip((along, across), misses_um.T, strict=True)
-            )
-            exact[place] += part / len(misses_um) * (sagittal @ radial.T)
-            outside[place] += part * np.mean(np.abs(misses_um).max(axis=-1) > pitch_um / 2)
+            sagittal = np.exp(-2j * np.pi * frequency_y[:, None] * misses_um[:, 0])
+            radial = np.exp(-2j * np.pi * frequency_x[:, None] * misses_um[:, 1])
+            exact[index] += share / len(misses_um) * (sagittal @ radial.T)
+
+            is_outside = np.abs(misses_um).max(axis=-1) > pitch_um / 2
+            outside_share[index] += share * np.mean(is_outside)
+
     distortion = distortion_of(camera)
     assert distortion is not None
-    found = np.broadcast_to(
-        1 + moved_error(distortion, pitch_um, along * pitch_um)[:, : across.size] + 0j, exact.shape
+    relative_error = moved_error(distortion, pitch_um, frequency_y * pitch_um)
+    without_blur = 1 + relative_error[:, : frequency_x.size] + 0j
+    approximate = np.broadcast_to(without_blur, exact.shape)
+
+    error = points.error(approximate, exact)
+    return Tiling(
+        spacing_um=1e3 * max(camera.die_mm, camera.height_mm),
+        psf_um=0.0,
+        error=error,
+        worst=points.worst_error(approximate, exact),
+        cut_error=error,
+        lacking=float(outside_share.max()),
     )
-    error = picture_error(found, exact, pitch_um, aperture_um, share=share)
-    worst = max(
-        picture_error(one, other, pitch_um, aperture_um)
-        for one, other in zip(found, exact, strict=True)
-    )
-    side_um = 1e3 * max(camera.die_mm, camera.height_mm)
-    return Tiling(side_um, 0.0, error, worst, cut_error=error, lacking=float(outside.max()))
 
 
-def _chosen_tiling(
-    camera: Camera,
-    shape: tuple[int, int],
-    pitch_um: float,
-    bands: Array,
-    weights: Array,
-    aperture_um: float,
+def _chosen_tiling(points: _TestPoints, tolerance: float) -> Tiling:
+    """Return the tiling of `choose_tiling`: wavelengths, nodes, size of PSFs and tiles in turn."""
+    for wavelengths in _WAVELENGTH_COUNTS:
+        light = points.traced_light(wavelengths)
+        finer_light = points.traced_light(2 * wavelengths)
+        max_cells = max_psf_cells(light, points.grid_um)
+        if not max_cells:
+            return _tiling_without_blur(points, light)
+
+        window = points.window(finer_light, min(points.grid_cells(_TEST_CELLS), max_cells))
+        exact = points.transforms(light, window)
+        wavelength_error = points.error(exact, points.transforms(finer_light, window))
+        if wavelength_error <= _LIGHT_SHARE * tolerance:
+            break
+
+    for nodes in _NODE_COUNTS:
+        counts = Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes)
+        interpolated = light_of(points.camera, points.wavelength_nm, points.weight, counts)
+        node_error = points.error(points.transforms(interpolated, window), exact)
+        if node_error <= _LIGHT_SHARE * tolerance:
+            break
+
+    largest_side = points.grid_cells(_PSF_SIDES[-1])
+    sides = [side for side in map(points.grid_cells, _PSF_SIDES) if side < max_cells]
+    for cells in [*sides, min(max_cells, largest_side)]:
+        needed_window = points.window(light, cells)
+        if window < needed_window:
+            window = needed_window
+            exact = points.transforms(light, window)
+
+        psfs = [_cut_psf(transform, cells) for transform in exact]
+        cut = np.array([psf_transform([(1.0, psf)], points.grid_um, window) for psf in psfs])
+        cut_error = points.error(cut, exact)
+        if cut_error <= _CUT_SHARE * tolerance:
+            break
+
+    tiling = Tiling(
+        spacing_um=0.0,
+        psf_um=cells * points.grid_um,
+        error=0.0,
+        wavelengths=wavelengths,
+        nodes=nodes,
+        cut_error=cut_error,
+        lacking=max(0.0, *(psf.tail_share for psf in psfs)),
+    )
+    # Errors that no number of tiles makes smaller.
+    residual_error = 2 * math.pi * max(front.residual_waves for front in light.fronts)
+    fixed_error = residual_error + wavelength_error + _distortion_error(points, exact)
+    return _with_fewest_tiles(points, tiling, exact, fixed_error, tolerance)
+
+
+def _cut_psf(transform: NDArray[np.complex128], cells: int) -> Psf:
+    """Return the middle cells of a PSF with this transform (window, window // 2 + 1)."""
+    window = len(transform)
+    psf = np.fft.fftshift(np.fft.irfft2(transform, (window, window)))
+    middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
+    return Psf(psf[middle, middle].astype(np.float32))
+
+
+def _distortion_error(points: _TestPoints, exact: NDArray[np.complex128]) -> float:
+    """Return the error of a picture whose details `Distortion.applied` moves."""
+    distortion = distortion_of(points.camera)
+    assert distortion is not None
+    window, columns = exact.shape[-2:]
+    cycles_per_film_cell = np.fft.fftfreq(window) / points.bins
+    relative_error = moved_error(distortion, points.pitch_um, cycles_per_film_cell)
+    return points.error(exact * (1 + relative_error[:, :columns]), exact)
+
+
+def _with_fewest_tiles(
+    points: _TestPoints,
+    tiling: Tiling,
+    exact: NDArray[np.complex128],
+    fixed_error: float,
     tolerance: float,
 ) -> Tiling:
-    height_um, width_um = camera.die_um
-    corner_um = math.hypot(width_um, height_um) / 2
-    heights_um = np.array(_TRIED) * min(corner_um, 1e3 * _farthest_mm(camera))
-    y_um, x_um = (
-        (np.arange(_AREA_POINTS) + 0.5) / _AREA_POINTS * side / 2 for side in (height_um, width_um)
-    )
-    nearest = np.abs(np.hypot(x_um, y_um[:, None])[..., None] - heights_um).argmin(axis=-1)
-    share = (np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size).tolist()
-    places = [
-        (h * width_um / (2 * corner_um), h * height_um / (2 * corner_um))
-        for h in heights_um.tolist()
+    """Return a tiling with the fewest tiles within the tolerance, and its errors.
+
+    tiling : with its PSFs, wavelengths and nodes
+    exact : transforms of the PSFs at the points
+    fixed_error : with any number of tiles
+    """
+    window = exact.shape[-2]
+    cells = round(tiling.psf_um / points.grid_um)
+    count = _TILE_COUNTS[0]
+    other_heights = [
+        index for index in range(len(_TEST_HEIGHTS)) if index not in _FIRST_TEST_HEIGHTS
     ]
-
-    def traced(count: int) -> ChannelWavefronts:
-        """Return the light with wavefronts at the places, none of them interpolated."""
-        nm, part = _traced_wavelengths(camera, bands, weights, count)
-        return ChannelWavefronts(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
-
-    def at_places(
-        transform: Callable[[float, float], NDArray[np.complex128]],
-        which: Sequence[int] = range(len(_TRIED)),
-    ) -> NDArray[np.complex128]:
-        found = np.empty((len(which), window, window // 2 + 1), complex)
-
-        def compute(number: int) -> None:
-            found[number] = transform(*places[which[number]])
-
-        in_threads(compute, range(len(which)), WORTH_THREADS)
-        return found
-
-    def transforms(light: ChannelWavefronts) -> NDArray[np.complex128]:
-        return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, grid_um, window)))
-
-    def window_of(light: ChannelWavefronts, cells: int) -> int:
-        return max(even_window(light, x, y, grid_um, cells) for x, y in places)
-
-    def error_of(found: NDArray[np.complex128], right: NDArray[np.complex128]) -> float:
-        return picture_error(found, right, grid_um, aperture_um, share=share)
-
-    # `cells` are those of the grid.
-    coarser = _cells_together(traced(1), pitch_um)
-    grid_um = coarser * pitch_um
-    tried, *sizes = (
-        2 * math.ceil(cells // 2 / coarser) + 1 for cells in (_TRIED_CELLS, *_PSF_CELLS)
-    )
-    for wavelengths in WAVELENGTHS:
-        light, exact = traced(wavelengths), traced(2 * wavelengths)
-        if not (most := most_cells(light, grid_um)):
-            return _without_blur(camera, light, heights_um, share, pitch_um, aperture_um)
-        window = window_of(exact, min(tried, most))
-        right = transforms(light)
-        of_wavelengths = error_of(right, transforms(exact))
-        if of_wavelengths <= LIGHT_SHARE * tolerance:
-            break
-    for nodes in NODES:
-        between = light_of(
-            camera, bands, weights, Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes)
-        )
-        if error_of(transforms(between), right) <= LIGHT_SHARE * tolerance:
-            break
-    for cells in [*(cells for cells in sizes if cells < most), min(most, sizes[-1])]:
-        if window < window_of(light, cells):
-            window = window_of(light, cells)
-            right = transforms(light)
-        cut = [np.fft.fftshift(np.fft.irfft2(one, (window, window))) for one in right]
-        middle = slice(window // 2 - cells // 2, window // 2 + cells // 2 + 1)
-        inside = [Psf(one[middle, middle].astype(np.float32)) for one in cut]
-        found = np.array([transform_of([(1.0, psf)], grid_um, window) for psf in inside])
-        cut_error, lacking = error_of(found, right), max(0.0, *(psf.lacking for psf in inside))
-        if cut_error <= CUT_SHARE * tolerance:
-            break
-    distortion = distortion_of(camera)
-    assert distortion is not None
-    moved = right * (
-        1
-        + moved_error(distortion, pitch_um, np.fft.fftfreq(window) / coarser)[:, : window // 2 + 1]
-    )
-    fixed = (
-        2 * math.pi * max(front.residual_waves for front in light.fronts)
-        + of_wavelengths
-        + error_of(moved, right)
-    )
-    count = _TILES[0]
-    others = [place for place in range(len(_TRIED)) if place not in _TRIED_FIRST]
     while True:
-        spacing = max(_MIN_SPACING, round(max(shape) / count))
-        tiling = Tiling(spacing * pitch_um, cells * grid_um, 0.0, 0.0, wavelengths, nodes)
-        psfs = psfs_of(camera, shape, pitch_um, tiling, bands, weights)
+        spacing = max(_MIN_SPACING, round(max(points.shape) / count))
+        tiling = replace(tiling, spacing_um=spacing * points.pitch_um)
+        psfs = psfs_of(
+            points.camera,
+            points.shape,
+            points.pitch_um,
+            tiling,
+            points.wavelength_nm,
+            points.weight,
+        )
 
         def between_tiles(
             x_um: float, y_um: float, psfs: RadialPsfs = psfs, spacing: int = spacing
         ) -> NDArray[np.complex128]:
-            return transform_of(
-                amid_tiles(psfs, x_um, y_um, grid_um, spacing / coarser, cells), grid_um, window
+            weighted_psfs = psfs_between_tiles(
+                psfs, x_um, y_um, points.grid_um, spacing / points.bins, cells
             )
+            return psf_transform(weighted_psfs, points.grid_um, window)
 
-        found, finest = right.copy(), count == _TILES[-1] or spacing == _MIN_SPACING
-        found[_TRIED_FIRST] = at_places(between_tiles, _TRIED_FIRST)
-        if finest or fixed + error_of(found, right) <= tolerance:
-            found[others] = at_places(between_tiles, others)
-        error = fixed + error_of(found, right)  # at least, without the others
-        if error <= tolerance or finest:
-            worst = max(
-                picture_error(one, other, grid_um, aperture_um)
-                for one, other in zip(found, right, strict=True)
-            )
-            return replace(
-                tiling, error=error, worst=fixed + worst, cut_error=cut_error, lacking=lacking
-            )
+        # The points where too few tiles show first decide whether the others are worth their time.
+        is_finest = count == _TILE_COUNTS[-1] or spacing == _MIN_SPACING
+        approximate = exact.copy()
+        approximate[_FIRST_TEST_HEIGHTS] = points.transforms_at(
+            between_tiles, window, _FIRST_TEST_HEIGHTS
+        )
+        if is_finest or fixed_error + points.error(approximate, exact) <= tolerance:
+            approximate[other_heights] = points.transforms_at(between_tiles, window, other_heights)
+
+        error = fixed_error + points.error(approximate, exact)
+        if is_finest or error <= tolerance:
+            worst = fixed_error + points.worst_error(approximate, exact)
+            return replace(tiling, error=error, worst=worst)
+
         needed = count * (error / tolerance) ** (1 / _TILE_ORDER)
-        count = next((more for more in _TILES if more >= needed and more > count), _TILES[-1])
+        count = next(
+            (larger for larger in _TILE_COUNTS if larger >= needed and larger > count),
+            _TILE_COUNTS[-1],
+        )

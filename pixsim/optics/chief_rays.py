@@ -49,47 +49,61 @@ def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -
 
 
 def _read_chief_rays(path: Path) -> ChiefRayAngles:
-    """Chief ray angles from a CSV file whose first line names its columns. ValueError if they are
-    none.
+    """Read chief ray angles from a CSV file whose first line names its columns.
+
+    Raises ValueError if the file has none.
     """
-    known = _CHIEF_RAY_COLUMNS[:2], _CHIEF_RAY_COLUMNS
-    return _check_chief_rays(
-        _read_heights(path, "chief ray angles", _ALLOWED_CHIEF_RAYS, known), f"'{path}'"
-    )
+    layouts = [_CHIEF_RAY_COLUMNS[:2], _CHIEF_RAY_COLUMNS]
+    rows = _read_heights(path, "chief ray angles", _ALLOWED_CHIEF_RAYS, layouts)
+    return _check_chief_rays(rows, f"'{path}'")
 
 
 def _read_heights(
-    path: Path, what: str, allowed: str, known: Sequence[tuple[str, ...]]
+    path: Path, quantity: str, allowed: str, layouts: Sequence[tuple[str, ...]]
 ) -> ChiefRayAngles:
-    """Rows of a CSV file whose first line names its columns, in ascending order if they all
-    descend. ValueError if it has others.
+    """Read rows of a CSV file whose first line names its columns.
 
-    what, allowed : for messages
-    known : names of the columns, in the order of the result; each of these, or those
+    Rows that all descend are returned in ascending order.
+
+    quantity, allowed : for messages
+    layouts : the sets of columns that the file may have, each in the order of the result
+
+    Raises ValueError if the file has other columns.
     """
-    cells = read_cells(path, what, allowed, MAX_FILE_BYTES)
-    rows = cells.rows
-    names = tuple((rows[0][1] if len(rows[0][1]) > 1 else rows[0][1][0].split()) if rows else ())
-    shares = [bool(PERCENT.search(name)) for name in names]
-    names = tuple(map(_chief_ray_column, names))
-    if (wanted := next((each for each in known if sorted(each) == sorted(names)), None)) is None:
-        hint = f" Make the first line of '{path}' {' or '.join(','.join(each) for each in known)}."
+    cells = read_cells(path, quantity, allowed, MAX_FILE_BYTES)
+    titles: list[str] = []
+    if cells.rows:
+        titles = cells.rows[0][1]
+        if len(titles) == 1:
+            titles = titles[0].split()
+
+    names = [_chief_ray_column(title) for title in titles]
+    is_percentage = [bool(PERCENT.search(title)) for title in titles]
+    columns = next((layout for layout in layouts if sorted(layout) == sorted(names)), None)
+    if columns is None:
+        lines = " or ".join(",".join(layout) for layout in layouts)
+        hint = f" Make the first line of '{path}' {lines}."
         raise ValueError(f"got a file without these columns; allowed: {allowed}.{hint}")
-    order, table = [names.index(name) for name in wanted], []
-    for number, row in rows[1:]:
+
+    positions = [names.index(column) for column in columns]
+    table = []
+    for line, row in cells.rows[1:]:
         numbers = [as_number(cell, cells.decimal) for cell in row]
-        if len(numbers) < len(order) or None in (found := [numbers[at] for at in order]):
+        values = [numbers[position] for position in positions if position < len(numbers)]
+        if len(numbers) < len(positions) or None in values:
             raise ValueError(
-                f"got no {len(order)} numbers in line {number} of '{path}'; allowed:"
+                f"got no {len(positions)} numbers in line {line} of '{path}'; allowed:"
                 f" {', '.join(names)}"
-            ) from None
-        scaled = (
-            each.scaleb(-2) if shares[at] else each
-            for each, at in zip(found, order, strict=True)
-            if each is not None
+            )
+        table.append(
+            tuple(
+                float(value.scaleb(-2) if is_percentage[position] else value)
+                for value, position in zip(values, positions, strict=True)
+                if value is not None
+            )
         )
-        table.append(tuple(map(float, scaled)))
-    if all(one[0] > other[0] for one, other in pairwise(table)):
+
+    if all(above[0] > below[0] for above, below in pairwise(table)):
         table.reverse()
     return tuple(table)
 
@@ -156,10 +170,10 @@ def _check_heights(rows: ChiefRayAngles, source: str) -> None:
                 f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that"
                 " increase"
             )
-    least_mm, most_mm = _CHIEF_RAY_HEIGHTS_MM
-    if outside := [row[0] for row in rows if row[0] != 0 and not least_mm <= row[0] <= most_mm]:
+    min_mm, max_mm = _CHIEF_RAY_HEIGHTS_MM
+    if outside := [row[0] for row in rows if row[0] != 0 and not min_mm <= row[0] <= max_mm]:
         raise ValueError(
-            f"got {source} with {outside[0]:g} mm; allowed: 0, then {least_mm:g} to {most_mm:g} mm"
+            f"got {source} with {outside[0]:g} mm; allowed: 0, then {min_mm:g} to {max_mm:g} mm"
         )
 
 
@@ -172,8 +186,8 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
     if value is None:
         return None
     if isinstance(value, str | Path):
-        source, known = f"'{value}'", _CHIEF_RAY_COLUMNS[0::2]
-        rows = _read_heights(Path(value), "relative illumination", _ALLOWED_ILLUMINATION, [known])
+        source, columns = f"'{value}'", _CHIEF_RAY_COLUMNS[0::2]
+        rows = _read_heights(Path(value), "relative illumination", _ALLOWED_ILLUMINATION, [columns])
     else:
         source = "a list"
         try:
@@ -216,7 +230,9 @@ _MAX_RELATIVE_ILLUMINATION = (
 )
 
 ChiefRays = Annotated[
-    ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(_ALLOWED_CHIEF_RAYS, max_numbers=3)
+    ChiefRayAngles,
+    BeforeValidator(as_chief_ray_angles),
+    rows_schema(_ALLOWED_CHIEF_RAYS, max_numbers=3),
 ]
 
 RelativeIllumination = Annotated[

@@ -30,10 +30,10 @@ from pixsim.optics.quantities import FNumberOrPinhole
 
 _NM_PER_MM = 1e6
 _OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
-_KEPT_TABLES = (
+_MAX_CACHED_TABLES = (
     320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
 )
-_KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
+_MAX_CACHED_SUMS = 64  # of sums over the wavelengths, 16 MiB in all
 
 
 def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
@@ -138,8 +138,10 @@ def diffract_sum(
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
-    alone = ((picture, [weight]) for picture, weight in pictures)
-    return diffract_sums(alone, 1, shape, pitch_um, wavelength_nm, f_number, transfer)[0]
+    pictures_of_one_channel = ((picture, [weight]) for picture, weight in pictures)
+    return diffract_sums(
+        pictures_of_one_channel, 1, shape, pitch_um, wavelength_nm, f_number, transfer
+    )[0]
 
 
 def diffract_sums(
@@ -173,23 +175,23 @@ def diffract_sums(
     table, step = _frequencies(max(highest, lowest))
 
     def otf_of(weight: Array) -> Array:
-        lit = np.flatnonzero(weight)
+        bands = np.flatnonzero(weight)
         if transfer is None and f_number is not None:
             return _white_table(
                 float(table[-1]),
-                tuple(wavelength_nm[lit].tolist()),
-                tuple(weight[lit].tolist()),
+                tuple(wavelength_nm[bands].tolist()),
+                tuple(weight[bands].tolist()),
                 f_number,
             )
         otf = np.zeros_like(table)
-        for at in lit:
-            nm = float(wavelength_nm[at])
+        for band in bands:
+            nm = float(wavelength_nm[band])
             lens = (
                 np.ones_like(table)
                 if f_number is None
                 else _otf_table(float(table[-1]), nm, f_number)
             )
-            otf += weight[at] * (
+            otf += weight[band] * (
                 lens
                 if transfer is None
                 else lens * values_of("transfer", transfer, table.shape, table, nm)
@@ -199,8 +201,8 @@ def diffract_sums(
     totals: dict[int, Array] = {}
     spare: Array | None = None
     for picture, weights in pictures:
-        lit = [channel for channel in range(channels) if np.any(weights[channel])]
-        if lit:
+        channels_with_light = [channel for channel in range(channels) if np.any(weights[channel])]
+        if channels_with_light:
             plane = empty_planes(*shape) if spare is None else spare
             values = np.asarray(picture)
             for rows in strips(*shape):
@@ -208,19 +210,21 @@ def diffract_sums(
                 release(values[rows])
             spectrum = dct(plane)
             spare = spectrum
-            new = [channel for channel in lit if channel not in totals]
-            if new:  # the last new channel takes the spectrum's own memory, after all others
-                totals |= {channel: empty_planes(*shape) for channel in new[:-1]} | {
-                    new[-1]: spectrum
+            new_channels = [channel for channel in channels_with_light if channel not in totals]
+            if (
+                new_channels
+            ):  # the last new channel takes the spectrum's own memory, after all others
+                totals |= {channel: empty_planes(*shape) for channel in new_channels[:-1]} | {
+                    new_channels[-1]: spectrum
                 }
                 spare = None
             _filter(
                 spectrum,
                 fy / step,
                 fx / step,
-                {channel: otf_of(weights[channel]) for channel in lit},
+                {channel: otf_of(weights[channel]) for channel in channels_with_light},
                 totals,
-                new,
+                new_channels,
             )
     return [
         inverse_dct(totals[channel]) if channel in totals else np.zeros(shape)
@@ -234,7 +238,7 @@ def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
     return table, float(step)
 
 
-@lru_cache(maxsize=_KEPT_TABLES)
+@lru_cache(maxsize=_MAX_CACHED_TABLES)
 def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
     """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of
     their wavelengths.
@@ -242,7 +246,7 @@ def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) 
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
 
-@lru_cache(maxsize=_KEPT_WHITE)
+@lru_cache(maxsize=_MAX_CACHED_SUMS)
 def _white_table(
     highest_cy_per_mm: float,
     wavelength_nm: tuple[float, ...],

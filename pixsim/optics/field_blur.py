@@ -42,17 +42,17 @@ from pixsim.base.progress import report
 
 UM_PER_NM = 1e-3
 OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
-DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
-WINDOW = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
+_DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
+_WINDOW_SIDES = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
 _SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
-MOST_SAMPLES = 320  # of a pupil: a PSF with more takes too long
-_SHRUNK = 0.8  # of the last pupil's half widths, one step beyond it
+MAX_PUPIL_SAMPLES = 320  # of a pupil: a PSF with more takes too long
+_SHRUNKEN = 0.8  # of the last pupil's half widths, one step beyond it
 _MAX_WINDOW = 4096  # film cells
 # of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
 BAND_END = 0.1
 # samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2
 # times its end
-FINER = 1.6
+_TURNED_SAMPLING = 1.6
 # film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
 _TURNED_MARGIN = 48
 # of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its
@@ -63,7 +63,7 @@ _GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a per
 _VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
 _RAYS = 200  # by which the share of light is judged that leaves a film cell
 ROUNDING = 1e-9  # of lengths that are equal
-_PLACES_TOGETHER = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
+_POINTS_PER_CALL = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -113,13 +113,15 @@ class FittedWavefronts:
 
         if self.height_um.size == 1:
             return lambda _: self.numbers[0]
-        mirrored = self.numbers[1:].copy()  # the opposite field has the wavefront turned by 180°
-        mirrored[:, 2] *= -1
-        mirrored[:, 3 : 3 + len(powers())] *= (-1.0) ** powers()[:, 1]
-        mirrored[:, 3 + len(powers()) :] = mirrored[:, : 2 + len(powers()) : -1]
+        equivalent_tile = self.numbers[
+            1:
+        ].copy()  # the opposite field has the wavefront turned by 180°
+        equivalent_tile[:, 2] *= -1
+        equivalent_tile[:, 3 : 3 + len(powers())] *= (-1.0) ** powers()[:, 1]
+        equivalent_tile[:, 3 + len(powers()) :] = equivalent_tile[:, : 2 + len(powers()) : -1]
         heights = np.concatenate([-self.height_um[:0:-1], self.height_um])
         spline: Callable[[float], Array] = CubicSpline(
-            heights, np.concatenate([mirrored[::-1], self.numbers])
+            heights, np.concatenate([equivalent_tile[::-1], self.numbers])
         )
         return spline
 
@@ -133,7 +135,7 @@ class FittedWavefronts:
         end = float(self.height_um[-1])
         step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
         numbers = np.asarray(self._spline(min(height_um, end + step)))
-        if height_um > end and np.any(numbers[:2] < _SHRUNK * self.numbers[-1, :2]):
+        if height_um > end and np.any(numbers[:2] < _SHRUNKEN * self.numbers[-1, :2]):
             return np.asarray(self.numbers[-1])
         return numbers
 
@@ -159,7 +161,7 @@ class FittedWavefronts:
 
 def powers() -> NDArray[np.intp]:
     """Return the exponents (terms, 2) of u and v: the wavefront of a centred lens is even in u."""
-    return np.array([(a, b) for a in range(0, DEGREE + 1, 2) for b in range(DEGREE + 1 - a)])
+    return np.array([(a, b) for a in range(0, _DEGREE + 1, 2) for b in range(_DEGREE + 1 - a)])
 
 
 def fit_wavefronts(
@@ -185,15 +187,15 @@ def fit_wavefronts(
         half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
         middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
-        of_u, of_v = (
-            np.cumprod([np.ones_like(along), *[along] * DEGREE], axis=0) for along in (u, v)
+        u_powers, v_powers = (
+            np.cumprod([np.ones_like(values), *[values] * _DEGREE], axis=0) for values in (u, v)
         )
-        coefficients, left = least_squares(
-            of_u[exponents[:, 0]] * of_v[exponents[:, 1]], front.opd_waves
+        coefficients, residuals = least_squares(
+            u_powers[exponents[:, 0]] * v_powers[exponents[:, 1]], front.opd_waves
         )
-        residual = max(residual, float(np.sqrt(np.mean(left**2))))
-        around = (front.outline - middle) / half
-        angle, radius = np.arctan2(np.abs(around[:, 0]), around[:, 1]), np.hypot(*around.T)
+        residual = max(residual, float(np.sqrt(np.mean(residuals**2))))
+        rim = (front.outline - middle) / half
+        angle, radius = np.arctan2(np.abs(rim[:, 0]), rim[:, 1]), np.hypot(*rim.T)
         order = np.argsort(angle)
         outline = np.interp(np.linspace(0, np.pi, OUTLINE_ANGLES), angle[order], radius[order])
         numbers.append(np.concatenate([half, [front.height_um - height], coefficients, outline]))
@@ -259,8 +261,8 @@ def pupil_function(
         np.array([np.cos(azimuth), np.sin(azimuth)]),
         np.array([-np.sin(azimuth), np.cos(azimuth)]),
     )
-    reach = np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())
-    x, y = (np.arange(-n, n + 1) * step for n in np.ceil(reach / step + 1).astype(int))
+    extent = np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())
+    x, y = (np.arange(-n, n + 1) * step for n in np.ceil(extent / step + 1).astype(int))
     if (
         azimuth == 0.0
     ):  # the pupil is even in y, to the bit: a row below 0 is enough, for the slope at 0
@@ -275,21 +277,21 @@ def pupil_function(
     slopes = np.diff(outline, append=outline[-1:])
     inside = outline[below] + (at - below) * slopes[below] - radius
     waves = np.float32(half[1] * shift_um / (wavelength_nm * UM_PER_NM)) * v
-    place, even = 0, np.ones_like(u)
-    for a in range(0, DEGREE + 1, 2):  # Horner's rule in v for each power of u
-        count = DEGREE + 1 - a
+    place, u_power = 0, np.ones_like(u)
+    for a in range(0, _DEGREE + 1, 2):  # Horner's rule in v for each power of u
+        count = _DEGREE + 1 - a
         inner = np.full_like(v, coefficients[place + count - 1])
         for coefficient in coefficients[place : place + count - 1][::-1]:
             inner *= v
             inner += coefficient
-        inner *= even
+        inner *= u_power
         waves += inner
-        even *= u * u
+        u_power *= u * u
         place += count
     rise_y, rise_x = np.gradient(waves)
     share = (inside > 0).astype(np.float32)
-    reach = 1.5 * step / half.min()
-    cut = np.nonzero((np.abs(inside) < reach) & (radius > reach))  # by the edge
+    edge_width = 1.5 * step / half.min()
+    cut = np.nonzero((np.abs(inside) < edge_width) & (radius > edge_width))  # by the edge
     # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a
     # sample's area.
     along_u, along_v = u[cut] / radius[cut], v[cut] / radius[cut]
@@ -309,11 +311,11 @@ def pupil_function(
         steep_x > steep_y, rise_x[cut] * np.sign(inward_x), rise_y[cut] * np.sign(inward_y)
     )
     waves[cut] += inwards * (1 - share[cut]) / 2
-    lit = share > 0
-    turn = np.float32(-2 * np.pi) * waves[lit]
-    size = share[lit] * mean_of_phase(rise_x[lit]) * mean_of_phase(rise_y[lit])
+    transmits = share > 0
+    turn = np.float32(-2 * np.pi) * waves[transmits]
+    size = share[transmits] * mean_of_phase(rise_x[transmits]) * mean_of_phase(rise_y[transmits])
     amplitude = np.zeros(share.shape, np.complex64)
-    amplitude[lit] = size * np.cos(turn) + 1j * (size * np.sin(turn))
+    amplitude[transmits] = size * np.cos(turn) + 1j * (size * np.sin(turn))
     if azimuth == 0.0:
         amplitude, share = (np.concatenate([part[:1:-1], part[1:]]) for part in (amplitude, share))
     return amplitude, float(share.sum(dtype=float))
@@ -351,7 +353,7 @@ class Psf:
     kernel: NDArray[np.float32]
 
     @cached_property
-    def lacking(self) -> float:
+    def tail_share(self) -> float:
         """Share of the light that falls beyond these cells; the kernel adds up to 1 less this
         share.
         """
@@ -364,7 +366,7 @@ def even_window(
     """Return an even number of cells along a side of a window in which a PSF may repeat: it
     resolves the pupil.
     """
-    return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, WINDOW * cells)
+    return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, _WINDOW_SIDES * cells)
 
 
 def _even_window(
@@ -399,17 +401,17 @@ def cutoff_per_um(light: ChannelWavefronts) -> float:
     )
 
 
-def most_cells(light: ChannelWavefronts, pitch_um: float) -> int:
+def max_psf_cells(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return the odd number of film cells along a side of the largest PSF whose pupil has
-    `MOST_SAMPLES` across; 0 for none.
+    `MAX_PUPIL_SAMPLES` across; 0 for none.
 
     On a film so coarse that it is 0, diffraction keeps to one cell.
     """
-    cells = int(MOST_SAMPLES / (WINDOW * pitch_um * cutoff_per_um(light)))
+    cells = int(MAX_PUPIL_SAMPLES / (_WINDOW_SIDES * pitch_um * cutoff_per_um(light)))
     return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 
-def _of_band(frequency: Array) -> Array:
+def _band_weight(frequency: Array) -> Array:
     """Return the weight of frequencies (n,), in cycles per film cell, in what a film shows: 1
     within its band, ½ at its end.
 
@@ -428,7 +430,7 @@ def periodic_psf(
     repeats; it adds up to 1.
 
     The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives
-    such means: its transform is the OTF up to the end of the film's band, where `_of_band` fades it.
+    such means: its transform is the OTF up to the end of the film's band, where `_band_weight` fades it.
 
     window : even
     """
@@ -441,7 +443,7 @@ def periodic_psf(
     fine = next_fast_len(
         max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True
     )  # hold the intensity
-    most = min(math.ceil((1 + BAND_END) / 2 * window), (fine - 1) // 2)
+    last = min(math.ceil((1 + BAND_END) / 2 * window), (fine - 1) // 2)
     rows = fine // 2 + 1 if azimuth == 0.0 else fine  # an even PSF's other rows are mirrors
     pending, total = np.zeros((rows, fine), np.float32), np.zeros((), complex)
     # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
@@ -449,7 +451,7 @@ def periodic_psf(
     unboxed = along[:rows, None] * along
     frequency = np.zeros(())
     if light.transfer is not None:
-        down, across = np.fft.fftfreq(2 * most + 1, 1 / (2 * most + 1)), np.arange(most + 1)
+        down, across = np.fft.fftfreq(2 * last + 1, 1 / (2 * last + 1)), np.arange(last + 1)
         frequency = np.hypot(down[:, None], across) / (size_um * 1e-3)
     for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
         pupil, area = pupil_function(
@@ -468,29 +470,29 @@ def periodic_psf(
         if light.transfer is None:
             pending += intensity
         else:
-            total = total + _low_frequencies(intensity * unboxed, most) * light.transfer(
+            total = total + _low_frequencies(intensity * unboxed, last) * light.transfer(
                 frequency, front.wavelength_nm
             )
     if light.transfer is None:
-        total = _low_frequencies(pending * unboxed, most)
+        total = _low_frequencies(pending * unboxed, last)
     return np.asarray(
-        irfft2(np.asarray(_on_film(total, (window, window)), complex), (window, window))
+        irfft2(np.asarray(_sampled_on_film(total, (window, window)), complex), (window, window))
     )
 
 
-def _low_frequencies(intensity: NDArray[np.float32], most: int) -> NDArray[np.complexfloating]:
-    """Return the transform (2 most + 1, most + 1) of a PSF up to `most` periods.
+def _low_frequencies(intensity: NDArray[np.float32], last: int) -> NDArray[np.complexfloating]:
+    """Return the transform (2 most + 1, most + 1) of a PSF up to `last` periods.
 
     intensity : (n, n), or its first rows (n // 2 + 1, n) if the PSF is even
     """
-    columns = rfft(intensity, axis=1)[:, : most + 1]
+    columns = rfft(intensity, axis=1)[:, : last + 1]
     if len(columns) < intensity.shape[1]:
         columns = np.concatenate([columns, columns[(intensity.shape[1] - 1) // 2 : 0 : -1]])
     columns = fft(columns, axis=0, overwrite_x=True)
-    return np.concatenate([columns[: most + 1], columns[-most:]])
+    return np.concatenate([columns[: last + 1], columns[-last:]])
 
 
-def _on_film(
+def _sampled_on_film(
     transform: NDArray[np.complexfloating], shape: tuple[int, ...]
 ) -> NDArray[np.complexfloating]:
     """Return the transform (H, W // 2 + 1) of samples on a film of a PSF with this transform, (2m +
@@ -503,32 +505,32 @@ def _on_film(
     real = transform.real.dtype
     weighted = (
         transform
-        * _of_band(rows / shape[0]).astype(real)[:, None]
-        * _of_band(columns / shape[1]).astype(real)
+        * _band_weight(rows / shape[0]).astype(real)[:, None]
+        * _band_weight(columns / shape[1]).astype(real)
     )
     wrapped = np.zeros((shape[0], across + 1), transform.dtype)
     wrapped[: down + 1] = weighted[: down + 1]
     wrapped[shape[0] - down :] += weighted[down + 1 :]
-    found = np.zeros((shape[0], half + 1), transform.dtype)
-    found[:, : min(across, half) + 1] = wrapped[:, : half + 1]
+    sampled = np.zeros((shape[0], half + 1), transform.dtype)
+    sampled[:, : min(across, half) + 1] = wrapped[:, : half + 1]
     first = (
         shape[1] + 1
     ) // 2  # from here on the same as a frequency below 0, where the transform is the conjugate
     if across >= first:
-        found[:, shape[1] - across : shape[1] - first + 1] += wrapped[
+        sampled[:, shape[1] - across : shape[1] - first + 1] += wrapped[
             -np.arange(shape[0]), first:
         ].conj()[:, ::-1]
-    found[0, 0] = 1.0
-    return found
+    sampled[0, 0] = 1.0
+    return sampled
 
 
-def veil_mtf(frequency_cy_per_mm: Array, beyond_um: float) -> Array:
+def veil_mtf(frequency_cy_per_mm: Array, _psf_radius_um: float) -> Array:
     """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an
     edge does; 1 at frequency 0.
 
     With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
-    z = 2 * np.pi * frequency_cy_per_mm * beyond_um * 1e-3
+    z = 2 * np.pi * frequency_cy_per_mm * _psf_radius_um * 1e-3
     return np.asarray(j0(z) - z * (1 + j1(z) - _integral_of_j0(z)))
 
 
@@ -589,7 +591,7 @@ class RadialPsfs:
     pitch_um: float
     period_um: float
     points: int
-    most: int
+    last_frequency: int
     compute: Callable[[int], NDArray[np.complex64]] = field(repr=False)
     _splines: dict[int, NDArray[np.complex64]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -599,12 +601,12 @@ class RadialPsfs:
     )
 
     @property
-    def reach_um(self) -> float:
+    def max_height_um(self) -> float:
         """Largest distance from the axis."""
         return (self.points - 2) * self.step_um
 
     @property
-    def held_bytes(self) -> int:
+    def cached_bytes(self) -> int:
         """Memory of the points that are computed."""
         return sum(spline.nbytes for spline in list(self._splines.values()))
 
@@ -620,13 +622,13 @@ class RadialPsfs:
         """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side,
         from the four nearest distances.
 
-        Raises PixsimError beyond `reach_um`, and for a film with cells smaller than `pitch_um`.
+        Raises PixsimError beyond `max_height_um`, and for a film with cells smaller than `pitch_um`.
         """
-        window, reach = _odd_window(cells), cells // 2
+        window, radius = _turned_window_cells(cells), cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
         return [
             Psf(kernel.astype(np.float32))
-            for kernel in np.roll(kernels, (reach, reach), axis=(1, 2))[:, :cells, :cells]
+            for kernel in np.roll(kernels, (radius, radius), axis=(1, 2))[:, :cells, :cells]
         ]
 
     def transform(
@@ -639,15 +641,15 @@ class RadialPsfs:
         does.
         """
         spectra = self._spectra(places_um, pitch_um, shape, self._frequencies(pitch_um, shape))
-        return np.array([_on_film(spectrum, shape) for spectrum in spectra])
+        return np.array([_sampled_on_film(spectrum, shape) for spectrum in spectra])
 
     def _frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
         """Return the last frequencies, down and across, of a window: a film shows no more, or the
         lens passes no more.
         """
-        most_per_um = math.hypot(self.most, self.most) / self.period_um
+        max_cy_per_um = math.hypot(self.last_frequency, self.last_frequency) / self.period_um
         return tuple(
-            min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(most_per_um * side * pitch_um))
+            min(math.ceil((1 + BAND_END) / 2 * side), math.ceil(max_cy_per_um * side * pitch_um))
             for side in shape
         )
 
@@ -675,21 +677,24 @@ class RadialPsfs:
         fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
         radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
         at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
-        side = min(self.most + 2, math.ceil(max(part.max() for part in at)) + _SPLINE_COEFFICIENTS)
+        side = min(
+            self.last_frequency + 2,
+            math.ceil(max(part.max() for part in at)) + _SPLINE_COEFFICIENTS,
+        )
         tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
-        spectra = np.asarray(_splined(tables, *at), complex)
+        spectra = np.asarray(_spline_values(tables, *at), complex)
         np.conjugate(spectra, out=spectra, where=radial < 0)
         if self.pitch_um == 0.0:  # the tables hold all that the lens passes
-            spectra[(at[0] > self.most) | (at[1] > self.most)] = 0.0
+            spectra[(at[0] > self.last_frequency) | (at[1] > self.last_frequency)] = 0.0
         return spectra
 
     def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
         """Return the first coefficients (side, side) for a distance from the axis."""
-        if not height_um <= self.reach_um * (1 + ROUNDING):
+        if not height_um <= self.max_height_um * (1 + ROUNDING):
             raise invalid(
                 "distance of a PSF from the axis",
                 f"{height_um:.6g} µm",
-                f"at most {self.reach_um:.6g} µm",
+                f"at most {self.max_height_um:.6g} µm",
             )
         place = height_um / self.step_um
         first = min(math.floor(place), self.points - 3) - 1
@@ -724,12 +729,12 @@ class RadialPsfs:
                 :, : columns + 1
             ]
             blurred.append(
-                np.asarray(irfft2(rfft2(light) * _on_film(part, light.shape), light.shape))
+                np.asarray(irfft2(rfft2(light) * _sampled_on_film(part, light.shape), light.shape))
             )
         return blurred
 
 
-def _splined(
+def _spline_values(
     coefficients: NDArray[np.complex64], row: Array, column: Array
 ) -> NDArray[np.complex64]:
     """Return cubic splines at places (n, ...), 0 or more, in half of the time of SciPy's, which
@@ -744,8 +749,8 @@ def _splined(
     )
     begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
     columns = [begin + np.minimum(left + step, width - 1) for step in range(_SPLINE_COEFFICIENTS)]
-    weights = _b_spline(across)
-    for step, weight in enumerate(_b_spline(down)):
+    weights = _b_spline_weights(across)
+    for step, weight in enumerate(_b_spline_weights(down)):
         first = np.minimum(top + step, height - 1) * width
         along = flat[first + columns[0]] * weights[0]
         for place, part in zip(columns[1:], weights[1:], strict=True):
@@ -754,7 +759,7 @@ def _splined(
     return total
 
 
-def _b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
+def _b_spline_weights(part: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weights of the four coefficients around a place in a cubic spline, (4, ...).
 
     part : of the step from the second to the third of them, 0 to 1
@@ -764,7 +769,7 @@ def _b_spline(part: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(weights, np.float32) / np.float32(6)
 
 
-def _odd_window(cells: int) -> int:
+def _turned_window_cells(cells: int) -> int:
     """Return an odd number of film cells along a side of a window in which a turned PSF repeats; it
     has no Nyquist frequency.
     """
@@ -783,10 +788,10 @@ def radial_psfs(
     count = math.floor(farthest_um / step_um) + 3
     resolving = resolving_um(light)
     cell_um = max(pitch_um, resolving)
-    fine_um, heights_um = cell_um / FINER, [index * step_um for index in range(count)]
-    window = _even_window(light, heights_um, fine_um, WINDOW * cells * pitch_um / fine_um)
+    fine_um, heights_um = cell_um / _TURNED_SAMPLING, [index * step_um for index in range(count)]
+    window = _even_window(light, heights_um, fine_um, _WINDOW_SIDES * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(_PADDING * window / 2)) * 2
-    most = min(
+    last = min(
         math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um)
         + _SPLINE_COEFFICIENTS // 2,
         padded // 2 - 1,
@@ -794,17 +799,17 @@ def radial_psfs(
 
     # The coefficients of a spline through an OTF are that of the PSF over the transform of a
     # B-spline.
-    of_spline = (2 + np.cos(2 * np.pi / padded * np.fft.fftfreq(window, 1 / window))) / 3
+    b_spline = (2 + np.cos(2 * np.pi / padded * np.fft.fftfreq(window, 1 / window))) / 3
 
     def compute(index: int) -> NDArray[np.complex64]:
         psf = (
             periodic_psf(light, heights_um[index], 0.0, fine_um, window)
-            / of_spline
-            / of_spline[:, None]
+            / b_spline
+            / b_spline[:, None]
         )
         # It is even along the sagittal axis, so that its transform is real there.
-        rows = rfft(_amid_zeros(psf.astype(np.float32), padded), axis=0)[: most + 1].real
-        otf = rfft(_amid_zeros(rows.T, padded), axis=0)[: most + 1].T
+        rows = rfft(_zero_padded(psf.astype(np.float32), padded), axis=0)[: last + 1].real
+        otf = rfft(_zero_padded(rows.T, padded), axis=0)[: last + 1].T
         if index == 0:  # a point on the axis is its own opposite
             otf = otf.real + np.zeros_like(otf)
         return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
@@ -814,12 +819,12 @@ def radial_psfs(
         cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0,
         padded * fine_um,
         count,
-        most,
+        last,
         compute,
     )
 
 
-def _amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _zero_padded(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count,
     m).
     """
@@ -832,7 +837,7 @@ def resolving_um(light: ChannelWavefronts) -> float:
     """Return the largest film cells for which radial PSFs have all frequencies that a lens passes,
     within their own band.
     """
-    return FINER * (1 - BAND_END) / 2 / cutoff_per_um(light)
+    return _TURNED_SAMPLING * (1 - BAND_END) / 2 / cutoff_per_um(light)
 
 
 def _tiles_along(cells: int, spacing: int) -> tuple[int, int]:
@@ -844,17 +849,19 @@ def _tiles_along(cells: int, spacing: int) -> tuple[int, int]:
     return math.ceil((cells - 1) / 2 / spacing) + 1, 4 * spacing - cells % 2
 
 
-def tiles_alike(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]]:
+def distinct_tiles(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]]:
     """Return the places (x, y) ≥ 0, in tiles from the axis, whose PSFs all tiles of a picture (H,
     W) have but for mirrors.
     """
     (down, _), (across, _) = (_tiles_along(n, spacing) for n in shape)
     return list(
-        dict.fromkeys(mirrored(x, y, shape) for y in range(down + 1) for x in range(across + 1))
+        dict.fromkeys(
+            equivalent_tile(x, y, shape) for y in range(down + 1) for x in range(across + 1)
+        )
     )
 
 
-def mirrored(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
+def equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
     """Return the place (x, y) whose PSF a tile has but for mirrors: that of x ≥ y ≥ 0 if rows and
     columns may change places.
     """
@@ -865,7 +872,7 @@ def mirrored(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
 _SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
 
 
-def _part(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
+def _window_slices(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
     return slice(top, top + rows), slice(left, left + columns)
 
 
@@ -875,14 +882,14 @@ class FieldBlur:
 
     shape : (H, W) of the picture, with what is added at its sides
     spacing : film cells from the middle of a tile to that of the next; one lies on the axis
-    psfs : by the place (x, y) of `Tile.mirrored`
+    psfs : by the place (x, y) of `equivalent_tile`
     """
 
     shape: tuple[int, int]
     pitch_um: float
     spacing: int
     psfs: dict[tuple[int, int], Psf] = field(repr=False)
-    known_even: NDArray[np.float32] | None = field(
+    cached_flat_field: NDArray[np.float32] | None = field(
         default=None, repr=False, compare=False
     )  # from a cache, in place of computing
     _last: dict[tuple[int, bytes], Array] = field(
@@ -896,12 +903,15 @@ class FieldBlur:
 
     def as_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the PSFs as arrays, for a cache."""
-        return {"kernels": np.stack([psf.kernel for psf in self.psfs.values()]), "even": self.even}
+        return {
+            "kernels": np.stack([psf.kernel for psf in self.psfs.values()]),
+            "flat_field": self.flat_field,
+        }
 
     @property
-    def lacking(self) -> float:
+    def tail_share(self) -> float:
         """Largest share of the light that a PSF lacks."""
-        return max(psf.lacking for psf in self.psfs.values())
+        return max(psf.tail_share for psf in self.psfs.values())
 
     def superposed(self, picture: Array) -> tuple[Array, Array]:
         """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells -
@@ -912,12 +922,12 @@ class FieldBlur:
         given back evenly.
         """
         top, left = self._before
-        spread = self._added_up(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
-        spread = spread[_part(top, left, *(n + self.cells - 1 for n in self.shape))]
+        spread = self._sum_of_tiles(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
+        spread = spread[_window_slices(top, left, *(n + self.cells - 1 for n in self.shape))]
         down, across = self._weights
         light_of_tiles = down.T @ picture @ across
-        spread += ((light_of_tiles * (1 - self._lacking)).sum() - spread.sum()) / spread.size
-        return spread, picture * (down @ self._lacking @ across.T)
+        spread += ((light_of_tiles * (1 - self._tail_shares)).sum() - spread.sum()) / spread.size
+        return spread, picture * (down @ self._tail_shares @ across.T)
 
     @property
     def _tiles(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -946,16 +956,16 @@ class FieldBlur:
         )
 
     @cached_property
-    def _lacking(self) -> Array:
+    def _tail_shares(self) -> Array:
         """What the PSFs of the tiles lack, down and across."""
         (down, across), _ = self._tiles
         places = [
-            [mirrored(x, y, self.shape) for x in range(-across, across + 1)]
+            [equivalent_tile(x, y, self.shape) for x in range(-across, across + 1)]
             for y in range(-down, down + 1)
         ]
-        return np.array([[self.psfs[place].lacking for place in row] for row in places])
+        return np.array([[self.psfs[place].tail_share for place in row] for row in places])
 
-    def _added_up(
+    def _sum_of_tiles(
         self, light: NDArray[np.float32] | None, first: tuple[int, ...] = (0, 0)
     ) -> Array:
         """Return the sum of the spread light of all tiles, from some row and column on.
@@ -966,20 +976,20 @@ class FieldBlur:
         light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many
             beyond `superposed`. None: even
         """
-        (counts, sides), reach = self._tiles, self.cells // 2
+        (counts, sides), radius = self._tiles, self.cells // 2
         filled = [side + self.cells - 1 for side in sides]  # by the light of a window
         size = [next_fast_len(side, real=True) for side in filled]
         height, width = (
             n + 2 * before + self.cells - 1
             for n, before in zip(self.shape, self._before, strict=True)
         )
-        inside = [slice(reach, reach + side) for side in sides]
+        inside = [slice(radius, radius + side) for side in sides]
         down, across = (
             _cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
             for side in sides
         )
         turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
-        centred = np.exp(2j * np.pi * reach * turns)  # moves the middle of a PSF to the first cell
+        centred = np.exp(2j * np.pi * radius * turns)  # moves the middle of a PSF to the first cell
         result = np.zeros((height - first[0], width - first[1]))
         strips_of_light: dict[int, NDArray[np.float32]] = {}
 
@@ -998,7 +1008,7 @@ class FieldBlur:
             np.multiply(rows, down[:, None], out=wide[inside[0]])
             return np.asarray(fft(wide, axis=0, overwrite_x=True))
 
-        even = spectrum_of(rows_of(0)[: sides[0]]) if light is None else None
+        uniform_spectrum = spectrum_of(rows_of(0)[: sides[0]]) if light is None else None
 
         def compute(x: int) -> None:
             columns = [
@@ -1011,7 +1021,7 @@ class FieldBlur:
             }
             total = {at: np.zeros((height, centred.shape[1]), np.complex64) for at in columns}
             for y in range(counts[0] + 1):
-                place = mirrored(x, y, self.shape)
+                place = equivalent_tile(x, y, self.shape)
                 kernel = self.psfs[place].kernel if place == (x, y) else self.psfs[place].kernel.T
                 psf = (fft(rfft(kernel, size[1], axis=1), size[0], axis=0) * centred).astype(
                     np.complex64
@@ -1020,22 +1030,28 @@ class FieldBlur:
                     row = (counts[0] + side) * self.spacing
                     if row + filled[0] <= first[0]:
                         continue
-                    lit = spectrum_of(rows[at][row : row + sides[0]]) if even is None else even
+                    window_spectrum = (
+                        spectrum_of(rows[at][row : row + sides[0]])
+                        if uniform_spectrum is None
+                        else uniform_spectrum
+                    )
                     turned = (
                         psf if (side < 0) == (at < 0) else psf[-np.arange(size[0])]
                     )  # mirrored rows
                     spread = ifft(
-                        lit * (turned.conj() if at < 0 else turned), axis=0, overwrite_x=True
+                        window_spectrum * (turned.conj() if at < 0 else turned),
+                        axis=0,
+                        overwrite_x=True,
                     )
                     total[at][row : row + filled[0]] += spread[: filled[0]]
             for at in columns:
                 strips_of_light[at] = irfft(total[at][first[0] :], size[1], axis=1)[:, : filled[1]]
 
-        most = max(
+        columns_at_once = max(
             threads(), _SPREAD_CELLS // (2 * height * filled[1])
         )  # threads start anew for each strip
-        for some in strips(counts[1] + 1, 1, most):
-            in_threads(compute, range(some.start, some.stop), result.size)
+        for batch in strips(counts[1] + 1, 1, columns_at_once):
+            in_threads(compute, range(batch.start, batch.stop), result.size)
             for at in sorted(
                 strips_of_light, key=abs
             ):  # always in one order, so that sums round in one way
@@ -1043,7 +1059,7 @@ class FieldBlur:
                 result[:, max(column, 0) : column + filled[1]] += strips_of_light.pop(at)[
                     :, max(-column, 0) :
                 ]
-            report(some.stop / (counts[1] + 1))
+            report(batch.stop / (counts[1] + 1))
         return result
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
@@ -1060,53 +1076,57 @@ class FieldBlur:
         key = margin, blake2b(picture.tobytes()).digest()
         if key not in self._last:
             self._last.clear()
-            self._last[key] = np.asarray(self._spread(picture, margin) / self.even)
+            self._last[key] = np.asarray(self._spread(picture, margin) / self.flat_field)
         return self._last[key]
 
     @cached_property
-    def even(self) -> NDArray[np.float32]:
+    def flat_field(self) -> NDArray[np.float32]:
         """What becomes of an even picture: where the mean shift of PSFs grows along the field, they
         move apart.
 
         All windows have the same light: what is beyond the picture does not reach it.
         """
-        if self.known_even is not None:
-            return self.known_even
-        reach = self.cells // 2
+        if self.cached_flat_field is not None:
+            return self.cached_flat_field
+        radius = self.cells // 2
         # The other half of an even number of rows or columns is its mirror image, as that of a veil
         # is.
-        begin = [(n // 2 - reach) * (n % 2 == 0) for n in self.shape]
-        light = self._added_up(
+        begin = [(n // 2 - radius) * (n % 2 == 0) for n in self.shape]
+        light = self._sum_of_tiles(
             None,
             tuple(
-                before + 2 * reach + cut for before, cut in zip(self._before, begin, strict=True)
+                before + 2 * radius + cut for before, cut in zip(self._before, begin, strict=True)
             ),
         )
         light = light[
-            : self.shape[0] - 2 * reach - begin[0], : self.shape[1] - 2 * reach - begin[1]
+            : self.shape[0] - 2 * radius - begin[0], : self.shape[1] - 2 * radius - begin[1]
         ]
         down, across = (
-            part[reach + cut : len(part) - reach]
+            part[radius + cut : len(part) - radius]
             for part, cut in zip(self._weights, begin, strict=True)
         )
-        even = self._with_veil(light, down @ self._lacking @ across.T).astype(np.float32)
+        flat_field = self._with_tails_as_veil(light, down @ self._tail_shares @ across.T).astype(
+            np.float32
+        )
         for axis, cut in enumerate(begin):
-            even = np.concatenate([np.flip(even, axis), even], axis) if cut else even
-        return even
+            flat_field = (
+                np.concatenate([np.flip(flat_field, axis), flat_field], axis) if cut else flat_field
+            )
+        return flat_field
 
     def _spread(self, picture: Array, margin: int = 0) -> Array:
         """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
-        reach = self.cells // 2
+        radius = self.cells // 2
         height, width = (count - 2 * margin for count in picture.shape)
-        cut = max(0, margin - reach)
-        known = picture[_part(cut, cut, *(count - 2 * cut for count in picture.shape))]
-        full, lacked = self.superposed(np.pad(known, reach - (margin - cut), "symmetric"))
-        return self._with_veil(
-            full[_part(2 * reach, 2 * reach, height, width)],
-            lacked[_part(reach, reach, height, width)],
+        cut = max(0, margin - radius)
+        inner = picture[_window_slices(cut, cut, *(count - 2 * cut for count in picture.shape))]
+        full, lacked = self.superposed(np.pad(inner, radius - (margin - cut), "symmetric"))
+        return self._with_tails_as_veil(
+            full[_window_slices(2 * radius, 2 * radius, height, width)],
+            lacked[_window_slices(radius, radius, height, width)],
         )
 
-    def _with_veil(self, light: Array, lacked: Array) -> Array:
+    def _with_tails_as_veil(self, light: Array, lacked: Array) -> Array:
         """Return spread light (H, W) with what the PSFs lack of it as a veil."""
         result, veil = empty_planes(*light.shape), empty_planes(*light.shape)
         result[...], veil[...] = light, lacked
@@ -1115,7 +1135,7 @@ class FieldBlur:
         few = np.linspace(
             0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), _VEIL_FREQUENCIES
         )  # those of a film of any size
-        mtf = veil_mtf(few, beyond_um(self.cells, self.pitch_um))
+        mtf = veil_mtf(few, _psf_radius_um(self.cells, self.pitch_um))
 
         def spread(rows: slice) -> None:
             spectrum[rows] *= np.interp(np.hypot(down[rows, None], across), few, mtf)
@@ -1125,7 +1145,7 @@ class FieldBlur:
         return result
 
 
-def beyond_um(cells: int, pitch_um: float) -> float:
+def _psf_radius_um(cells: int, pitch_um: float) -> float:
     """Return the radius of a disc with the area of a PSF's cells."""
     return cells * pitch_um / math.sqrt(math.pi)
 
@@ -1135,21 +1155,21 @@ def _tile_psfs(
 ) -> dict[tuple[int, int], Psf]:
     """Return the PSFs of the middles of tiles at places (x, y)."""
     wanted = list(dict.fromkeys(places))
-    found: dict[tuple[int, int], Psf] = {}
+    psfs_of_tiles: dict[tuple[int, int], Psf] = {}
 
-    def compute(some: slice) -> None:
-        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[some]]
-        found.update(zip(wanted[some], psfs.at(places_um, pitch_um, cells), strict=True))
+    def compute(batch: slice) -> None:
+        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[batch]]
+        psfs_of_tiles.update(zip(wanted[batch], psfs.at(places_um, pitch_um, cells), strict=True))
 
     in_threads(
-        compute, strips(len(wanted), 1, _PLACES_TOGETHER), WORTH_THREADS if len(wanted) > 1 else 0
+        compute, strips(len(wanted), 1, _POINTS_PER_CALL), WORTH_THREADS if len(wanted) > 1 else 0
     )
-    return {place: found[place] for place in wanted}
+    return {place: psfs_of_tiles[place] for place in wanted}
 
 
-def tiles_reach_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
+def farthest_tile_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
     """Return the distance from the axis of the farthest tile of `field_blur`, and of those that
-    `amid_tiles` takes.
+    `psfs_between_tiles` takes.
     """
     return math.hypot(
         *((_tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape)
@@ -1170,7 +1190,7 @@ def field_blur(
         wide,
         pitch_um,
         spacing,
-        _tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)),
+        _tile_psfs(psfs, pitch_um, spacing, cells, distinct_tiles(wide, spacing)),
     )
 
 
@@ -1185,16 +1205,16 @@ def blur_from_arrays(
     tiles.
     """
     wide = shape[0] + cells - 1, shape[1] + cells - 1
-    places, kernels = list(tiles_alike(wide, spacing)), stored.get("kernels", np.empty(0))
-    even = stored.get("even", np.empty(0))
+    places, kernels = list(distinct_tiles(wide, spacing)), stored.get("kernels", np.empty(0))
+    flat_field = stored.get("flat_field", np.empty(0))
     if (
         kernels.shape != (len(places), cells, cells)
-        or even.shape != shape
-        or not kernels.dtype == even.dtype == np.float32
+        or flat_field.shape != shape
+        or not kernels.dtype == flat_field.dtype == np.float32
     ):
         return None
     psfs = {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)}
-    return FieldBlur(wide, pitch_um, spacing, psfs, even)
+    return FieldBlur(wide, pitch_um, spacing, psfs, flat_field)
 
 
 def picture_error(
@@ -1248,7 +1268,7 @@ def _frequencies_in_order(
     return np.argsort(frequency, axis=None, kind="stable")[1:], weight
 
 
-def transform_of(
+def psf_transform(
     psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int
 ) -> NDArray[np.complex128]:
     """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with
@@ -1271,10 +1291,10 @@ def _veil(pitch_um: float, cells: int, window: int) -> Array:
         np.fft.fftfreq(window, pitch_um * 1e-3)[:, None],
         np.fft.rfftfreq(window, pitch_um * 1e-3),
     )
-    return veil_mtf(np.hypot(fy, fx), beyond_um(cells, pitch_um))
+    return veil_mtf(np.hypot(fy, fx), _psf_radius_um(cells, pitch_um))
 
 
-def amid_tiles(
+def psfs_between_tiles(
     psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int
 ) -> list[tuple[float, Psf]]:
     """Return weights and PSFs of the sixteen tiles around an image point that is as far from them

@@ -61,10 +61,10 @@ DEGREE = 11
 RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
 # distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
 # tilt
-_AIMED = 1e-9
-_AIM_STEPS = 30
-_APPROACHES = 12  # to a field whose chief ray is not found from the axis
-_KEPT_INDICES = 256  # sets of wavelengths
+_AIM_TOLERANCE = 1e-9
+_MAX_AIM_STEPS = 30
+_FIELD_STEPS = 12  # to a field whose chief ray is not found from the axis
+_MAX_CACHED_INDICES = 256  # sets of wavelengths
 # rays at a time: with fewer, threads take longer to take turns than to trace; more need more memory
 BLOCK = 1 << 15
 _SPOKES_OF_OUTLINE = (
@@ -230,58 +230,60 @@ def _without_fields(prescription: Prescription) -> Lens:
     does.
     """
     bare = Lens(prescription, 1.0, 0.0)
-    what = f"lens '{prescription.name}'"
-    focal = bare.first_order(prescription.primary_nm).focal_length_mm
-    if not 0 < focal < math.inf:
-        word = "afocal, with" if math.isinf(focal) else "virtual, with"
+    lens_name = f"lens '{prescription.name}'"
+    focal_mm = bare.first_order(prescription.primary_nm).focal_length_mm
+    if not 0 < focal_mm < math.inf:
+        kind = "afocal, with" if math.isinf(focal_mm) else "virtual, with"
         expected = "a positive focal length, of a lens that makes a real image"
-        raise invalid(what, f"no real image: {word} a focal length of {focal:g} mm", expected)
-    distance = prescription.object_distance_mm
-    if math.isfinite(distance):
-        distance += bare._entrance_pupil_mm
-        if not distance > 0:
+        raise invalid(
+            lens_name, f"no real image: {kind} a focal length of {focal_mm:g} mm", expected
+        )
+    object_mm = prescription.object_distance_mm
+    if math.isfinite(object_mm):
+        object_mm += bare._entrance_pupil_mm
+        if not object_mm > 0:
             raise invalid(
-                what,
-                f"an entrance pupil {-distance:g} mm in front of the object",
+                lens_name,
+                f"an entrance pupil {-object_mm:g} mm in front of the object",
                 "one behind the object",
             )
-    value = prescription.aperture_value
+    aperture = prescription.aperture_value
     if prescription.aperture == "f_number" or (
-        prescription.aperture == "working_f_number" and math.isinf(distance)
+        prescription.aperture == "working_f_number" and math.isinf(object_mm)
     ):
-        value = focal / value
+        aperture = focal_mm / aperture
     elif prescription.aperture == "working_f_number":
         start = np.array([prescription.object_distance_mm]), np.array([1.0])
         indices = bare._indices(np.array([prescription.primary_nm]))
-        value = distance / (
-            value * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0]))
+        aperture = object_mm / (
+            aperture * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0]))
         )
     elif prescription.aperture == "object_numerical_aperture":
-        if not (value < 1 and math.isfinite(distance)):
+        if not (aperture < 1 and math.isfinite(object_mm)):
             expected = "below 1, of an object at a finite distance"
             raise invalid(
-                what,
-                f"a numerical aperture of {value:g}, with the object at {distance:g} mm",
+                lens_name,
+                f"a numerical aperture of {aperture:g}, with the object at {object_mm:g} mm",
                 expected,
             )
-        value = 2 * distance * math.tan(math.asin(value))
+        aperture = 2 * object_mm * math.tan(math.asin(aperture))
     elif prescription.aperture == "stop_diameter":
-        value = value / abs(bare._front(prescription.primary_nm)[0])
-    f_number = focal / value
+        aperture = aperture / abs(bare._entrance_pupil_scale(prescription.primary_nm)[0])
+    f_number = focal_mm / aperture
     if f_number > _FAINTEST_F_NUMBER:
-        got = f"no real image: afocal, with a focal length of {focal:.4g} mm at f/{f_number:.4g}"
-        raise invalid(what, got, f"an image at f/{_FAINTEST_F_NUMBER:g} or less")
-    lens = Lens(prescription, value, 0.0, distance)
-    trailing = 0.0  # from the last surface that refracts to the last vertex
-    for before, one in pairwise(reversed(prescription.surfaces)):
-        if before.glass != AIR or one.glass != AIR:
+        got = f"no real image: afocal, with a focal length of {focal_mm:.4g} mm at f/{f_number:.4g}"
+        raise invalid(lens_name, got, f"an image at f/{_FAINTEST_F_NUMBER:g} or less")
+    lens = Lens(prescription, aperture, 0.0, object_mm)
+    trailing_mm = 0.0  # from the last surface that refracts to the last vertex
+    for surface, in_front in pairwise(reversed(prescription.surfaces)):
+        if surface.glass != AIR or in_front.glass != AIR:
             break
-        trailing += one.thickness_mm
-    back = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
-    if not -VIRTUAL * focal <= back + trailing < math.inf:
-        got = f"no real image: a back focal length of {back:.5g} mm"
+        trailing_mm += in_front.thickness_mm
+    back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
+    if not -VIRTUAL * focal_mm <= back_mm + trailing_mm < math.inf:
+        got = f"no real image: a back focal length of {back_mm:.5g} mm"
         raise invalid(
-            what,
+            lens_name,
             got,
             "a focus behind the last surface",
             "A lens that makes a virtual image needs another behind it.",
@@ -311,13 +313,13 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
     stated = lens.prescription.field_value
     unit = "°" if lens.prescription.field_of_view == "angle_deg" else " mm"
     try:
-        wanted = _field_deg(lens, stated)
+        wanted_deg = _field_deg(lens, stated)
     except PixsimError:  # an image height beyond the chief rays
-        wanted = float(lens._imaged(lens.primary_nm)[0][-1])
+        wanted_deg = float(lens._fields_with_chief_rays(lens.primary_nm)[0][-1])
         reason = "no chief ray has such an image height"
     else:
-        reason = f"fields are traced below {STEEPEST_DEG:g}°" if wanted > STEEPEST_DEG else ""
-    limit = min(wanted, STEEPEST_DEG)
+        reason = f"fields are traced below {STEEPEST_DEG:g}°" if wanted_deg > STEEPEST_DEG else ""
+    limit_deg = min(wanted_deg, STEEPEST_DEG)
     nm = np.unique(lens.prescription.wavelengths_nm)
 
     def traced(fields: Array) -> float:
@@ -325,29 +327,31 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
         wavelengths.
         """
         rays, _ = lens._chief_or_nan(np.repeat(fields, nm.size), np.tile(nm, fields.size))
-        found = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
-        return float(fields[-1] if found.all() else fields[max(int(np.argmin(found)) - 1, 0)])
+        is_traced = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
+        return float(
+            fields[-1] if is_traced.all() else fields[max(int(np.argmin(is_traced)) - 1, 0)]
+        )
 
-    while limit:
-        step, low = limit, 0.0
+    while limit_deg:
+        step_deg, traced_deg = limit_deg, 0.0
         while (
-            step > 1 / LIMIT_PER_DEG and low < limit
+            step_deg > 1 / LIMIT_PER_DEG and traced_deg < limit_deg
         ):  # finer and finer, behind the last that is traced
-            fields = np.linspace(low, min(low + step, limit), LIMIT_FIELDS)
-            step, low = step / (LIMIT_FIELDS - 1), traced(fields)
-        if low == limit:
+            fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), LIMIT_FIELDS)
+            step_deg, traced_deg = step_deg / (LIMIT_FIELDS - 1), traced(fields)
+        if traced_deg == limit_deg:
             break
-        if not low:
+        if not traced_deg:
             return 0.0, ""  # the axis, whose failure is told where it is traced
-        lost_at = min(low + step, limit)
+        lost_deg = min(traced_deg + step_deg, limit_deg)
         reason = (
             "beyond, the chief ray"
-            f" {lens._failure(lost_at, lens.primary_nm, 0.0, lens._nearest_chief(lost_at, lens.primary_nm))}"
+            f" {lens._where_ray_ends(lost_deg, lens.primary_nm, 0.0, lens._nearest_chief(lost_deg, lens.primary_nm))}"
         )
-        limit = math.floor(low * LIMIT_PER_DEG) / LIMIT_PER_DEG or low
+        limit_deg = math.floor(traced_deg * LIMIT_PER_DEG) / LIMIT_PER_DEG or traced_deg
     if not reason:
-        return wanted, ""
-    return limit, f"fields to {stated:g}{unit} are limited to {limit:.4g}°, since {reason}"
+        return wanted_deg, ""
+    return limit_deg, f"fields to {stated:g}{unit} are limited to {limit_deg:.4g}°, since {reason}"
 
 
 def _vignetting(
@@ -356,18 +360,20 @@ def _vignetting(
     """Return `Lens.vignetting`: rows that act on the stop. Fields that cannot be traced are left
     out.
     """
-    semi = lens.stop_semi_diameter_mm
-    upright = math.copysign(1.0, lens._front(lens.primary_nm)[0])
-    found = []
+    stop_mm = lens.stop_semi_diameter_mm
+    upright = math.copysign(1.0, lens._entrance_pupil_scale(lens.primary_nm)[0])
+    ellipses = []
     for row in rows:
         try:
-            at_deg = _field_deg(lens, row.field_value)
+            field_deg = _field_deg(lens, row.field_value)
         except PixsimError:
             continue
-        found.append((at_deg, upright * row.decentre * semi, row.across * semi, row.along * semi))
-    if not found or found[0][0]:
-        found.insert(0, (0.0, 0.0, semi, semi))
-    return tuple(found)
+        ellipses.append(
+            (field_deg, upright * row.decentre * stop_mm, row.across * stop_mm, row.along * stop_mm)
+        )
+    if not ellipses or ellipses[0][0]:
+        ellipses.insert(0, (0.0, 0.0, stop_mm, stop_mm))
+    return tuple(ellipses)
 
 
 def _notes_of_stopped_light(lens: Lens) -> list[Note]:
@@ -421,8 +427,13 @@ class Lens:
             surfaces stop other rays
         """
         changed = replace(self, **changes)
-        for known in ("_chief_heights", "_aims", "_known_indices", "stop_semi_diameter_mm"):
-            vars(changed)[known] = getattr(self, known)
+        for name in (
+            "_chief_heights",
+            "_cached_polynomials",
+            "_cached_indices",
+            "stop_semi_diameter_mm",
+        ):
+            vars(changed)[name] = getattr(self, name)
         return changed
 
     @property
@@ -431,7 +442,7 @@ class Lens:
         return repr(self) + (repr(self.vignetting) if self.vignetting else "")
 
     @property
-    def _named(self) -> str:
+    def _label(self) -> str:
         """Its name, for notes."""
         return f"lens '{self.prescription.name}'"
 
@@ -441,8 +452,8 @@ class Lens:
         return {}
 
     @cached_property
-    def _aims(self) -> dict[tuple[float, float], Array]:
-        """Field and wavelength -> polynomials of `_aim`."""
+    def _cached_polynomials(self) -> dict[tuple[float, float], Array]:
+        """Field and wavelength -> polynomials of `_pupil_polynomials`."""
         return {}
 
     @property
@@ -465,7 +476,7 @@ class Lens:
         """
         surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
         height, angle = paraxial(surfaces, indices, np.array([1.0]), np.array([0.0]))
-        scale, distance = self._front(wavelength_nm)
+        scale, distance = self._entrance_pupil_scale(wavelength_nm)
         stop = self.prescription.stop
         from_stop, slope = paraxial(
             surfaces[stop:], indices[stop:], np.array([0.0]), np.array([1.0])
@@ -485,7 +496,7 @@ class Lens:
             float(np.abs(focal[0])) / self.entrance_pupil_diameter_mm,
         )
 
-    def _front(self, wavelength_nm: float) -> tuple[float, float]:
+    def _entrance_pupil_scale(self, wavelength_nm: float) -> tuple[float, float]:
         """Return the height in the stop over that in the entrance pupil, and the pupil's distance
         from the first vertex in mm.
 
@@ -516,23 +527,23 @@ class Lens:
         glasses, or numbers if C is 1.
         """
         key = wavelength_nm.tobytes()
-        if (of_key := self._known_indices.get(key)) is not None:  # other threads may clear them
-            return of_key
-        known: dict[Glass, float | Array] = {AIR: 1.0}
+        if (cached := self._cached_indices.get(key)) is not None:  # other threads may clear them
+            return cached
+        index_of_glass: dict[Glass, float | Array] = {AIR: 1.0}
         for glass in self.prescription.glasses:
-            known[glass] = (
+            index_of_glass[glass] = (
                 glass.index(wavelength_nm)[:, None]
                 if wavelength_nm.size > 1
                 else float(glass.index(wavelength_nm)[0])
             )
-        if len(self._known_indices) >= _KEPT_INDICES:
-            self._known_indices.clear()
-        return self._known_indices.setdefault(
-            key, [1.0, *(known[surface.glass] for surface in self.prescription.surfaces)]
+        if len(self._cached_indices) >= _MAX_CACHED_INDICES:
+            self._cached_indices.clear()
+        return self._cached_indices.setdefault(
+            key, [1.0, *(index_of_glass[surface.glass] for surface in self.prescription.surfaces)]
         )
 
     @cached_property
-    def _known_indices(self) -> dict[bytes, list[float | Array]]:
+    def _cached_indices(self) -> dict[bytes, list[float | Array]]:
         """Wavelengths -> indices of `_indices`, which every trace asks for."""
         return {}
 
@@ -549,9 +560,9 @@ class Lens:
             np.array([[self.entrance_pupil_diameter_mm / 2]]),
         )
         at_infinity = replace(self, object_distance_mm=math.inf)
-        _, at_stop = at_infinity._to_stop(np.zeros(1), primary, np.zeros((1, 1)), edge)
+        _, at_stop = at_infinity._trace_to_stop(np.zeros(1), primary, np.zeros((1, 1)), edge)
         if not np.isfinite(at_stop[0, 0]):
-            where = at_infinity._failure(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
+            where = at_infinity._where_ray_ends(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
             raise invalid(
                 f"lens '{self.prescription.name}'",
                 f"a marginal ray that {where}",
@@ -569,9 +580,9 @@ class Lens:
         """Distance of the paraxial entrance pupil from the first vertex at the primary
         wavelength.
         """
-        return self._front(self.primary_nm)[1]
+        return self._entrance_pupil_scale(self.primary_nm)[1]
 
-    def _launched(self, field_deg: Array, x: Array, y: Array) -> Rays:
+    def _rays_at_entrance_pupil(self, field_deg: Array, x: Array, y: Array) -> Rays:
         """Return rays at fields (C,) through points (C, P) of the entrance pupil in mm, with their
         paths from the object.
 
@@ -590,7 +601,7 @@ class Lens:
         rays = rays_from(x, y, at, x / length, (y - below) / length, far / length)
         return replace(rays, path_mm=(x * x + y * y - 2 * y * below) / (length + to_centre))
 
-    def _to_stop(
+    def _trace_to_stop(
         self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array
     ) -> tuple[Array, Array]:
         """Return where rays through points (C, P) of the entrance pupil meet the stop, in mm, both
@@ -600,7 +611,7 @@ class Lens:
             self.prescription.surfaces[: self.prescription.stop + 1],
             self._indices(wavelength_nm),
         )
-        start = self._launched(field_deg, x, y)
+        start = self._rays_at_entrance_pupil(field_deg, x, y)
         *_, rays = start, *trace(start, front[:-1], indices)
         if len(front) > 1:
             rays = replace(rays, z=rays.z - front[-2].thickness_mm)
@@ -614,28 +625,28 @@ class Lens:
         """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
         if new := sorted(set(keys) - self._chief_heights.keys()):
-            fields, wavelengths = (np.array(part) for part in zip(*new, strict=True))
-            found = self._secants(fields, wavelengths, np.zeros(fields.size))
+            fields, wavelengths = (np.array(values) for values in zip(*new, strict=True))
+            heights = self._aimed_heights(fields, wavelengths, np.zeros(fields.size))
             # Fields are approached in steps where a direct start fails.
-            if (lost := np.flatnonzero(~np.isfinite(found))).size:
+            if (lost := np.flatnonzero(~np.isfinite(heights))).size:
                 near = np.zeros(lost.size)
-                for share in np.linspace(1 / _APPROACHES, 1.0, _APPROACHES):
-                    near = self._secants(share * fields[lost], wavelengths[lost], near)
-                found[lost] = near
-            self._chief_heights.update(zip(new, found.tolist(), strict=True))
+                for share in np.linspace(1 / _FIELD_STEPS, 1.0, _FIELD_STEPS):
+                    near = self._aimed_heights(share * fields[lost], wavelengths[lost], near)
+                heights[lost] = near
+            self._chief_heights.update(zip(new, heights.tolist(), strict=True))
         return np.array([self._chief_heights[key] for key in keys])
 
-    def _secants(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
+    def _aimed_heights(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
         def miss(y: Array) -> Array:
-            return self._to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[1][
-                :, 0
-            ]
+            return self._trace_to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[
+                1
+            ][:, 0]
 
         step = 1e-3 * self.entrance_pupil_diameter_mm
         y, before = start + step, start
         error, error_before = miss(y), miss(before)
-        limit = 1e-3 * _AIMED * self.stop_semi_diameter_mm
-        for _ in range(_AIM_STEPS):
+        limit = 1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm
+        for _ in range(_MAX_AIM_STEPS):
             with np.errstate(all="ignore"):
                 moving = (np.abs(error) > limit) & (error != error_before)
                 change = np.where(moving, error * (y - before) / (error - error_before), 0.0)
@@ -644,120 +655,134 @@ class Lens:
             before, error_before = y, error
             y = y - change
             error = miss(y)
-        return np.where(np.abs(error) <= _AIMED * self.stop_semi_diameter_mm, y, np.nan)
+        return np.where(np.abs(error) <= _AIM_TOLERANCE * self.stop_semi_diameter_mm, y, np.nan)
 
-    def _aim(self, field_deg: Array, wavelength_nm: Array) -> Array:
+    def _pupil_polynomials(self, field_deg: Array, wavelength_nm: Array) -> Array:
         """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a
         cache.
         """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
-        new, each = sorted(set(keys) - self._aims.keys()), max(1, BLOCK // (RINGS * SPOKES))
-        for first in range(0, len(new), each):
-            some = new[first : first + each]
-            self._aims.update(
+        new, batch = (
+            sorted(set(keys) - self._cached_polynomials.keys()),
+            max(1, BLOCK // (RINGS * SPOKES)),
+        )
+        for first in range(0, len(new), batch):
+            batch_keys = new[first : first + batch]
+            self._cached_polynomials.update(
                 zip(
-                    some,
-                    self._new_aims(*(np.array(part) for part in zip(*some, strict=True))),
+                    batch_keys,
+                    self._fit_pupil_polynomials(
+                        *(np.array(part) for part in zip(*batch_keys, strict=True))
+                    ),
                     strict=True,
                 )
             )
-        return np.stack([self._aims[key] for key in keys])
+        return np.stack([self._cached_polynomials[key] for key in keys])
 
-    def _new_aims(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
-        chief = self._chief_height(field_deg, wavelength_nm)
-        x, y, (odd, even), (fit_odd, fit_even) = _nodes()
+    def _fit_pupil_polynomials(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
+        chief_mm = self._chief_height(field_deg, wavelength_nm)
+        x, y, (odd_terms, even_terms), (odd_fit, even_fit) = _stop_samples()
         # The slopes at the chief ray give the first guess.
-        step = 1e-2 * self.entrance_pupil_diameter_mm
-        near_x = np.stack([np.full_like(chief, step), np.zeros_like(chief)], axis=1)
-        near_y = np.stack([chief, chief + step], axis=1)
-        at_x, at_y = self._to_stop(field_deg, wavelength_nm, near_x, near_y)
+        step_mm = 1e-2 * self.entrance_pupil_diameter_mm
+        near_x = np.stack([np.full_like(chief_mm, step_mm), np.zeros_like(chief_mm)], axis=1)
+        near_y = np.stack([chief_mm, chief_mm + step_mm], axis=1)
+        stop_x_mm, stop_y_mm = self._trace_to_stop(field_deg, wavelength_nm, near_x, near_y)
         slope_x, slope_y = (
-            step * self.stop_semi_diameter_mm / part[:, None] for part in (at_x[:, 0], at_y[:, 1])
+            step_mm * self.stop_semi_diameter_mm / part[:, None]
+            for part in (stop_x_mm[:, 0], stop_y_mm[:, 1])
         )
-        inverse = np.zeros((chief.size, x.size, 2, 2))
+        inverse = np.zeros((chief_mm.size, x.size, 2, 2))
         inverse[..., 0, 0], inverse[..., 1, 1] = slope_x, slope_y
-        guess = slope_x * x, chief[:, None] + slope_y * y
-        across, along = self._solved(field_deg, wavelength_nm, x, y, *guess, inverse)
-        terms = np.zeros((chief.size, even.shape[1], 2))
-        whole = np.isfinite(across).all(axis=1) & np.isfinite(along).all(axis=1)
+        guess = slope_x * x, chief_mm[:, None] + slope_y * y
+        pupil_x_mm, pupil_y_mm = self._aimed_points(field_deg, wavelength_nm, x, y, *guess, inverse)
+        coefficients = np.zeros((chief_mm.size, even_terms.shape[1], 2))
+        is_complete = np.isfinite(pupil_x_mm).all(axis=1) & np.isfinite(pupil_y_mm).all(axis=1)
         # Sums that are the same for one field and for many, which matrix products are not.
-        terms[whole, : odd.shape[1], 0] = (across[whole, None] * fit_odd).sum(axis=-1)
-        terms[whole, :, 1] = (along[whole, None] * fit_even).sum(axis=-1)
+        coefficients[is_complete, : odd_terms.shape[1], 0] = (
+            pupil_x_mm[is_complete, None] * odd_fit
+        ).sum(axis=-1)
+        coefficients[is_complete, :, 1] = (pupil_y_mm[is_complete, None] * even_fit).sum(axis=-1)
         for index in np.flatnonzero(
-            ~whole
+            ~is_complete
         ):  # some points of the stop are not reached, as behind the rim of a lens
-            seen = np.isfinite(across[index]) & np.isfinite(along[index])
-            terms[index, : odd.shape[1], 0] = np.linalg.lstsq(
-                odd[seen], across[index, seen], rcond=1e-10
+            reached = np.isfinite(pupil_x_mm[index]) & np.isfinite(pupil_y_mm[index])
+            coefficients[index, : odd_terms.shape[1], 0] = np.linalg.lstsq(
+                odd_terms[reached], pupil_x_mm[index, reached], rcond=1e-10
             )[0]
-            terms[index, :, 1] = np.linalg.lstsq(even[seen], along[index, seen], rcond=1e-10)[0]
-        return list(terms)
+            coefficients[index, :, 1] = np.linalg.lstsq(
+                even_terms[reached], pupil_y_mm[index, reached], rcond=1e-10
+            )[0]
+        return list(coefficients)
 
-    def _solved(
+    def _aimed_points(
         self,
         field_deg: Array,
         wavelength_nm: Array,
-        x: Array,
-        y: Array,
-        across: Array,
-        along: Array,
-        inverse: Array,
-        aimed: float = _AIMED,
+        stop_x: Array,
+        stop_y: Array,
+        pupil_x_mm: Array,
+        pupil_y_mm: Array,
+        inverse_jacobian: Array,
+        tolerance: float = _AIM_TOLERANCE,
     ) -> tuple[Array, Array]:
         """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop;
         NaN if there are none.
 
-        Broyden's method (Math. Comp. 19, 577, 1965) from `across`, `along`, with the derivatives of
-        the entrance pupil by the stop, `inverse` (C, P, 2, 2).
+        Broyden's method (Math. Comp. 19, 577, 1965) from `pupil_x_mm`, `pupil_y_mm`, with the derivatives of
+        the entrance pupil by the stop, `inverse_jacobian` (C, P, 2, 2).
         """
-        semi = self.stop_semi_diameter_mm
+        stop_mm = self.stop_semi_diameter_mm
 
-        def misses(across: Array, along: Array) -> Array:
-            at_x, at_y = self._to_stop(field_deg, wavelength_nm, across, along)
-            return np.stack([at_x / semi - x, at_y / semi - y], axis=-1)
+        def misses(pupil_x_mm: Array, pupil_y_mm: Array) -> Array:
+            stop_x_mm, stop_y_mm = self._trace_to_stop(
+                field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
+            )
+            return np.stack([stop_x_mm / stop_mm - stop_x, stop_y_mm / stop_mm - stop_y], axis=-1)
 
-        error = misses(across, along)
-        for _ in range(_AIM_STEPS):
-            moving = np.abs(error).max(axis=-1) > aimed / 10
+        error = misses(pupil_x_mm, pupil_y_mm)
+        for _ in range(_MAX_AIM_STEPS):
+            moving = np.abs(error).max(axis=-1) > tolerance / 10
             if not moving.any():
                 break
-            step = np.where(moving[..., None], -(inverse * error[..., None, :]).sum(axis=-1), 0.0)
-            across, along = across + step[..., 0], along + step[..., 1]
-            after = misses(across, along)
-            turned = (inverse * (after - error)[..., None, :]).sum(axis=-1)
-            back = (step[..., None] * inverse).sum(axis=-2)
+            step = np.where(
+                moving[..., None], -(inverse_jacobian * error[..., None, :]).sum(axis=-1), 0.0
+            )
+            pupil_x_mm, pupil_y_mm = pupil_x_mm + step[..., 0], pupil_y_mm + step[..., 1]
+            after = misses(pupil_x_mm, pupil_y_mm)
+            turned = (inverse_jacobian * (after - error)[..., None, :]).sum(axis=-1)
+            back = (step[..., None] * inverse_jacobian).sum(axis=-2)
             with np.errstate(all="ignore"):
                 update = (step - turned)[..., None] * (
                     back / (step * turned).sum(axis=-1, keepdims=True)
                 )[..., None, :]
             usable = moving & np.isfinite(update).all(axis=(-1, -2))
-            inverse = inverse + np.where(usable[..., None, None], update, 0.0)
+            inverse_jacobian = inverse_jacobian + np.where(usable[..., None, None], update, 0.0)
             error = after
-        lost = ~(np.abs(error).max(axis=-1) <= aimed)
-        return np.where(lost, np.nan, across), np.where(lost, np.nan, along)
+        lost = ~(np.abs(error).max(axis=-1) <= tolerance)
+        return np.where(lost, np.nan, pupil_x_mm), np.where(lost, np.nan, pupil_y_mm)
 
     # Real rays
     # -----------------------------------------------------------------------------------------------------------
 
-    def _to_image(
+    def _trace_to_image(
         self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array
     ) -> tuple[Rays, Array, Array]:
         """Return rays through points (C, P) of the entrance pupil in the image plane, and where
         they meet the stop, in mm.
         """
         surfaces, indices = self.prescription.surfaces, self._indices(wavelength_nm)
-        start = self._launched(field_deg, x_mm, y_mm)
+        start = self._rays_at_entrance_pupil(field_deg, x_mm, y_mm)
         for number, rays in enumerate(trace(start, surfaces, indices)):
             if number == self.prescription.stop:
-                at_x, at_y = rays.x, rays.y
-        return at_plane(rays, surfaces[-1].thickness_mm, indices[-1]), at_x, at_y
+                stop_x_mm, stop_y_mm = rays.x, rays.y
+        return at_plane(rays, surfaces[-1].thickness_mm, indices[-1]), stop_x_mm, stop_y_mm
 
     def _chief_or_nan(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
         """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil
         (C,); NaN if lost.
         """
         height = self._chief_height(field_deg, wavelength_nm)
-        rays, _, _ = self._to_image(
+        rays, _, _ = self._trace_to_image(
             field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None]
         )
         return rays, height
@@ -767,19 +792,21 @@ class Lens:
         there.
         """
         rays, height = self._chief_or_nan(field_deg, wavelength_nm)
-        lost = ~np.isfinite(rays.path_mm[:, 0])
-        if lost.any():
-            index = int(np.argmax(lost))
-            angle, at = float(field_deg[index]), float(height[index])
-            start = (
-                at if math.isfinite(at) else self._nearest_chief(angle, float(wavelength_nm[index]))
-            )
-            where = self._failure(angle, float(wavelength_nm[index]), 0.0, start)
-            got = f"{angle:g}, where the chief ray {where} ({wavelength_nm[index]:g} nm)"
-            own = f"; the largest of its file is {self.prescription.field_value:g} degrees"
-            known = own if self.prescription.field_of_view == "angle_deg" else ""
-            raise invalid("field_deg", got, f"fields whose chief ray reaches the image{known}")
-        return rays
+        is_lost = ~np.isfinite(rays.path_mm[:, 0])
+        if not is_lost.any():
+            return rays
+
+        index = int(np.argmax(is_lost))
+        angle_deg, nm = float(field_deg[index]), float(wavelength_nm[index])
+        pupil_y_mm = float(height[index])
+        if not math.isfinite(pupil_y_mm):
+            pupil_y_mm = self._nearest_chief(angle_deg, nm)
+        where = self._where_ray_ends(angle_deg, nm, 0.0, pupil_y_mm)
+        allowed = "fields whose chief ray reaches the image"
+        if self.prescription.field_of_view == "angle_deg":
+            allowed += f"; the largest of its file is {self.prescription.field_value:g} degrees"
+        got = f"{angle_deg:g}, where the chief ray {where} ({nm:g} nm)"
+        raise invalid("field_deg", got, allowed)
 
     def _nearest_chief(self, field_deg: float, wavelength_nm: float) -> float:
         """Return the height in the entrance pupil of the chief ray of the largest smaller field
@@ -791,9 +818,9 @@ class Lens:
                 return float(height)
         return 0.0
 
-    def _failure(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
+    def _where_ray_ends(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
         """Return where the ray through a point of the entrance pupil ends, for a message."""
-        rays = self._launched(np.array([field_deg]), np.array([[x]]), np.array([[y]]))
+        rays = self._rays_at_entrance_pupil(np.array([field_deg]), np.array([[x]]), np.array([[y]]))
         indices, surfaces = self._indices(np.array([wavelength_nm])), self.prescription.surfaces
         for number, surface in enumerate(surfaces):
             if number:
@@ -815,7 +842,7 @@ class Lens:
 
         Raises PixsimError if a ray misses a surface or is totally reflected, which it names.
         """
-        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        shape, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         rays = self._chief(fields, wavelengths)
         angle = np.degrees(np.arctan2(rays.m[:, 0], rays.n[:, 0]))
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
@@ -838,7 +865,7 @@ class Lens:
         Raises PixsimError if a ray within the stop misses a surface or is totally reflected, which
         it names.
         """
-        shape, *whole = _in_line(
+        shape, *flat = _flattened(
             field_deg=field_deg, wavelength_nm=wavelength_nm, stop_x=stop_x, stop_y=stop_y
         )
         conditions = np.broadcast(np.asarray(field_deg), np.asarray(wavelength_nm))
@@ -846,13 +873,16 @@ class Lens:
         outer, inner = (
             (1,) * (len(shape) - len(part.shape)) + part.shape for part in (conditions, points)
         )
-        if all(one == 1 or other == 1 for one, other in zip(outer, inner, strict=True)):
-            _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-            _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
+        if all(
+            outer_side == 1 or inner_side == 1
+            for outer_side, inner_side in zip(outer, inner, strict=True)
+        ):
+            _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
+            _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
             opd = self._opd(fields, wavelengths, x, y).reshape((*outer, *inner))
             order = [axis + part for axis in range(len(shape)) for part in (0, len(shape))]
             return np.asarray(opd.transpose(order).reshape(shape))[()]
-        fields, wavelengths, x, y = whole
+        fields, wavelengths, x, y = flat
         opd = np.empty(fields.size)
         pairs, which = np.unique(np.stack([fields, wavelengths]), axis=1, return_inverse=True)
         for index, (one_field, one_wavelength) in enumerate(pairs.T):
@@ -870,10 +900,10 @@ class Lens:
         opd = np.full((field_deg.size, x.size), np.nan)
         points, which = np.unique(np.abs(x[inside]) + 1j * y[inside], return_inverse=True)
         if points.size:
-            found = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
-            if not np.isfinite(found).all():
-                condition, point = (int(part) for part in np.argwhere(~np.isfinite(found))[0])
-                where = self._lost_ray(
+            traced = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
+            if not np.isfinite(traced).all():
+                condition, point = (int(part) for part in np.argwhere(~np.isfinite(traced))[0])
+                where = self._where_aimed_ray_ends(
                     field_deg[condition],
                     wavelength_nm[condition],
                     points[point].real,
@@ -890,18 +920,20 @@ class Lens:
                     "rays that reach the image",
                     hint,
                 )
-            opd[:, inside] = found[:, which.ravel()]
+            opd[:, inside] = traced[:, which.ravel()]
         return opd
 
-    def _lost_ray(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
+    def _where_aimed_ray_ends(
+        self, field_deg: float, wavelength_nm: float, x: float, y: float
+    ) -> str:
         """Return where the ray to a point of the stop ends, for a message."""
-        terms = self._aim(np.array([field_deg]), np.array([wavelength_nm]))
-        odd, even = _bases(np.array([x]), np.array([y]))
-        across, along = (
-            float(_polynomials(terms[..., axis], basis)[0, 0])
-            for axis, basis in enumerate((odd, even))
+        coefficients = self._pupil_polynomials(np.array([field_deg]), np.array([wavelength_nm]))
+        odd_terms, even_terms = _monomials(np.array([x]), np.array([y]))
+        pupil_x_mm, pupil_y_mm = (
+            float(_polynomial_values(coefficients[..., axis], basis)[0, 0])
+            for axis, basis in enumerate((odd_terms, even_terms))
         )
-        where = self._failure(field_deg, wavelength_nm, across, along)
+        where = self._where_ray_ends(field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm)
         return where if "surface" in where else "no ray in front of the lens reaches"
 
     def wavefront(
@@ -910,7 +942,7 @@ class Lens:
         wavelength_nm: Positives,
         stop_x: _StopPoints,
         stop_y: _StopPoints,
-        aimed: float = _AIMED,
+        aimed: float = _AIM_TOLERANCE,
     ) -> Wavefront:
         """Return rays of fields and wavelengths through points of the stop, in the image plane.
 
@@ -921,18 +953,27 @@ class Lens:
 
         Raises PixsimError if a chief ray does not reach the image.
         """
-        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
+        _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
+        _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
         chief = self._chief(fields, wavelengths)
-        bases, terms = _bases(x, y), self._aim(fields, wavelengths)
-        each = max(1, BLOCK // max(x.size, 1))
-        blocks = [slice(first, first + each) for first in range(0, max(fields.size, 1), each)]
+        bases, terms = _monomials(x, y), self._pupil_polynomials(fields, wavelengths)
+        block_size = max(1, BLOCK // max(x.size, 1))
+        blocks = [
+            slice(first, first + block_size) for first in range(0, max(fields.size, 1), block_size)
+        ]
         parts: dict[int, Wavefront] = {}
 
         def compute(number: int) -> None:
-            some = blocks[number]
-            parts[number] = self._block(
-                fields[some], wavelengths[some], x, y, terms[some], bases, _part(chief, some), aimed
+            block = blocks[number]
+            parts[number] = self._wavefront_of_block(
+                fields[block],
+                wavelengths[block],
+                x,
+                y,
+                terms[block],
+                bases,
+                _rays_slice(chief, block),
+                aimed,
             )
 
         in_threads(
@@ -948,33 +989,52 @@ class Lens:
             )
         )
 
-    def _block(
+    def _wavefront_of_block(
         self,
         field_deg: Array,
         wavelength_nm: Array,
-        x: Array,
-        y: Array,
-        terms: Array,
+        stop_x: Array,
+        stop_y: Array,
+        coefficients: Array,
         bases: _Bases,
         chief: Rays,
-        aimed: float,
+        tolerance: float,
     ) -> Wavefront:
-        across, along = (_polynomials(terms[..., axis], basis) for axis, basis in enumerate(bases))
-        rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
-        semi = self.stop_semi_diameter_mm
-        off = np.maximum(np.abs(at_x / semi - x), np.abs(at_y / semi - y))
-        if np.any(~(off <= aimed)):  # the polynomial is not good enough; its derivatives are
-            inverse = np.empty((*across.shape, 2, 2))
-            for by, slopes in enumerate(_slopes(x, y)):
+        pupil_x_mm, pupil_y_mm = (
+            _polynomial_values(coefficients[..., axis], basis) for axis, basis in enumerate(bases)
+        )
+        rays, stop_x_mm, stop_y_mm = self._trace_to_image(
+            field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
+        )
+        stop_mm = self.stop_semi_diameter_mm
+        miss = np.maximum(
+            np.abs(stop_x_mm / stop_mm - stop_x), np.abs(stop_y_mm / stop_mm - stop_y)
+        )
+        if np.any(~(miss <= tolerance)):  # the polynomial is not good enough; its derivatives are
+            inverse_jacobian = np.empty((*pupil_x_mm.shape, 2, 2))
+            for by, slopes in enumerate(_monomial_slopes(stop_x, stop_y)):
                 for axis, basis in enumerate(slopes):
-                    inverse[..., axis, by] = _polynomials(terms[..., axis], basis)
-            solved = self._solved(field_deg, wavelength_nm, x, y, across, along, inverse, aimed)
-            across, along = (
-                np.where(off <= aimed, kept, new)
-                for kept, new in zip((across, along), solved, strict=True)
+                    inverse_jacobian[..., axis, by] = _polynomial_values(
+                        coefficients[..., axis], basis
+                    )
+            aimed = self._aimed_points(
+                field_deg,
+                wavelength_nm,
+                stop_x,
+                stop_y,
+                pupil_x_mm,
+                pupil_y_mm,
+                inverse_jacobian,
+                tolerance,
             )
-            rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
-        return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
+            pupil_x_mm, pupil_y_mm = (
+                np.where(miss <= tolerance, approximate, new)
+                for approximate, new in zip((pupil_x_mm, pupil_y_mm), aimed, strict=True)
+            )
+            rays, stop_x_mm, stop_y_mm = self._trace_to_image(
+                field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
+            )
+        return self._wavefront_at_image(rays, stop_x_mm, stop_y_mm, chief, field_deg, wavelength_nm)
 
     def unaimed_wavefront(
         self, field_deg: ArrayLike, wavelength_nm: Positives, x_mm: ArrayLike, y_mm: ArrayLike
@@ -990,18 +1050,18 @@ class Lens:
 
         Raises PixsimError for a field of 90° and more.
         """
-        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
-        _, x, y = _in_line(x_mm=x_mm, y_mm=y_mm)
-        chief, _, _ = self._to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
-        return self._wavefront_of(
-            *self._to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths
+        _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
+        _, x, y = _flattened(x_mm=x_mm, y_mm=y_mm)
+        chief, _, _ = self._trace_to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
+        return self._wavefront_at_image(
+            *self._trace_to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths
         )
 
-    def _wavefront_of(
+    def _wavefront_at_image(
         self,
         rays: Rays,
-        at_x: Array,
-        at_y: Array,
+        stop_x_mm: Array,
+        stop_y_mm: Array,
         chief: Rays,
         field_deg: Array,
         wavelength_nm: Array,
@@ -1010,29 +1070,35 @@ class Lens:
         points, against chief rays (C, 1).
         """
         index = np.asarray(self._indices(wavelength_nm)[-1])
-        off_x, off_y = rays.x, rays.y - chief.y
+        off_x_mm, off_y_mm = rays.x, rays.y - chief.y
         # From the image plane back to the reference sphere, less the radius; the radius is negative
         # if the pupil lies behind.
-        from_image = self._exit_pupil_from_image_mm
-        radius = -np.copysign(np.hypot(chief.y, from_image), from_image)
-        along_ray = off_x * rays.l + off_y * rays.m
-        square = along_ray * along_ray - off_x * off_x - off_y * off_y
+        pupil_from_image_mm = self._exit_pupil_from_image_mm
+        radius_mm = -np.copysign(np.hypot(chief.y, pupil_from_image_mm), pupil_from_image_mm)
+        along_ray_mm = off_x_mm * rays.l + off_y_mm * rays.m
+        square_mm2 = along_ray_mm * along_ray_mm - off_x_mm * off_x_mm - off_y_mm * off_y_mm
         with np.errstate(all="ignore"):
-            root = np.copysign(np.sqrt(radius * radius + square), radius)
-            back = along_ray + (square / (radius + root) if math.isfinite(from_image) else 0.0)
-        opd = (chief.path_mm - rays.path_mm + index * back) / (_MM_PER_NM * wavelength_nm[:, None])
-        semi, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
+            root_mm = np.copysign(np.sqrt(radius_mm * radius_mm + square_mm2), radius_mm)
+            back_mm = along_ray_mm + (
+                square_mm2 / (radius_mm + root_mm) if math.isfinite(pupil_from_image_mm) else 0.0
+            )
+        opd = (chief.path_mm - rays.path_mm + index * back_mm) / (
+            _MM_PER_NM * wavelength_nm[:, None]
+        )
+        stop_mm, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
         passed = rays.passed
         if self.vignetting:
-            passed = passed & (self._width_at_stop(field_deg, at_x, at_y) <= INSIDE)
+            passed = passed & (
+                self._relative_height_at_stop(field_deg, stop_x_mm, stop_y_mm) <= INSIDE
+            )
         return Wavefront(
             opd,
             passed,
-            off_x,
-            off_y,
+            off_x_mm,
+            off_y_mm,
             cosines,
-            at_x / semi,
-            at_y / semi,
+            stop_x_mm / stop_mm,
+            stop_y_mm / stop_mm,
             chief.y[:, 0],
             chief.m[:, 0],
         )
@@ -1040,7 +1106,7 @@ class Lens:
     # Light at a point of the image
     # ---------------------------------------------------------------------------------------
 
-    def _width_at_stop(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Array:
+    def _relative_height_at_stop(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Array:
         """Return how far from its middle light of fields (C,) is in the stop, over what
         `vignetting` lets pass there, (C, P).
         """
@@ -1051,7 +1117,7 @@ class Lens:
         centre = centre * np.where(field_deg < 0, -1.0, 1.0)[:, None]
         return np.asarray(np.hypot(x_mm / across, (y_mm - centre) / along))
 
-    def _widths(
+    def _max_relative_height(
         self, field_deg: Array, height_mm: Array, wavelength_nm: Array, across: Array, along: Array
     ) -> Array:
         """Return how far from the axis light of some directions is at its widest place, over what
@@ -1081,7 +1147,9 @@ class Lens:
             if limits:
                 widest = np.maximum(widest, np.hypot(rays.x, rays.y) / min(limits))
             if number == last and self.vignetting:
-                widest = np.maximum(widest, self._width_at_stop(field_deg, rays.x, rays.y))
+                widest = np.maximum(
+                    widest, self._relative_height_at_stop(field_deg, rays.x, rays.y)
+                )
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
     def outline(
@@ -1100,7 +1168,7 @@ class Lens:
         """
         if spokes % 4 or not 0 < spokes <= _MAX_SPOKES:
             raise invalid("spokes", spokes, f"a multiple of 4, at most {_MAX_SPOKES}")
-        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         return self._outline(fields, wavelengths, spokes)
 
     def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
@@ -1111,14 +1179,14 @@ class Lens:
             2 * np.pi / spokes
         ) - np.pi / 2  # the half with x > 0
         cosine, sine = np.cos(angle), np.sin(angle)
-        centre = self._middle(field_deg, wavelength_nm, height, chief_cosine)
+        centre = self._middle_of_light(field_deg, wavelength_nm, height, chief_cosine)
         dark = np.isnan(centre)
         centre = np.where(dark, chief_cosine, centre)
 
         def excess(radius: Array) -> Array:
             along = [part[: radius.shape[1]] for part in (cosine, sine)]
             return (
-                self._widths(
+                self._max_relative_height(
                     field_deg,
                     height,
                     wavelength_nm,
@@ -1156,41 +1224,50 @@ class Lens:
         )  # the mirror image: x < 0, from +y back to -y
         return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
 
-    def _middle(
-        self, field_deg: Array, wavelength_nm: Array, height: Array, chief_cosine: Array
+    def _middle_of_light(
+        self, field_deg: Array, wavelength_nm: Array, height_mm: Array, chief_cosine: Array
     ) -> Array:
         """Return a direction cosine along y from which light reaches each image point (C,); NaN
         where there is none.
         """
         grid = np.linspace(-0.95, 0.95, 21)
         waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
-        along = np.where(waves.passed & np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan)
+        ray_cosines = np.where(
+            waves.passed & np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan
+        )
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
-            middle = (np.nanmin(along, axis=1) + np.nanmax(along, axis=1)) / 2
-        candidates = np.concatenate([middle[:, None], chief_cosine[:, None], along], axis=1)
-        width = self._widths(
-            field_deg, height, wavelength_nm, np.zeros_like(candidates), candidates
+            middle = (np.nanmin(ray_cosines, axis=1) + np.nanmax(ray_cosines, axis=1)) / 2
+        candidates = np.concatenate([middle[:, None], chief_cosine[:, None], ray_cosines], axis=1)
+        width = self._max_relative_height(
+            field_deg, height_mm, wavelength_nm, np.zeros_like(candidates), candidates
         )
         width[:, 2:] += 1e-3  # the middle, where it passes
         best = np.argmin(width, axis=1)
         rows = np.arange(best.size)
         chosen = np.where(width[:, 0] < 1, middle, candidates[rows, best])
-        least = width[rows, best]
+        min_width = width[rows, best]
         # What is left of a pupil may lie between two of the rays: the width has one minimum along a
         # line.
-        spread = np.ptp(np.where(np.isfinite(along), along, chosen[:, None]), axis=1)
-        for part in range(1, _MIDDLE_STEPS + 1):
-            thin = ~(least < 1) & np.isfinite(chosen)
-            if not thin.any():
+        spread = np.ptp(np.where(np.isfinite(ray_cosines), ray_cosines, chosen[:, None]), axis=1)
+        for refinement in range(1, _MIDDLE_STEPS + 1):
+            is_dark = ~(min_width < 1) & np.isfinite(chosen)
+            if not is_dark.any():
                 break
-            step = spread / (grid.size - 1) ** part
-            finer = (chosen[:, None] + step[:, None] * np.linspace(-1, 1, grid.size))[thin]
-            found = self._widths(
-                field_deg[thin], height[thin], wavelength_nm[thin], np.zeros_like(finer), finer
+            step = spread / (grid.size - 1) ** refinement
+            finer = (chosen[:, None] + step[:, None] * np.linspace(-1, 1, grid.size))[is_dark]
+            finer_width = self._max_relative_height(
+                field_deg[is_dark],
+                height_mm[is_dark],
+                wavelength_nm[is_dark],
+                np.zeros_like(finer),
+                finer,
             )
-            at = np.argmin(found, axis=1)
-            chosen[thin], least[thin] = finer[np.arange(at.size), at], found[np.arange(at.size), at]
-        return np.where(least < 1, chosen, np.nan)
+            at = np.argmin(finer_width, axis=1)
+            chosen[is_dark], min_width[is_dark] = (
+                finer[np.arange(at.size), at],
+                finer_width[np.arange(at.size), at],
+            )
+        return np.where(min_width < 1, chosen, np.nan)
 
     def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: Positives) -> Array:
         """Return irradiance over the scene's radiance at image points, (...), in sr, without losses
@@ -1204,7 +1281,7 @@ class Lens:
 
         Raises PixsimError if a chief ray does not reach the image.
         """
-        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        shape, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         corners = bool(self.vignetting) or any(
             surface.clips for surface in self.prescription.surfaces
         )
@@ -1247,7 +1324,7 @@ class Lens:
         """
         if not 0 < rings <= _MAX_SPOKES:
             raise invalid("rings", rings, f"1 to {_MAX_SPOKES}")
-        shape, fields, wavelengths, turn = _in_line(
+        shape, fields, wavelengths, turn = _flattened(
             field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg
         )
         outline = self.outline(fields, wavelengths, spokes)
@@ -1280,21 +1357,27 @@ class Lens:
 
         Raises PixsimError if the chief ray does not reach the image.
         """
-        _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         self._chief(fields, wavelengths)
-        _, x, y = _in_line(stop_x=stop_x, stop_y=stop_y)
-        surfaces, terms = self.prescription.surfaces, self._aim(fields, wavelengths)
-        across, along = (
-            _polynomials(terms[..., axis], basis) for axis, basis in enumerate(_bases(x, y))
+        _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
+        surfaces, coefficients = (
+            self.prescription.surfaces,
+            self._pupil_polynomials(fields, wavelengths),
         )
-        indices, points, vertex = self._indices(wavelengths), [], 0.0
+        pupil_x_mm, pupil_y_mm = (
+            _polynomial_values(coefficients[..., axis], basis)
+            for axis, basis in enumerate(_monomials(x, y))
+        )
+        indices, points, vertex_mm = self._indices(wavelengths), [], 0.0
         for surface, rays in zip(
-            surfaces, trace(self._launched(fields, across, along), surfaces, indices), strict=True
+            surfaces,
+            trace(self._rays_at_entrance_pupil(fields, pupil_x_mm, pupil_y_mm), surfaces, indices),
+            strict=True,
         ):
-            points.append([rays.x[0], rays.y[0], rays.z[0] + vertex])
-            vertex += surface.thickness_mm
+            points.append([rays.x[0], rays.y[0], rays.z[0] + vertex_mm])
+            vertex_mm += surface.thickness_mm
         rays = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
-        return np.array([*points, [rays.x[0], rays.y[0], rays.z[0] + vertex]]).transpose(2, 0, 1)
+        return np.array([*points, [rays.x[0], rays.y[0], rays.z[0] + vertex_mm]]).transpose(2, 0, 1)
 
     # What a lens designer asks for
     # ---------------------------------------------------------------------------------------
@@ -1370,7 +1453,7 @@ class Lens:
 
         Raises PixsimError as `chief_ray` does.
         """
-        shape, fields, wavelengths = _conditions(field_deg, wavelength_nm)
+        shape, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         # of the stop's radius: third-order aberrations shift the focus by 1e-6 of what they do at
         # its edge
         near = 1e-3
@@ -1389,7 +1472,7 @@ class Lens:
 
         Raises PixsimError if no field has: the point lies beyond the image circle.
         """
-        fields, heights = self._imaged(wavelength_nm)
+        fields, heights = self._fields_with_chief_rays(wavelength_nm)
         height = abs(height_mm)
         above = int(np.searchsorted(heights, height))
         if above == heights.size:
@@ -1400,24 +1483,24 @@ class Lens:
         low, high = (np.array([fields[index]]) for index in (above - 1, above))
         ends = (np.array([heights[index] - height]) for index in (above - 1, above))
         (below, beyond), wavelength = ends, np.array([wavelength_nm])
-        found = _root(
+        root_deg = _root(
             lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height,
             low,
             below,
             high,
             beyond,
         )
-        return math.copysign(float(found[0]), height_mm)
+        return math.copysign(float(root_deg[0]), height_mm)
 
     def image_circle_mm(self, wavelength_nm: Positive) -> float:
         """Return the largest image height that light reaches, in mm, to about 1 % of the field
         angle.
         """
-        fields, heights = self._imaged(wavelength_nm)
-        lit = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
-        return float(heights[lit][-1]) if lit.any() else 0.0
+        fields, heights = self._fields_with_chief_rays(wavelength_nm)
+        is_illuminated = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
+        return float(heights[is_illuminated][-1]) if is_illuminated.any() else 0.0
 
-    def _imaged(self, wavelength_nm: float) -> tuple[Array, Array]:
+    def _fields_with_chief_rays(self, wavelength_nm: float) -> tuple[Array, Array]:
         """Return fields in degrees from the axis on that have a chief ray, and their image heights,
         which grow, in mm.
         """
@@ -1438,8 +1521,8 @@ class Lens:
         information.
         """
         return math.prod(
-            4 * one * other / (one + other) ** 2
-            for one, other in pairwise(self._plain_indices(wavelength_nm))
+            4 * before * behind / (before + behind) ** 2
+            for before, behind in pairwise(self._plain_indices(wavelength_nm))
         )
 
     def ghosts(
@@ -1519,17 +1602,17 @@ class Lens:
         known at the wavelength.
         """
         lens = replace(self, object_distance_mm=object_distance_mm)
-        lens = lens._moved(lens._paraxial_focus_mm(wavelength_nm))
+        lens = lens._with_image_plane_moved(lens._paraxial_focus_mm(wavelength_nm))
         if focus == "paraxial":
             return lens
         largest = (
             (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
         )
         for _ in range(2):  # the second step corrects for what the first one left of a far start
-            lens = lens._moved(lens._best_focus_mm(largest, wavelength_nm))
+            lens = lens._with_image_plane_moved(lens._best_focus_mm(largest, wavelength_nm))
         return lens
 
-    def _moved(self, shift_mm: float) -> Lens:
+    def _with_image_plane_moved(self, shift_mm: float) -> Lens:
         """Return the lens with its image plane moved. Raises PixsimError if it would lie in front
         of the last surface.
         """
@@ -1586,7 +1669,9 @@ class Lens:
         x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
         waves = self.wavefront(fields, wavelength, x, y)
         change = (
-            self._moved(_FOCUS_STEP_MM).wavefront(fields, wavelength, x, y).opd_waves
+            self._with_image_plane_moved(_FOCUS_STEP_MM)
+            .wavefront(fields, wavelength, x, y)
+            .opd_waves
             - waves.opd_waves
         )
         top = bottom = 0.0
@@ -1673,17 +1758,17 @@ def _root(
     return at
 
 
-def _part(rays: Rays, some: slice) -> Rays:
+def _rays_slice(rays: Rays, rows: slice) -> Rays:
     return Rays(
-        *(getattr(rays, name)[some] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed"))
+        *(getattr(rays, name)[rows] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed"))
     )
 
 
-def _conditions(
+def _flat_conditions(
     field_deg: ArrayLike, wavelength_nm: ArrayLike
 ) -> tuple[tuple[int, ...], Array, Array]:
     """Return the shape that fields and wavelengths broadcast to, and both in one line."""
-    shape, fields, wavelengths = _in_line(field_deg=field_deg, wavelength_nm=wavelength_nm)
+    shape, fields, wavelengths = _flattened(field_deg=field_deg, wavelength_nm=wavelength_nm)
     if not np.all(np.abs(fields) < 90):
         raise invalid(
             "field_deg",
@@ -1693,7 +1778,7 @@ def _conditions(
     return shape, fields, wavelengths
 
 
-def _in_line(**parts: ArrayLike) -> tuple[Any, ...]:
+def _flattened(**parts: ArrayLike) -> tuple[Any, ...]:
     """Return the shape that arguments broadcast to, and each in one line of finite numbers; their
     names are for messages.
     """
@@ -1715,16 +1800,16 @@ _EXPONENTS = tuple(
 )  # of the monomials x^i y^j odd in x and even in x
 
 
-def _bases(x: Array, y: Array) -> _Bases:
+def _monomials(x: Array, y: Array) -> _Bases:
     """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
     powers_x, powers_y = (
         np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
     )
-    odd, even = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
-    return odd, even
+    odd_terms, even_terms = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
+    return odd_terms, even_terms
 
 
-def _polynomials(terms: Array, basis: Array) -> Array:
+def _polynomial_values(terms: Array, basis: Array) -> Array:
     """Return polynomials (C, P) of coefficients (C, terms), of which the first are used, at the
     monomials (P, terms).
     """
@@ -1734,8 +1819,8 @@ def _polynomials(terms: Array, basis: Array) -> Array:
     return total
 
 
-def _slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
-    """Return the derivatives of the monomials of `_bases`, by x and by y."""
+def _monomial_slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
+    """Return the derivatives of the monomials of `_monomials`, by x and by y."""
     powers_x, powers_y = (
         np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
     )
@@ -1745,17 +1830,17 @@ def _slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
 
 
 @cache
-def _nodes() -> tuple[Array, Array, _Bases, _Bases]:
+def _stop_samples() -> tuple[Array, Array, _Bases, _Bases]:
     """Return points of half of the stop, the monomials there, and the matrices (terms, points) that
     fit polynomials to values.
     """
     radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
     angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    odd, even = _bases(x, y)
+    odd_terms, even_terms = _monomials(x, y)
     return (
         np.asarray(x),
         np.asarray(y),
-        (odd, even),
-        (np.asarray(np.linalg.pinv(odd)), np.asarray(np.linalg.pinv(even))),
+        (odd_terms, even_terms),
+        (np.asarray(np.linalg.pinv(odd_terms)), np.asarray(np.linalg.pinv(even_terms))),
     )

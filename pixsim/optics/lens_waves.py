@@ -36,36 +36,37 @@ def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[
     waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, _OUTLINE_SPOKES)
     spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
     from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
-    found = []
-    for at in range(fields.size):
-        cosines, off = waves.cosines[at], np.stack([waves.x_mm[at], waves.y_mm[at]], axis=-1)
+    rays = []
+    for index in range(fields.size):
+        cosines, off_mm = (
+            waves.cosines[index],
+            np.stack([waves.x_mm[index], waves.y_mm[index]], axis=-1),
+        )
         if math.isfinite(
             from_image
         ):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
             distance = -math.copysign(
-                math.hypot(float(waves.chief_y_mm[at]), from_image), from_image
+                math.hypot(float(waves.chief_y_mm[index]), from_image), from_image
             )
-            along = (off * cosines).sum(axis=-1)
+            along = (off_mm * cosines).sum(axis=-1)
             with np.errstate(
                 invalid="ignore"
             ):  # at the end of an image circle some rays miss the sphere
                 back = along + np.copysign(
-                    np.sqrt(distance**2 + along**2 - np.square(off).sum(axis=-1)), distance
+                    np.sqrt(distance**2 + along**2 - np.square(off_mm).sum(axis=-1)), distance
                 )
-            cosines = (back[:, None] * cosines - off) / distance
-        seen = np.isfinite(waves.opd_waves[at]) & np.isfinite(cosines).all(axis=-1)
-        seen[seen] = _near(outline, at, cosines[seen])
-        edge = outline.radius[at][:, None] * spokes + outline.centre[at]
-        opd = waves.opd_waves[at][seen] * waves_per_wave[at]
-        found.append(PupilRays(cosines[seen], opd, edge, 1e3 * float(waves.chief_y_mm[at])))
-    return [
-        found[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)
-    ]
+            cosines = (back[:, None] * cosines - off_mm) / distance
+        seen = np.isfinite(waves.opd_waves[index]) & np.isfinite(cosines).all(axis=-1)
+        seen[seen] = _near(outline, index, cosines[seen])
+        edge = outline.radius[index][:, None] * spokes + outline.centre[index]
+        opd = waves.opd_waves[index][seen] * waves_per_wave[index]
+        rays.append(PupilRays(cosines[seen], opd, edge, 1e3 * float(waves.chief_y_mm[index])))
+    return [rays[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
 
 
-def _near(outline: Outline, at: int, cosines: Array) -> NDArray[np.bool_]:
+def _near(outline: Outline, index: int, cosines: Array) -> NDArray[np.bool_]:
     """Return which directions (rays, 2) lie within an outline, or not far beyond it."""
-    away = cosines - outline.centre[at]
+    away = cosines - outline.centre[index]
     turn = np.arctan2(away[:, 1], away[:, 0])
-    radius = np.interp(turn, outline.angle, outline.radius[at], period=2 * np.pi)
+    radius = np.interp(turn, outline.angle, outline.radius[index], period=2 * np.pi)
     return np.asarray(np.hypot(*away.T) <= NEAR * radius)

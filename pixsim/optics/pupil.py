@@ -52,7 +52,7 @@ class Pupil:
     centre: Array
     radial: Array
     tangential: Array
-    of_tangents: bool = False
+    is_in_tangents: bool = False
 
     @property
     def chief_cosines(self) -> Array:
@@ -71,7 +71,7 @@ class Pupil:
     @property
     def area(self) -> Array:
         """Area in direction cosines, (...), sr: E/L for light that fills the pupil."""
-        if not self.of_tangents:
+        if not self.is_in_tangents:
             return np.asarray(np.pi * np.abs(_cross(self.radial, self.tangential)))
         s, slope = self.boundary(np.linspace(0, 2 * np.pi, _AREA_NODES, endpoint=False))
         return np.asarray(np.abs(_cross(s, slope).mean(axis=-1)) * np.pi)
@@ -88,7 +88,7 @@ class Pupil:
             centre + radial * cosine + tangential * sine,
             tangential * cosine - radial * sine,
         )
-        if not self.of_tangents:
+        if not self.is_in_tangents:
             return point, slope
         secant2 = 1 + np.square(point).sum(axis=-1, keepdims=True)
         along = (point * slope).sum(axis=-1, keepdims=True)
@@ -97,7 +97,7 @@ class Pupil:
     def _cosines(self, point: Array) -> Array:
         return (
             point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True))
-            if self.of_tangents
+            if self.is_in_tangents
             else point
         )
 
@@ -113,14 +113,14 @@ class Pupil:
         )
         point = centre + radial * x.ravel()[:, None] + tangential * y.ravel()[:, None]
         weight = np.broadcast_to(np.repeat(share / (2 * spokes), spokes), point.shape[:-1])
-        if self.of_tangents:  # cos⁴ per area of tangents
+        if self.is_in_tangents:  # cos⁴ per area of tangents
             weight = weight / (1 + np.square(point).sum(axis=-1)) ** 2
         return Directions(self._cosines(point), weight, self.chief_cosines)
 
     def at(self, points: NDArray[np.intp] | slice) -> Pupil:
         """Return some of the pupils, (k,) of (n,)."""
         return Pupil(
-            self.centre[points], self.radial[points], self.tangential[points], self.of_tangents
+            self.centre[points], self.radial[points], self.tangential[points], self.is_in_tangents
         )
 
     def flat(self) -> Pupil:
@@ -128,11 +128,11 @@ class Pupil:
         centre, radial, tangential = (
             part.reshape(-1, 2) for part in (self.centre, self.radial, self.tangential)
         )
-        return Pupil(centre, radial, tangential, self.of_tangents)
+        return Pupil(centre, radial, tangential, self.is_in_tangents)
 
 
-def _cross(one: Array, other: Array) -> Array:
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 @lru_cache(maxsize=128)

@@ -153,5 +153,5 @@ def thin_lens_pupil(
     )
     tan_alpha = 0.5 / (f_number * (1 + abs(magnification)))
     return Pupil(
-        tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, of_tangents=True
+        tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, is_in_tangents=True
     )

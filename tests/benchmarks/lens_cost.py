@@ -121,7 +121,7 @@ def superposed_at(
 def blurred(blur: FieldBlur, picture: Array) -> Array:
     """The picture with the light of each point spread by its PSF, and what it lacks as a veil."""
     blur._last.clear()
-    return np.asarray(blur.blurred(picture) * blur.even)
+    return np.asarray(blur.blurred(picture) * blur.flat_field)
 
 
 def setting(name: str) -> tuple[Camera, float]:
@@ -214,7 +214,7 @@ def measure(name: str) -> None:
         return replace(tiling, spacing_um=SIDE / tiles * pitch_um, psf_um=cells * pitch_um)
 
     blur = first(tiling)
-    print(f"at most {blur.lacking:.2%}")
+    print(f"at most {blur.tail_share:.2%}")
     forget()
     timed("first picture, with its PSFs", lambda: first(tiling).blurred(dots))
     camera_lens._BLURS.clear()

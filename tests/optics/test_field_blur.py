@@ -22,8 +22,9 @@ from pixsim.optics.field_blur import (
     FittedWavefronts,
     PupilRays,
     RadialPsfs,
-    amid_tiles,
+    distinct_tiles,
     even_window,
+    farthest_tile_um,
     field_blur,
     fit_wavefronts,
     least_squares,
@@ -31,12 +32,11 @@ from pixsim.optics.field_blur import (
     periodic_psf,
     picture_error,
     powers,
+    psf_transform,
+    psfs_between_tiles,
     pupil_function,
     radial_psfs,
     resolving_um,
-    tiles_alike,
-    tiles_reach_um,
-    transform_of,
     veil_mtf,
 )
 from pixsim.optics.glass import constant_glass
@@ -286,7 +286,7 @@ def psfs_of(
         pitch_um,
         cells,
         spacing * pitch_um / 2,
-        tiles_reach_um(shape, pitch_um, spacing, cells),
+        farthest_tile_um(shape, pitch_um, spacing, cells),
     )
 
 
@@ -310,7 +310,9 @@ def bound_of(light: ChannelWavefronts, spacing: int) -> float:
     )
     tiles = np.array(
         [
-            transform_of(amid_tiles(psfs, *place, PITCH_UM, spacing, CELLS), PITCH_UM, window)
+            psf_transform(
+                psfs_between_tiles(psfs, *place, PITCH_UM, spacing, CELLS), PITCH_UM, window
+            )
             for place in places
         ]
     )
@@ -392,7 +394,7 @@ def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_
     pictures = {}
     for spacing in (32, 16, 8, 4):
         blur = blur_of(sharp_light, dots.shape, COARSE_UM, spacing, cells)
-        pictures[spacing] = blur.blurred(dots) * blur.even
+        pictures[spacing] = blur.blurred(dots) * blur.flat_field
     contrast = pictures[4].std()
     parts = [
         float(np.sqrt(np.mean((pictures[spacing] - pictures[4]) ** 2)) / contrast)
@@ -447,7 +449,7 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(
         (3.0, 0.4),
         (100.0, 0.8),
         (200.0, 2.1),
-        (psfs.reach_um, -2.5),
+        (psfs.max_height_um, -2.5),
     ):
         place = height_um * math.cos(azimuth), height_um * math.sin(azimuth)
         whole = np.roll(
@@ -455,7 +457,7 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(
         )
         error = psfs.at([place], COARSE_UM, cells)[0].kernel - whole[:cells, :cells]
         assert np.sqrt(np.sum(error**2)) < 5e-4 * np.sqrt(np.sum(whole**2)), (height_um, azimuth)
-    assert 200.0 <= psfs.reach_um < 200.0 + 2 * step_um
+    assert 200.0 <= psfs.max_height_um < 200.0 + 2 * step_um
     with pytest.raises(
         PixsimError, match=r"distance of a PSF from the axis: got 300 µm; allowed: at most 2\d\d µm"
     ):
@@ -525,9 +527,10 @@ def test_least_squares_are_those_of_lapack() -> None:
 def test_psfs_reach_as_far_as_tiles_and_points_amid_them(
     cells: int, spacing: int, psf_cells: int
 ) -> None:
-    reach_um = tiles_reach_um((cells, cells), 1.0, spacing, psf_cells)
+    reach_um = farthest_tile_um((cells, cells), 1.0, spacing, psf_cells)
     tiles = [
-        math.hypot(*place) * spacing for place in tiles_alike((cells + psf_cells - 1,) * 2, spacing)
+        math.hypot(*place) * spacing
+        for place in distinct_tiles((cells + psf_cells - 1,) * 2, spacing)
     ]
     corner = (cells / 2 + 1.5 * spacing) * math.sqrt(
         2
@@ -557,7 +560,7 @@ def test_light_is_preserved_before_it_leaves_the_picture(
     reach = blur.cells // 2
     full, lacked = blur.superposed(np.pad(picture, reach))
     assert full.sum() + lacked.sum() == pytest.approx(picture.sum(), rel=1e-9)
-    assert 0.01 < lacked.sum() / picture.sum() < blur.lacking < 0.1
+    assert 0.01 < lacked.sum() / picture.sum() < blur.tail_share < 0.1
     np.testing.assert_allclose(blur.blurred(np.ones(shape)), 1, rtol=1e-6)  # in single precision
 
 

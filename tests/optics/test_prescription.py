@@ -146,7 +146,7 @@ def test_apertures_of_zmx(tmp_path: Path, aperture: str, f_number: float) -> Non
     if (
         aperture == "FLOA"
     ):  # the stop's semi-diameter of the file fills an entrance pupil of its paraxial image
-        scale, _ = lens._front(lens.primary_nm)
+        scale, _ = lens._entrance_pupil_scale(lens.primary_nm)
         assert abs(scale) * lens.entrance_pupil_diameter_mm / 2 == pytest.approx(4.215, rel=1e-6)
     else:
         assert lens.first_order(lens.primary_nm).f_number == pytest.approx(f_number, rel=1e-5)
