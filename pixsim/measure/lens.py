@@ -45,7 +45,7 @@ _MTF_POINTS = 61
 MTF_LINES = ("tangential", "sagittal")
 _PSF_SPOTS = 6  # rms radii along a side of a PSF
 _PSF_SAMPLES = 3  # of the width λN along a side
-MAX_PUPIL_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MOST_FINE = 3000  # samples along a side, on which waves interfere
 _MOST_WIDTHS = (
     300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
@@ -270,7 +270,7 @@ def lens_data(
     side = _PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
     geometric = side > _MOST_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(
-        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MAX_PUPIL_SAMPLES),
+        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MOST_SAMPLES),
         500 / min(highest, 1.05 * cutoff),
     )
     seen_fields = fields[~dark]
@@ -278,7 +278,7 @@ def lens_data(
         psfs = _point_spreads(lens, seen_fields, wavelengths, pitch, side)
         geometric = not psfs
     if geometric:
-        pitch = side / MAX_PUPIL_SAMPLES
+        pitch = side / MOST_SAMPLES
         psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
     else:
         mtf = np.array(
@@ -401,7 +401,7 @@ def ray_spreads(
     grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(_MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
     limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
-    edges = (np.arange(MAX_PUPIL_SAMPLES + 2) - (MAX_PUPIL_SAMPLES + 1) / 2) * pitch_um
+    edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:
         waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)

@@ -45,7 +45,7 @@ OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded o
 _DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
 _WINDOW_SIDES = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
 _SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
-MAX_PUPIL_SAMPLES = 320  # of a pupil: a PSF with more takes too long
+_MAX_PUPIL_SAMPLES = 320  # of a pupil: a PSF with more takes too long
 _SHRUNKEN = 0.8  # of the last pupil's half widths, one step beyond it
 _MAX_WINDOW = 4096  # film cells
 # of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
@@ -403,11 +403,11 @@ def cutoff_per_um(light: ChannelWavefronts) -> float:
 
 def max_psf_cells(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return the odd number of film cells along a side of the largest PSF whose pupil has
-    `MAX_PUPIL_SAMPLES` across; 0 for none.
+    `_MAX_PUPIL_SAMPLES` across; 0 for none.
 
     On a film so coarse that it is 0, diffraction keeps to one cell.
     """
-    cells = int(MAX_PUPIL_SAMPLES / (_WINDOW_SIDES * pitch_um * cutoff_per_um(light)))
+    cells = int(_MAX_PUPIL_SAMPLES / (_WINDOW_SIDES * pitch_um * cutoff_per_um(light)))
     return cells - (cells + 1) % 2 if cells >= 3 else 0
 
 

@@ -45,7 +45,7 @@ class Pupil:
     weight in direction cosines.
 
     centre, radial, tangential : (..., 2) of one shape: c, and the vectors r and t of the semi-axes
-    of_tangents : the ellipse is one of tangents, tan θ (cos φ, sin φ), as a disc in a plane
+    is_in_tangents : the ellipse is one of tangents, tan θ (cos φ, sin φ), as a disc in a plane
         parallel to the sensor is seen; otherwise of direction cosines
     """
 
