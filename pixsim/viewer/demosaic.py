@@ -8,31 +8,28 @@ which keeps the phase of a Bayer pattern. A flat field stays flat up to the edge
 * malvar2004: linear filters of 5 × 5 pixels. H. S. Malvar, L.-W. He and R. Cutler, ICASSP (2004)
   III-485. Bayer patterns only.
 * menon2007: along the direction with the smaller differences of colour, with refinement. D. Menon,
-  S. Andriani and
-  G. Calvagno, IEEE Trans. Image Process. 16 (2007) 132. Bayer patterns only, and not linear.
-* remosaic, before one of these: a quad pattern (2 × 2 equal pixels each) becomes that of single
-  pixels. A pixel keeps its sample
-  where it has the channel already. Else it is a linear interpolation of the nearest samples of the
-  channel on either side: in its
-  row, in its column, or the mean of both; and where neither has the channel, in the rows and
-  columns around that do.
+  S. Andriani and G. Calvagno, IEEE Trans. Image Process. 16 (2007) 132. Bayer patterns only, and
+  not linear.
+* remosaic, before one of these: a quad pattern (2 × 2 equal pixels each) becomes one of single
+  pixels. A pixel keeps its sample where it has the channel already. Else it is a linear
+  interpolation of the nearest samples of the channel on either side: in its row, in its column, or
+  the mean of both; and where neither has the channel, in the rows and columns around that do.
 * interpolate: for any pattern. A pixel keeps the sample of its own channel. The other channels are
-  normalised convolutions
-  (H. Knutsson and C.-F. Westin, CVPR (1993) 515): the mean of a channel's samples around, weighted
-  by a tent that falls to zero
-  one unit cell away along y and x. On a Bayer pattern this is bilinear.
+  normalised convolutions (H. Knutsson and C.-F. Westin, CVPR (1993) 515): the mean of a channel's
+  samples around, weighted by a tent that falls to zero one unit cell away along y and x. On a Bayer
+  pattern this is bilinear.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arrays import Array, Picture, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
@@ -52,6 +49,8 @@ _SPLINE_RANGE_PX = 16  # pixels, over which a cubic spline forgets its ends to 1
 _MENON_CHANGES = np.array(
     [[1, 0, 1, 0, 0], [0, 1, 0, 0, 0], [3, 0, 3, 0, 0], [0, 1, 0, 0, 0], [1, 0, 1, 0, 0]], float
 )
+_TWO_NEIGHBOURS = (0.5, 0.0, 0.5)
+_MEAN_OF_THREE = (1 / 3, 1 / 3, 1 / 3)
 # Filters of Malvar et al., times 8: green at red or blue; red (blue) at a green pixel in a row of
 # red (blue); at blue (red). The filter at a green pixel in a column of red (blue) is the transposed
 # second one.
@@ -110,30 +109,39 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
     cell = unit_cell(pattern)
     _check_method(cell, method)
     is_linear = method != "menon2007" and cell in BAYER.values()
-    values = np.asarray(mosaic, mosaic.dtype if is_linear and mosaic.dtype == np.float32 else float)
-    if min(values.shape[0] - len(cell), values.shape[1] - len(cell[0])) < 0:
-        got = f"{values.shape[0]} × {values.shape[1]} pixels"
-        raise invalid(
-            "mosaic", got, f"at least the unit cell of {len(cell)} × {len(cell[0])} pixels"
-        )
-    if (
-        not max(float(values.max()), -float(values.min())) <= MAX_VALUE
-    ):  # nor NaN, which both would be
-        wrong = np.count_nonzero(~(np.abs(values) <= MAX_VALUE))
-        raise invalid(
-            "mosaic",
-            f"{wrong} values that are not finite or too large",
-            f"finite numbers up to {MAX_VALUE:g}",
-        )
+    is_single = is_linear and mosaic.dtype == np.float32
+    values = np.asarray(mosaic, np.float32 if is_single else float)
+    _check_cell_fits(values, cell)
+    _check_values(values)
+
     if method == "menon2007":
-        planes = _menon(np.pad(values, _MENON_MARGIN_PX, mode="reflect"), cell)[
-            :, _MENON_MARGIN_PX:-_MENON_MARGIN_PX, _MENON_MARGIN_PX:-_MENON_MARGIN_PX
-        ]
+        margin = np.s_[_MENON_MARGIN_PX:-_MENON_MARGIN_PX]
+        padded = np.pad(values, _MENON_MARGIN_PX, mode="reflect")
+        planes = _menon(padded, cell)[:, margin, margin]
     elif is_linear:
         planes = _filtered(values, _weights(cell, method))
     else:
         planes = _interpolated(values, cell)
     return np.moveaxis(planes, 0, -1)
+
+
+def _check_cell_fits(mosaic: Array, cell: Sequence[str]) -> None:
+    """Raise PixsimError for a mosaic (H, W) that is smaller than the unit cell."""
+    height, width = mosaic.shape
+    rows, columns = len(cell), len(cell[0])
+    if height < rows or width < columns:
+        allowed = f"at least the unit cell of {rows} × {columns} pixels"
+        raise invalid("mosaic", f"{height} × {width} pixels", allowed)
+
+
+def _check_values(mosaic: Array) -> None:
+    """Raise PixsimError for a mosaic with numbers that are not finite, or too large to be added."""
+    # Of NaN both ends are NaN, which is below no limit.
+    if max(float(mosaic.max()), -float(mosaic.min())) <= MAX_VALUE:
+        return
+    count = np.count_nonzero(~(np.abs(mosaic) <= MAX_VALUE))
+    got = f"{count} values that are not finite or too large"
+    raise invalid("mosaic", got, f"finite numbers up to {MAX_VALUE:g}")
 
 
 def demosaic_covariance(
@@ -282,11 +290,10 @@ def _single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
-    """Return a mosaic (H, W) of a quad pattern as one of single pixels, whose pattern is
-    `_single_cell`, in its precision and unit.
+    """Return a mosaic (H, W) of a quad pattern as one of single pixels, in its precision and unit.
 
     Each pixel keeps its sample, or is interpolated from the nearest ones of its new channel; at the
-    edges from those inside.
+    edges from those inside. The new pattern is `_single_cell`.
 
     pattern : rows of the unit cell, such as ("RRGG", "RRGG", "GGBB", "GGBB")
 
@@ -298,26 +305,30 @@ def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     """
     cell = unit_cell(pattern)
     _single_cell(cell)
-    (rows, columns), (height, width) = (len(cell), len(cell[0])), mosaic.shape
-    if height < rows or width < columns:
-        raise invalid(
-            "mosaic",
-            f"{height} × {width} pixels",
-            f"at least the unit cell of {rows} × {columns} pixels",
-        )
-    taps, margin_px = _remosaic_taps(cell), max(rows, columns)
-    padded, inside = np.pad(mosaic, margin_px), np.pad(np.ones_like(mosaic), margin_px)
+    _check_cell_fits(mosaic, cell)
+    rows, columns = len(cell), len(cell[0])
+    taps = _remosaic_taps(cell)
+
+    # Beyond the edges there are no samples: their weights are missing from the sum of weights.
+    margin_px = max(rows, columns)
+    padded = np.pad(mosaic, margin_px)
+    inside = np.pad(np.ones_like(mosaic), margin_px)
+
     result = mosaic.copy()
     for y, x in np.ndindex(rows, columns):
         if set(taps[y, x]) == {(0, 0)}:
             continue
-        into = result[y::rows, x::columns]
-        total, weight = np.zeros_like(into), np.zeros_like(into)
-        for (dy, dx), share in taps[y, x].items():
-            at = np.s_[margin_px + y + dy :: rows, margin_px + x + dx :: columns]
-            total += share * padded[at][: into.shape[0], : into.shape[1]]
-            weight += share * inside[at][: into.shape[0], : into.shape[1]]
-        into[...] = total / weight
+        pixels = result[y::rows, x::columns]
+        height, width = pixels.shape
+        total = np.zeros_like(pixels)
+        total_weight = np.zeros_like(pixels)
+        for (dy, dx), weight in taps[y, x].items():
+            first_row = margin_px + y + dy
+            first_column = margin_px + x + dx
+            samples = np.s_[first_row::rows, first_column::columns]
+            total += weight * padded[samples][:height, :width]
+            total_weight += weight * inside[samples][:height, :width]
+        pixels[...] = total / total_weight
     return result
 
 
@@ -408,29 +419,34 @@ def _weights(cell: tuple[str, ...], method: Method) -> Array:
     each place of the cell.
     """
     letters = np.array([list(row) for row in cell])
+    channels = channels_of(cell)
     rows, columns = letters.shape
     ry, rx = (2, 2) if method == "malvar2004" else (rows - 1, columns - 1)
-    weights = np.zeros((rows, columns, len(channels_of(cell)), 2 * ry + 1, 2 * rx + 1))
-    for y, x, (c, channel) in (
-        (y, x, c) for y in range(rows) for x in range(columns) for c in enumerate(channels_of(cell))
-    ):
+
+    weights = np.zeros((rows, columns, len(channels), 2 * ry + 1, 2 * rx + 1))
+    for y, x, c in np.ndindex(rows, columns, len(channels)):
+        channel = channels[c]
         if letters[y, x] == channel:
             weights[y, x, c, ry, rx] = 1.0
         elif method == "malvar2004":
-            in_row, in_column = channel in letters[y], channel in letters[:, x]
-            cross = _MALVAR_GREEN if channel == "G" else _MALVAR_CROSS
-            weights[y, x, c] = (
-                cross if in_row == in_column else _MALVAR_ROW if in_row else _MALVAR_ROW.T
-            )
+            weights[y, x, c] = _malvar_filter(letters, y, x, channel)
         else:
-            around = letters[
-                np.arange(y - ry, y + ry + 1)[:, None] % rows,
-                np.arange(x - rx, x + rx + 1) % columns,
-            ]
-            tent = (around == channel) * np.multiply.outer(_tent(rows), _tent(columns))
+            around_y = np.arange(y - ry, y + ry + 1) % rows
+            around_x = np.arange(x - rx, x + rx + 1) % columns
+            has_channel = letters[np.ix_(around_y, around_x)] == channel
+            tent = has_channel * np.multiply.outer(_tent(rows), _tent(columns))
             weights[y, x, c] = tent / tent.sum()
     weights.flags.writeable = False
     return weights
+
+
+def _malvar_filter(letters: NDArray[np.str_], y: int, x: int, channel: str) -> Array:
+    """Return the filter (5, 5) of Malvar et al. for a channel that the pixel (y, x) lacks."""
+    in_row = channel in letters[y]
+    in_column = channel in letters[:, x]
+    if in_row == in_column:
+        return _MALVAR_GREEN if channel == "G" else _MALVAR_CROSS
+    return _MALVAR_ROW if in_row else _MALVAR_ROW.T
 
 
 @lru_cache(maxsize=16)
@@ -438,21 +454,24 @@ def _weights_behind(cell: tuple[str, ...], method: Method, remosaiced: bool) -> 
     """Return `_weights`, of the samples of a quad pattern that is remosaiced first."""
     if not remosaiced:
         return _weights(cell, method)
-    taps, single = _remosaic_taps(cell), _weights(binned_cell(cell), method)
-    (high, wide), (ry, rx), margin_px = (
-        single.shape[:2],
-        (single.shape[3] // 2, single.shape[4] // 2),
-        max(len(cell), len(cell[0])),
-    )
+    taps = _remosaic_taps(cell)
+    single = _weights(binned_cell(cell), method)
+    single_rows, single_columns, count, ky, kx = single.shape
+    ry, rx = ky // 2, kx // 2
+
     rows, columns = len(cell), len(cell[0])
-    weights = np.zeros(
-        (rows, columns, single.shape[2], 2 * (ry + margin_px) + 1, 2 * (rx + margin_px) + 1)
-    )
-    for y, x, c, i, j in np.ndindex(rows, columns, *single.shape[2:]):
-        share = single[y % high, x % wide, c, i, j]
-        at = (y + i - ry) % rows, (x + j - rx) % columns
-        for (dy, dx), part in taps[at].items() if share else ():
-            weights[y, x, c, i + margin_px + dy, j + margin_px + dx] += share * part
+    margin_px = max(rows, columns)
+    size = 2 * (ry + margin_px) + 1, 2 * (rx + margin_px) + 1
+    weights = np.zeros((rows, columns, count, *size))
+    for y, x, c, i, j in np.ndindex(rows, columns, count, ky, kx):
+        weight = single[y % single_rows, x % single_columns, c, i, j]
+        if not weight:
+            continue
+
+        # The sample of the single pixel is itself a mean of samples of the quad pattern.
+        place = (y + i - ry) % rows, (x + j - rx) % columns
+        for (dy, dx), tap in taps[place].items():
+            weights[y, x, c, i + margin_px + dy, j + margin_px + dx] += weight * tap
     weights.flags.writeable = False
     return weights
 
@@ -466,107 +485,150 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     height, width = mosaic.shape
     margin_px = weights.shape[-1] // 2
     padded = np.pad(mosaic, margin_px, mode="reflect")
-    phase = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
-    planes = empty_planes(
-        weights.shape[2], height, width, dtype=mosaic.dtype
-    )  # which are transposed for the means over dots
+    phases = {(y, x): np.ascontiguousarray(padded[y::2, x::2]) for y in (0, 1) for x in (0, 1)}
+
+    planes = empty_planes(weights.shape[2], height, width, dtype=mosaic.dtype)
     for y, x, c in np.ndindex(weights.shape[:3]):
-        taps, into = weights[y, x, c], planes[c, y::2, x::2]
-        total = np.zeros_like(into) if len(groups := np.unique(taps[taps != 0])) > 1 else None
-        part = np.empty(into.shape, into.dtype)
-        for weight in groups.tolist():  # samples of equal weight are summed first
-            summed: Array | None = None
-            for dy, dx in np.argwhere(taps == weight):
-                (row, odd_row), (column, odd_column) = divmod(y + dy, 2), divmod(x + dx, 2)
-                sample = phase[odd_row, odd_column][
-                    row : row + into.shape[0], column : column + into.shape[1]
-                ]
-                summed = sample if summed is None else np.add(sample, summed, out=part)
-            assert summed is not None
-            if total is None:
-                np.multiply(summed, weight, out=into)
-            else:
-                total += np.multiply(summed, weight, out=part)
-        if total is not None:
-            into[...] = total
+        _filter_phase(phases, weights[y, x, c], y, x, out=planes[c, y::2, x::2])
     return planes
 
 
-def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
-    """Return the planes (C, H, W) of a mosaic of any pattern: own samples, else normalised
-    convolutions.
-    """
-    height, width = mosaic.shape
-    rows, columns = len(cell), len(cell[0])
-    letters = np.array([list(row) for row in cell])[
-        np.arange(height)[:, None] % rows, np.arange(width) % columns
-    ]
+def _filter_phase(
+    phases: Mapping[tuple[int, int], Array], taps: Array, y: int, x: int, out: Array
+) -> None:
+    """Write the sums over weighted samples for the pixels at one place (y, x) of a Bayer cell.
 
-    def blurred(
-        values: Array,
-    ) -> Array:  # SciPy's "mirror" reflects about the centres of the outermost pixels
+    phases : of the mosaic with its margin, by the oddness of row and column
+    taps : (n, n) weights of the samples around
+    out : (h, w), one value for each unit cell
+    """
+    height, width = out.shape
+    part = np.empty(out.shape, out.dtype)
+    weight_groups = np.unique(taps[taps != 0]).tolist()
+    total = np.zeros_like(out) if len(weight_groups) > 1 else None
+    for weight in weight_groups:
+        # Samples of equal weight are summed first: one product for all of them.
+        summed: Array | None = None
+        for dy, dx in np.argwhere(taps == weight):
+            row, odd_row = divmod(y + dy, 2)
+            column, odd_column = divmod(x + dx, 2)
+            phase = phases[odd_row, odd_column]
+            sample = phase[row : row + height, column : column + width]
+            summed = sample if summed is None else np.add(sample, summed, out=part)
+        assert summed is not None
+
+        if total is None:
+            np.multiply(summed, weight, out=out)
+        else:
+            total += np.multiply(summed, weight, out=part)
+    if total is not None:
+        out[...] = total
+
+
+def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
+    """Return the planes (C, H, W) of a mosaic of any pattern by normalised convolutions; a pixel
+    keeps the sample of its own channel.
+    """
+    rows, columns = len(cell), len(cell[0])
+    letters = _letters_on(mosaic.shape, cell)
+
+    def blurred(values: Array) -> Array:
+        # SciPy's "mirror" reflects about the centres of the outermost pixels.
         along_y = scipy.ndimage.correlate1d(values, _tent(rows), axis=0, mode="mirror")
         return np.asarray(scipy.ndimage.correlate1d(along_y, _tent(columns), axis=1, mode="mirror"))
 
-    planes = np.empty((len(channels_of(cell)), height, width))
-    for plane, channel in zip(planes, channels_of(cell), strict=True):
+    channels = channels_of(cell)
+    planes = np.empty((len(channels), *mosaic.shape))
+    for plane, channel in zip(planes, channels, strict=True):
         is_sampled = letters == channel
-        np.divide(blurred(mosaic * is_sampled), blurred(is_sampled.astype(float)), out=plane)
+        samples = blurred(mosaic * is_sampled)
+        weights = blurred(is_sampled.astype(float))
+        np.divide(samples, weights, out=plane)
         np.copyto(plane, mosaic, where=is_sampled)
     return planes
 
 
+def _letters_on(shape: tuple[int, ...], cell: tuple[str, ...]) -> NDArray[np.str_]:
+    """Return the letter of each pixel's channel, (H, W), on a mosaic of this shape."""
+    letters = np.array([list(row) for row in cell])
+    rows, columns = letters.shape
+    return letters[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % columns]
+
+
 def _menon(mosaic: Array, cell: tuple[str, ...]) -> Array:
-    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `_MENON_MARGIN_PX` pixels at
-    each edge are void.
+    """Return the planes (3, H, W) of a Bayer mosaic by Menon et al. (2007); `_MENON_MARGIN_PX`
+    pixels at each edge are void.
     """
-    height, width = mosaic.shape
-    letters = np.array([list(row) for row in cell])[
-        np.arange(height)[:, None] % 2, np.arange(width) % 2
-    ]
+    letters = _letters_on(mosaic.shape, cell)
     is_red, is_green, is_blue = letters == np.array(["R", "G", "B"])[:, None, None]
 
-    def along(axis: int, values: Array, taps: Sequence[float]) -> Array:
-        return np.asarray(scipy.ndimage.correlate1d(values, taps, axis=axis, mode="mirror"))
-
-    # Green by interpolation along y and along x, and how much the difference from green changes
-    # along each.
-    greens, changes = [], []
-    for axis, weights in enumerate((_MENON_CHANGES.T, _MENON_CHANGES)):
-        greens.append(
-            np.where(is_green, mosaic, along(axis, mosaic, (-0.25, 0.5, 0.5, 0.5, -0.25)))
-        )
-        difference = mosaic - greens[axis]
-        changes.append(
-            scipy.ndimage.correlate(
-                np.abs(difference - np.roll(difference, -2, axis)), weights, mode="constant"
-            )
-        )
-    horizontal = changes[0] >= changes[1]
+    # Green along y and along x; the direction in which its difference from the samples changes less
+    # is taken.
+    green_y, change_y = _menon_green(mosaic, is_green, axis=0, weights=_MENON_CHANGES.T)
+    green_x, change_x = _menon_green(mosaic, is_green, axis=1, weights=_MENON_CHANGES)
+    is_horizontal = change_y >= change_x
+    green = np.where(is_horizontal, green_x, green_y)
 
     def along_choice(values: Array, taps: Sequence[float]) -> Array:
-        return np.where(horizontal, along(1, values, taps), along(0, values, taps))
+        along_x = _correlate(values, taps, axis=1)
+        along_y = _correlate(values, taps, axis=0)
+        return np.where(is_horizontal, along_x, along_y)
 
-    green = np.where(horizontal, greens[1], greens[0])
-    red, blue = np.where(is_red, mosaic, 0.0), np.where(is_blue, mosaic, 0.0)
-    beside, three = (0.5, 0.0, 0.5), (1 / 3, 1 / 3, 1 / 3)
-    for taps in (beside, three):  # the first round, and the refinement
-        if taps is three:
-            from_red, from_blue = (
-                along_choice(red - green, three),
-                along_choice(blue - green, three),
-            )
-            green = np.where(is_red, red - from_red, np.where(is_blue, blue - from_blue, green))
-        for plane, has_channel in (
-            (red, is_red),
-            (blue, is_blue),
-        ):  # at green pixels, from the two pixels of its colour beside
-            difference, in_row = plane - green, has_channel.any(axis=1)[:, None]
-            mean = np.where(in_row, along(1, difference, beside), along(0, difference, beside))
-            np.copyto(plane, green + mean, where=is_green)
-        mean = along_choice(red - blue, taps)  # red at blue pixels, and blue at red pixels
-        red, blue = np.where(is_blue, blue + mean, red), np.where(is_red, red - mean, blue)
+    # Red and blue, at green pixels from the two neighbours of the colour, elsewhere by the
+    # difference of red and blue.
+    red = np.where(is_red, mosaic, 0.0)
+    blue = np.where(is_blue, mosaic, 0.0)
+    _fill_green_pixels(red, green, is_red, is_green)
+    _fill_green_pixels(blue, green, is_blue, is_green)
+    mean = along_choice(red - blue, _TWO_NEIGHBOURS)
+    red, blue = np.where(is_blue, blue + mean, red), np.where(is_red, red - mean, blue)
+
+    # The refinement: the same differences, as means over three pixels.
+    red_less_green = along_choice(red - green, _MEAN_OF_THREE)
+    blue_less_green = along_choice(blue - green, _MEAN_OF_THREE)
+    green = np.where(is_blue, blue - blue_less_green, green)
+    green = np.where(is_red, red - red_less_green, green)
+    _fill_green_pixels(red, green, is_red, is_green)
+    _fill_green_pixels(blue, green, is_blue, is_green)
+    mean = along_choice(red - blue, _MEAN_OF_THREE)
+    red, blue = np.where(is_blue, blue + mean, red), np.where(is_red, red - mean, blue)
     return np.stack([red, green, blue])
+
+
+def _correlate(values: Array, taps: Sequence[float], axis: int) -> Array:
+    return np.asarray(scipy.ndimage.correlate1d(values, taps, axis=axis, mode="mirror"))
+
+
+def _menon_green(
+    mosaic: Array, is_green: NDArray[np.bool_], *, axis: int, weights: Array
+) -> tuple[Array, Array]:
+    """Return green (H, W) interpolated along an axis, and how much its difference from the samples
+    changes along it, (H, W).
+
+    weights : (5, 5) of the absolute differences around a pixel
+    """
+    interpolated = _correlate(mosaic, (-0.25, 0.5, 0.5, 0.5, -0.25), axis)
+    green = np.where(is_green, mosaic, interpolated)
+    difference = mosaic - green
+    steps = np.abs(difference - np.roll(difference, -2, axis))
+    return green, np.asarray(scipy.ndimage.correlate(steps, weights, mode="constant"))
+
+
+def _fill_green_pixels(
+    plane: Array, green: Array, has_channel: NDArray[np.bool_], is_green: NDArray[np.bool_]
+) -> None:
+    """Write red, or blue, at green pixels: green plus the mean difference of the two neighbours of
+    the colour.
+
+    plane : (H, W) of the colour, written to
+    has_channel : which pixels sample it
+    """
+    difference = plane - green
+    in_row = has_channel.any(axis=1)[:, None]
+    along_x = _correlate(difference, _TWO_NEIGHBOURS, axis=1)
+    along_y = _correlate(difference, _TWO_NEIGHBOURS, axis=0)
+    mean = np.where(in_row, along_x, along_y)
+    np.copyto(plane, green + mean, where=is_green)
 
 
 @lru_cache(maxsize=64)
@@ -585,33 +647,37 @@ def _covariance_per_variance(
     place in the unit cell. With dots, neighbours weigh with the mean product of their weights in a
     dot.
     """
-    channels, responses = channels_of(cell), _responses(cell, method, remosaiced)
+    responses = _responses(cell, method, remosaiced)
     rows, columns, _, ky, kx = responses.shape
-    shared = responses
+
+    averaged = responses
     if dot_px is not None or products != WHITE:
-        shared = np.zeros_like(responses)
+        averaged = np.zeros_like(responses)
         for factor, taps in products:
             along = _filtered_products(dot_px, interpolation, max(ky, kx), taps)
-            shared += factor * (_toeplitz(along[:ky]) @ responses @ _toeplitz(along[:kx]))
-    place_covariance = np.einsum("yxcij,yxdij->yxcd", responses, shared) / (rows * columns)
+            along_y, along_x = _toeplitz(along[:ky]), _toeplitz(along[:kx])
+            averaged += factor * (along_y @ responses @ along_x)
+    place_covariance = np.einsum("yxcij,yxdij->yxcd", responses, averaged) / (rows * columns)
+
     letters = np.array([list(row) for row in cell])
-    covariance = np.stack(
-        [place_covariance[letters == channel].sum(axis=0) for channel in channels], axis=-1
-    )
+    covariances = [
+        place_covariance[letters == channel].sum(axis=0) for channel in channels_of(cell)
+    ]
+    covariance = np.stack(covariances, axis=-1)
     covariance.flags.writeable = False
     return covariance
 
 
 def _responses(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
-    """Return what a pixel at each place of the unit cell leaves in the channels around it, (rows,
-    columns, C, ky, kx).
+    """Return what a pixel at each place of the unit cell contributes to the channels around it,
+    (rows, columns, C, ky, kx).
     """
     weights = _weights_behind(cell, method, remosaiced)
     rows, columns, _, ky, kx = weights.shape
     y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
-    return np.moveaxis(
-        weights[(y - dy + ky // 2) % rows, (x - dx + kx // 2) % columns, :, dy, dx], -1, 2
-    )
+    receiver_y = (y - dy + ky // 2) % rows
+    receiver_x = (x - dx + kx // 2) % columns
+    return np.moveaxis(weights[receiver_y, receiver_x, :, dy, dx], -1, 2)
 
 
 def _correlated_covariance(
@@ -626,45 +692,59 @@ def _correlated_covariance(
     """Return `_covariance_per_variance` of pixels that are correlated with those at the same place
     of other unit cells.
     """
-    responses, letters = _responses(cell, method, remosaiced), "".join(cell)
+    responses = _responses(cell, method, remosaiced)
     rows, columns, count, ky, kx = responses.shape
     covariance = np.zeros((count, count, count))
-    for place, (letter, correlation) in enumerate(zip(letters, correlations, strict=True)):
+    for place, (letter, correlation) in enumerate(zip("".join(cell), correlations, strict=True)):
+        channel = channels_of(cell).index(letter)
         response = responses[divmod(place, columns)]
         for factor, taps in products:
-            range_px = len(taps) // 2 + (
-                0
-                if dot_px is None
-                else int(np.ceil(dot_px))
-                + (2 * _SPLINE_RANGE_PX if interpolation == "cubic" else 2)
+            lags_y, row_products = _cell_products(
+                dot_px, interpolation, taps, size=ky, period=rows, lag_count=correlation.shape[0]
             )
-            sides = []
-            for axis, size, step in ((0, ky, rows), (1, kx, columns)):
-                middle = correlation.shape[axis] // 2
-                cells = np.arange(
-                    -min(middle, (size + range_px) // step + 1),
-                    min(middle, (size + range_px) // step + 1) + 1,
-                )
-                along = _filtered_products(
-                    dot_px, interpolation, size + range_px + step * int(cells.max()) + 1, taps
-                )
-                at = np.arange(size)
-                sides.append(
-                    (middle + cells, along[np.abs(at[:, None] - at + step * cells[:, None, None])])
-                )
-            (down, row_products), (across, column_products) = sides
-            shared = np.einsum(
+            lags_x, column_products = _cell_products(
+                dot_px, interpolation, taps, size=kx, period=columns, lag_count=correlation.shape[1]
+            )
+            averaged = np.einsum(
                 "uv,uij,cjk,vlk->cil",
-                correlation[np.ix_(down, across)],
+                correlation[np.ix_(lags_y, lags_x)],
                 row_products,
                 response,
                 column_products,
                 optimize=True,
             )
-            covariance[:, :, channels_of(cell).index(letter)] += factor * np.einsum(
-                "cil,dil->cd", response, shared
-            )
+            covariance[:, :, channel] += factor * np.einsum("cil,dil->cd", response, averaged)
     return covariance / (rows * columns)
+
+
+def _cell_products(
+    dot_px: float | None,
+    interpolation: str,
+    taps: tuple[float, ...],
+    *,
+    size: int,
+    period: int,
+    lag_count: int,
+) -> tuple[NDArray[np.int_], Array]:
+    """Return the indices of the lags of a correlation that reach a dot, (n,), and for each of them
+    the products of weights along the axis, (n, size, size).
+
+    size : of the response along the axis
+    period : of the unit cell along it
+    lag_count : of the correlation, whose middle is the lag 0
+    """
+    range_px = len(taps) // 2
+    if dot_px is not None:
+        range_px += int(np.ceil(dot_px)) + (2 * _SPLINE_RANGE_PX if interpolation == "cubic" else 2)
+    middle = lag_count // 2
+    last = min(middle, (size + range_px) // period + 1)
+    lags = np.arange(-last, last + 1)
+
+    count = size + range_px + period * last + 1
+    products = _filtered_products(dot_px, interpolation, count, taps)
+    at = np.arange(size)
+    distance = np.abs(at[:, None] - at + period * lags[:, None, None])
+    return middle + lags, products[distance]
 
 
 @lru_cache(maxsize=64)
@@ -682,47 +762,56 @@ def _column_products(
     The last two axes are theirs. Rows at one place of the unit cell have the same weights for the
     columns; a dot has a share of its rows at each place.
     """
-    weights, channels = _weights_behind(cell, method, remosaiced), channels_of(cell)
+    responses = _column_responses(cell, method, remosaiced)
+    columns, kx, rows, count, _ = responses.shape
+    if dot_px is None and products == WHITE:
+        same_row = np.eye(rows) / rows
+        covariance = np.einsum("uipck,uiqdl,pq->cdkl", responses, responses, same_row)
+        return np.asarray(covariance / columns)
+
+    covariance = np.zeros((count,) * 4)
+    for factor, taps in products:
+        range_px = len(taps) // 2
+        if dot_px is not None:
+            range_px += int(np.ceil(dot_px)) + 2 * _SPLINE_RANGE_PX
+        lag_count = max(kx, range_px if taps == (1.0,) else range_px + 1)
+        along = _filtered_products(dot_px, interpolation, lag_count, taps)
+        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(along[:kx]), responses)
+
+        # Along y only the distance of two rows in the unit cell counts.
+        distance = np.arange(1 - along.size, along.size)
+        shares = np.bincount(distance % rows, along[np.abs(distance)], rows) / rows
+        row_pairs = shares[np.arange(rows)[:, None] - np.arange(rows)]
+        products_of_lines = np.einsum("uipck,uiqdl,pq->cdkl", along_x, responses, row_pairs)
+        covariance += factor * products_of_lines / columns
+    return covariance
+
+
+def _column_responses(cell: tuple[str, ...], method: Method, remosaiced: bool) -> Array:
+    """Return what an offset of each column contributes to the columns around it, (columns, kx,
+    rows, C, C): in each row of the unit cell, to each channel, by pixels of each channel.
+    """
+    weights = _weights_behind(cell, method, remosaiced)
     rows, columns, _, ky, kx = weights.shape
     letters = np.array([list(row) for row in cell])
     y, x, dy, dx = np.ogrid[:rows, :columns, :ky, :kx]
-    source = letters[
-        (y + dy - ky // 2) % rows, (x + dx - kx // 2) % columns
-    ]  # of each sample of each place
-    channel_weights = np.stack(
-        [(weights * (source == channel)[:, :, None]).sum(axis=3) for channel in channels], axis=-1
-    )
-    u, at = np.ogrid[:columns, :kx]
-    responses = channel_weights[
-        :, (u - at + kx // 2) % columns, :, at
-    ]  # from each column to those around, (columns, kx, rows, C, C)
-    if dot_px is None and products == WHITE:
-        return np.asarray(
-            np.einsum("uipck,uiqdl,pq->cdkl", responses, responses, np.eye(rows) / rows) / columns
-        )
-    covariance = np.zeros((len(channels),) * 4)
-    for factor, taps in products:
-        range_px = len(taps) // 2 + (
-            0 if dot_px is None else int(np.ceil(dot_px)) + 2 * _SPLINE_RANGE_PX
-        )
-        along = _filtered_products(
-            dot_px, interpolation, max(kx, range_px if taps == (1.0,) else range_px + 1), taps
-        )
-        along_x = np.einsum("ij,ujpck->uipck", _toeplitz(along[:kx]), responses)
-        distance = np.arange(1 - along.size, along.size)
-        shares = np.bincount(distance % rows, along[np.abs(distance)], rows) / rows
-        between = shares[np.arange(rows)[:, None] - np.arange(rows)]
-        covariance += (
-            factor * np.einsum("uipck,uiqdl,pq->cdkl", along_x, responses, between) / columns
-        )
-    return covariance
+    source = letters[(y + dy - ky // 2) % rows, (x + dx - kx // 2) % columns]
+
+    channel_weights = []
+    for channel in channels_of(cell):
+        is_source = (source == channel)[:, :, None]
+        channel_weights.append((weights * is_source).sum(axis=3))
+    column_weights = np.stack(channel_weights, axis=-1)
+
+    column, offset = np.ogrid[:columns, :kx]
+    return np.asarray(column_weights[:, (column - offset + kx // 2) % columns, :, offset])
 
 
 def _filtered_products(
     dot_px: float | None, interpolation: str, count: int, taps: tuple[float, ...]
 ) -> Array:
-    """Return `_dot_products` behind a symmetric filter along the axis; without dots, the filter
-    alone.
+    """Return the products of the weights of two pixels in a dot behind a symmetric filter along the
+    axis, (count,); without dots, the filter alone.
     """
     half_width = len(taps) // 2
     if dot_px is None:
@@ -732,9 +821,10 @@ def _filtered_products(
         products = _dot_products(dot_px, interpolation, count + half_width)
     if not half_width:
         return products * taps[0]
-    both = np.concatenate([products[:0:-1], products])
+
+    both_sides = np.concatenate([products[:0:-1], products])
     middle = products.size - 1
-    return np.asarray(np.convolve(both, taps, mode="same")[middle : middle + count])
+    return np.asarray(np.convolve(both_sides, taps, mode="same")[middle : middle + count])
 
 
 def _toeplitz(values: Array) -> Array:
@@ -753,24 +843,20 @@ def _dot_products(dot_px: float, interpolation: str, count: int) -> Array:
     """
     degree = SPLINE_DEGREE[interpolation]
     margin_px = _SPLINE_RANGE_PX if degree > 1 else 1
-    pixels = 2 * (margin_px + count) + int(np.ceil(dot_px)) + 1
-    knots = np.unique(
-        np.concatenate([[0.0, 1.0], (np.array([0.0, 0.5, -dot_px, 0.5 - dot_px])) % 1])
-    )
-    nodes, parts = np.polynomial.legendre.leggauss(5)
+    pixel_count = 2 * (margin_px + count) + int(np.ceil(dot_px)) + 1
+    pixels = np.eye(pixel_count)
+
+    crossings = np.array([0.0, 0.5, -dot_px, 0.5 - dot_px]) % 1
+    knots = np.unique(np.concatenate([[0.0, 1.0], crossings]))
+    nodes, node_weights = np.polynomial.legendre.leggauss(5)
     products = np.zeros(count)
     for low, high in pairwise(knots):
-        for node, part in zip(nodes, parts, strict=True):
+        for node, node_weight in zip(nodes, node_weights, strict=True):
             start = margin_px + count + (low + high + node * (high - low)) / 2
-            dot = average_axis(
-                np.eye(pixels), 1.0, 0.0, np.array([start, start + dot_px]), degree, 0
-            )[0]
-            products += (
-                part
-                * (high - low)
-                / 2
-                * np.array(
-                    [(dot[: pixels - distance] * dot[distance:]).sum() for distance in range(count)]
-                )
-            )
+            edges = np.array([start, start + dot_px])
+            weights = average_axis(pixels, 1.0, 0.0, edges, degree, 0)[0]
+            lag_products = [
+                (weights[: pixel_count - lag] * weights[lag:]).sum() for lag in range(count)
+            ]
+            products += node_weight * (high - low) / 2 * np.array(lag_products)
     return products

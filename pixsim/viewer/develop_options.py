@@ -43,7 +43,6 @@ def _as_gains(value: object) -> object:
 
 
 # --- a function of the user's that denoises
-# --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,6 @@ _Denoise = Annotated[
 
 
 # --- a tone curve in a file
-# ------------------------------------------------------------------------------------------------------
 
 
 def as_tone_curve(value: object) -> object:

@@ -259,7 +259,6 @@ class Step:
 
 
 # --- raw planes
-# ------------------------------------------------------------------------------------------------------------------
 
 
 def white_noise_e2(readout: Readout, integration_s: float, correction: Correction) -> float:
@@ -460,7 +459,6 @@ def _demosaic(picture: Array, c: Developing) -> list[Array]:
 
 
 # --- developed planes
-# ------------------------------------------------------------------------------------------------------------
 
 
 def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
@@ -496,7 +494,6 @@ def _sharpened_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
 
 
 # --- the shown picture
-# -----------------------------------------------------------------------------------------------------------
 
 
 def _matrix(dots: list[Array], c: Developing) -> Array:
@@ -504,7 +501,6 @@ def _matrix(dots: list[Array], c: Developing) -> Array:
 
 
 # --- the registry
-# ----------------------------------------------------------------------------------------------------------------
 
 RAW, PLANES, SHOWN = "raw planes", "developed planes", "shown picture"
 STEPS: Mapping[str, Step] = {

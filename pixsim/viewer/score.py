@@ -166,7 +166,6 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
 
 
 # --- the errors of its light
-# -----------------------------------------------------------------------------------------------------
 
 
 def noise_error_and_limit(header: Mapping[str, Any]) -> tuple[LightError, LightError]:

@@ -79,7 +79,6 @@ TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop
 
 
 # --- names of settings
-# ------------------------------------------------------------------------------------------------
 
 
 def changed_settings(record: Record, prefix: str = "", but: Sequence[str] = ()) -> Iterator[str]:
@@ -161,7 +160,6 @@ def words_of(annotation: object) -> Iterator[object]:
 
 
 # --- the small light
-# --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -354,7 +352,6 @@ def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
 
 
 # --- the rule
-# ---------------------------------------------------------------------------------------------------------
 
 
 class _SmallFrame:
@@ -494,7 +491,6 @@ def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
 
 
 # --- what the rule cannot judge
-# ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -724,7 +720,6 @@ ROWS = (
 
 
 # --- notes
-# ------------------------------------------------------------------------------------------------------------
 
 
 def effect_notes(sensors: Mapping[str, Iterable[UserSettings]]) -> list[Note]:
