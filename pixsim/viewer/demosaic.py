@@ -214,7 +214,8 @@ def demosaic_column_covariance(
 
     The other arguments and the errors are those of `demosaic_covariance`.
 
-    >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()  # G at R has 1/2, 1/4, 1/4 of three columns
+    >>> # Green at a red pixel has 1/2, 1/4 and 1/4 of three columns.
+    >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()
     [0.75, 0.6875, 0.75]
     """
     cell, values = unit_cell(pattern), np.asarray(deviation, float)

@@ -60,7 +60,7 @@ _MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 
 @dataclass(frozen=True)
-class Developing:
+class UndevelopedFrame:
     """A frame to be developed, and what the steps know of it.
 
     imaging : settings of the frame, with the display that shows it
@@ -72,7 +72,7 @@ class Developing:
     expected_e : mean photo-electrons of each value of the frame, for 'wiener_bound'
     sharpen_px : standard deviation of the blur of sharpening in pixels
     matrix : (3, C) from the channels to the display's primaries; None for one channel
-    full : which values of the frame are saturated, of one with colour filters
+    is_saturated : which values of the frame are saturated, of one with colour filters
     """
 
     frame: Frame
@@ -84,7 +84,7 @@ class Developing:
     expected_e: Array | None = field(default=None, repr=False)
     sharpen_px: float = 1.0
     matrix: Array | None = field(default=None, repr=False)
-    full: NDArray[np.bool_] | None = field(default=None, repr=False)
+    is_saturated: NDArray[np.bool_] | None = field(default=None, repr=False)
 
     @property
     def develop(self) -> Develop:
@@ -111,10 +111,8 @@ class Developing:
         """Method of the interpolation; None without one."""
         return None if self.mosaic is None else demosaic_method(self.develop, self.mosaic)
 
-    def parts(self, picture: Array) -> list[Array]:
-        """Return views of a raw frame: the pixels of a channel at each place of the unit cell, or
-        of each plane.
-        """
+    def channel_planes(self, picture: Array) -> list[Array]:
+        """Return views of a raw frame, one for each place of the unit cell, or for each plane."""
         return [picture] if self.layout is None else list(self.layout.parts(picture))
 
 
@@ -130,7 +128,7 @@ def _is_remosaiced(develop: Develop, layout: Layout | None) -> bool:
 
 @dataclass(frozen=True)
 class _ChannelNoise:
-    """The noise of the channels of even patches on its way through linear steps, in closed form.
+    """The noise of the channels of uniform patches on its way through linear steps, in closed form.
 
     cell : rows of the unit cell; one letter where every pixel has every channel
     variance : (P, C) of each pixel by itself, for P levels of light
@@ -164,9 +162,9 @@ class _ChannelNoise:
         interpolation : between pixel centres
         """
         covariance = (
-            self._of_planes(dot_px, interpolation)
+            self._covariance_of_planes(dot_px, interpolation)
             if self.method is None
-            else self._of_mosaic(dot_px, interpolation)
+            else self._covariance_of_mosaic(dot_px, interpolation)
         )
         if self.matrix is None:
             return covariance
@@ -174,10 +172,12 @@ class _ChannelNoise:
             np.einsum("ic,pcd,jd->pij", self.matrix, covariance, self.matrix, optimize=False)
         )
 
-    def _of_planes(
+    def _covariance_of_planes(
         self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
     ) -> Array:
-        """Every pixel has every channel; the layers of a pixel are read by one column."""
+        """Return the covariance where every pixel has every channel; the layers of a pixel are
+        read by one column.
+        """
         count = self.columns.size
 
         def pixel_factor(correlations: Sequence[Array] | None) -> float:
@@ -209,10 +209,12 @@ class _ChannelNoise:
         columns = line_factor * np.multiply.outer(self.columns, self.columns)
         return np.asarray(pixels + rows + columns)
 
-    def _of_mosaic(
+    def _covariance_of_mosaic(
         self, dot_px: float | None, interpolation: Literal["nearest", "linear", "cubic"]
     ) -> Array:
-        """Each channel is interpolated; the weights of menon2007 depend on the picture."""
+        """Return the covariance of interpolated channels; menon2007, whose weights depend on the
+        picture, counts as malvar2004.
+        """
         linear: Any = "malvar2004" if self.method == "menon2007" else self.method
         chain: dict[str, Any] = {
             "dot_px": dot_px,
@@ -229,7 +231,7 @@ class _ChannelNoise:
         return np.asarray(covariance + columns)
 
 
-def _unchanged(noise: _ChannelNoise, _: Developing) -> _ChannelNoise:
+def _same_noise(noise: _ChannelNoise, _: UndevelopedFrame) -> _ChannelNoise:
     return noise
 
 
@@ -246,14 +248,15 @@ class Step:
     apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over
         dots, or light of the dots, (H, W) or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
-    propagate_noise : what it makes of noise; None if that has no closed form, so that frames tell it
+    propagate_noise : returns the noise behind the step; None if that has no closed form, so that
+        it has to be measured on frames
     """
 
     name: str
     works_on: str
-    apply: Callable[[Any, Developing], Any] = field(repr=False)
-    is_on: Callable[[Developing], bool] = field(default=_always, repr=False)
-    propagate_noise: Callable[[_ChannelNoise, Developing], _ChannelNoise] | None = field(
+    apply: Callable[[Any, UndevelopedFrame], Any] = field(repr=False)
+    is_on: Callable[[UndevelopedFrame], bool] = field(default=_always, repr=False)
+    propagate_noise: Callable[[_ChannelNoise, UndevelopedFrame], _ChannelNoise] | None = field(
         default=None, repr=False
     )
 
@@ -268,15 +271,15 @@ def white_noise_e2(readout: Readout, integration_s: float, correction: Correctio
     Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of
     theirs. Row noise and fixed patterns are none of it: they are not white, or not known.
     """
-    pixel_e2 = (
-        float(variance_e2(readout, is_temporal=True, along="pixel"))
-        + readout.rounding_variance_dn2 / readout.dn_per_e**2
-    )
-    rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
-    dark_frame_e2 = (pixel_e2 + readout.dark_current_e_per_s * integration_s) * (1 + rows)
-    return pixel_e2 * (1 + rows) + (
-        dark_frame_e2 / correction.dark_frames if correction.dark_frames else 0.0
-    )
+    read_e2 = float(variance_e2(readout, is_temporal=True, along="pixel"))
+    pixel_e2 = read_e2 + readout.rounding_variance_dn2 / readout.dn_per_e**2
+    clamp = 1 / correction.column_clamp if correction.column_clamp else 0.0
+    total_e2 = pixel_e2 * (1 + clamp)
+    if not correction.dark_frames:
+        return total_e2
+
+    dark_frame_e2 = (pixel_e2 + readout.dark_current_e_per_s * integration_s) * (1 + clamp)
+    return total_e2 + dark_frame_e2 / correction.dark_frames
 
 
 def noise_of_expected_e2(
@@ -289,75 +292,83 @@ def noise_of_expected_e2(
     column loses, is shared by it, and so are the offsets that rows have in dark and flat frames by
     the rows.
     """
-    row = float(variance_e2(readout, is_temporal=True, along="row"))
-    column = float(variance_e2(readout, is_temporal=False, along="column"))
+    row_e2 = float(variance_e2(readout, is_temporal=True, along="row"))
+    column_e2 = float(variance_e2(readout, is_temporal=False, along="column"))
     if not correction.is_on:
-        total = frame_variance_dn2(signal_e, integration_s, readout) / readout.dn_per_e**2
-        return np.maximum(total - row - column, 0.0), column, row
-    total = np.asarray(residual_variance_e2(signal_e, integration_s, readout, correction).total)
-    frames, rows = correction.dark_frames, correction.column_clamp
-    level = (
-        signal_e / flat_light_e(readout, correction, integration_s)
-        if correction.flat_frames
-        else np.zeros(1)
-    )
-    pattern_left = float(
-        np.mean((1 - level) ** 2)
-    )  # of what picture and flat frames have in common
-    temporal = 1.0 + (pattern_left / frames if frames else 0.0)
+        total_e2 = frame_variance_dn2(signal_e, integration_s, readout) / readout.dn_per_e**2
+        return np.maximum(total_e2 - row_e2 - column_e2, 0.0), column_e2, row_e2
+    total_e2 = np.asarray(residual_variance_e2(signal_e, integration_s, readout, correction).total)
+
+    # A flat frame of the same light has the same pattern as the picture: division removes it.
+    level = np.zeros(1)
+    if correction.flat_frames:
+        level = signal_e / flat_light_e(readout, correction, integration_s)
+    pattern_left = float(np.mean((1 - level) ** 2))
+
+    # Temporal noise of the frame, of its dark frames and of its flat frames.
+    temporal = 1.0
+    if correction.dark_frames:
+        temporal += pattern_left / correction.dark_frames
     if correction.flat_frames:
         temporal += float(np.mean(level**2)) / correction.flat_frames
-    row *= temporal
-    column = 0.0 if frames else column * pattern_left
-    if rows:
+    row_e2 *= temporal
+    column_e2 = 0.0 if correction.dark_frames else column_e2 * pattern_left
+
+    if correction.column_clamp:
         dark_e = readout.dark_current_e_per_s * integration_s
         rounding_e2 = readout.rounding_variance_dn2 / readout.dn_per_e**2
-        temporal_e2 = float(
+        dark_row_e2 = temporal * float(
             variance_e2(readout, dark_e + rounding_e2, is_temporal=True, along="pixel")
         )
-        pattern_e2 = float(variance_e2(readout, dark_e=dark_e, is_temporal=False, along="pixel"))
-        column = (temporal_e2 * temporal + (0.0 if frames else pattern_e2 * pattern_left)) / rows
-    return np.maximum(total - row - column, 0.0), column, row
+        if not correction.dark_frames:
+            dark_row_e2 += pattern_left * float(
+                variance_e2(readout, dark_e=dark_e, is_temporal=False, along="pixel")
+            )
+        column_e2 = dark_row_e2 / correction.column_clamp
+    return np.maximum(total_e2 - row_e2 - column_e2, 0.0), column_e2, row_e2
 
 
-def _wiener_responses(c: Developing) -> list[Array]:
-    """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that
-    'wiener_bound' has.
+def _wiener_responses(raw: UndevelopedFrame) -> list[Array]:
+    """Return the factors by which 'wiener_bound' multiplies the coefficients of each channel plane.
+
+    The planes are those of `UndevelopedFrame.channel_planes`.
     """
-    assert c.expected_e is not None
-    expected_e = np.minimum(c.expected_e, c.readout.saturation_e)
-    variance, column_e2, row_e2 = noise_of_expected_e2(
-        expected_e, c.readout, c.frame.integration_s, c.imaging.correction
+    assert raw.expected_e is not None
+    expected_e = np.minimum(raw.expected_e, raw.readout.saturation_e)
+    pixel_e2, column_e2, row_e2 = noise_of_expected_e2(
+        expected_e, raw.readout, raw.frame.integration_s, raw.imaging.correction
     )
     responses = []
-    for part_e, pixel_e2 in zip(c.parts(expected_e), c.parts(variance), strict=True):
-        noise = wiener.noise_power(pixel_e2, column_variance=column_e2, row_variance=row_e2)
-        responses.append(wiener.response(wiener.signal_power(part_e), noise))
+    for plane_e, plane_pixel_e2 in zip(
+        raw.channel_planes(expected_e), raw.channel_planes(pixel_e2), strict=True
+    ):
+        noise = wiener.noise_power(plane_pixel_e2, column_variance=column_e2, row_variance=row_e2)
+        responses.append(wiener.response(wiener.signal_power(plane_e), noise))
     return responses
 
 
-def _denoised_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
-    """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose
-    in the mean.
+def _denoised_noise(noise: _ChannelNoise, raw: UndevelopedFrame) -> _ChannelNoise:
+    """Return the noise behind 'wiener_bound': what columns and rows share is made less by what
+    their coefficients lose in the mean.
 
-    What filters take away that adapt to the picture has no closed form: the noise is that before
-    them.
+    What filters take away that adapt to the picture has no closed form: the noise stays as it is
+    before them.
     """
-    if c.develop.adapts:
+    if raw.develop.adapts:
         return noise
-    responses = _wiener_responses(c)
-    layout = c.layout
+    responses = _wiener_responses(raw)
+    layout = raw.layout
     letters = "R" if layout is None else "".join(layout.cell)
     channels = ("R",) if layout is None else layout.channels
 
     # An offset of a column is constant along y: its coefficients are those of row 0.
     column_factors, row_factors = [], []
     for channel in channels:
-        parts = [
+        planes = [
             factors for factors, letter in zip(responses, letters, strict=True) if letter == channel
         ]
-        column_power = np.mean([np.mean(factors[0] ** 2) for factors in parts])
-        row_power = np.mean([np.mean(factors[:, 0] ** 2) for factors in parts])
+        column_power = np.mean([np.mean(factors[0] ** 2) for factors in planes])
+        row_power = np.mean([np.mean(factors[:, 0] ** 2) for factors in planes])
         column_factors.append(np.sqrt(column_power))
         row_factors.append(np.sqrt(row_power))
     return replace(
@@ -391,125 +402,132 @@ def _lag_products(count: int) -> Array:
     The mean of cos θ(x + ½) cos θ(x + d + ½) over n - d places is ½ (cos dθ - sin dθ/((n - d) sin
     θ)), with θ = πk/n.
     """
-    lags, theta = np.arange(min(count, _MAX_LAGS))[:, None], np.pi * np.arange(1, count) / count
-    products = (
-        np.cos(lags * theta) - np.sin(lags * theta) / ((count - lags) * np.sin(theta))
-    ) / count
-    return np.concatenate([np.full((len(lags), 1), 1 / count), products], axis=1)
+    lags = np.arange(min(count, _MAX_LAGS))[:, None]
+    theta = np.pi * np.arange(1, count) / count
+    ends = np.sin(lags * theta) / ((count - lags) * np.sin(theta))
+    products = (np.cos(lags * theta) - ends) / count
+    constant = np.full((len(lags), 1), 1 / count)
+    return np.concatenate([constant, products], axis=1)
 
 
-def _denoise(picture: Array, c: Developing) -> Array:
-    frame, develop = c.frame, c.develop
+def _denoise(picture: Array, raw: UndevelopedFrame) -> Array:
+    frame, develop = raw.frame, raw.develop
+    planes = raw.channel_planes(picture)
     if develop.denoise == "wiener_bound":
-        for part, factors in zip(c.parts(picture), _wiener_responses(c), strict=True):
-            part[...] = wiener.filtered(part, factors)
+        for plane, factors in zip(planes, _wiener_responses(raw), strict=True):
+            plane[...] = wiener.filtered(plane, factors)
         return picture
+
     assert develop.denoise != "none"
-    variance_e2_of_frame = white_noise_e2(c.readout, frame.integration_s, c.imaging.correction)
-    for part in c.parts(picture):
-        filtered = denoised_plane(
-            part + frame.mean_dark_e,
-            variance_e2_of_frame,
-            develop.denoise,
-            develop.denoise_strength,
+    gaussian_e2 = white_noise_e2(raw.readout, frame.integration_s, raw.imaging.correction)
+    for plane in planes:
+        # Shot noise is that of light and dark charge together.
+        charge_e = plane + frame.mean_dark_e
+        filtered_e = denoised_plane(
+            charge_e, gaussian_e2, develop.denoise, develop.denoise_strength
         )
-        part[...] = filtered - frame.mean_dark_e
+        plane[...] = filtered_e - frame.mean_dark_e
     return picture
 
 
-def _white_balance(picture: Array, c: Developing) -> Array:
-    layout, frame = c.layout, c.frame
+def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:
+    layout, frame = raw.layout, raw.frame
     if layout is None:
-        return relative_to_white(picture, frame, float(c.white_e[0]), c.shading, single=c.single)
-    by_channel = balance(c.develop, layout, c.white_e)
-    if c.shading is not None:
-        picture /= c.shading
+        white_e = float(raw.white_e[0])
+        return relative_to_white(picture, frame, white_e, raw.shading, single=raw.single)
+
+    divisors = balance(raw.develop, layout, raw.white_e)
+    if raw.shading is not None:
+        picture /= raw.shading
     if layout.is_stacked:
-        picture /= channel_map(by_channel, layout, (len(picture), 1))
-    else:  # whole rows, which take a third of the time of pixels apart
+        picture /= channel_map(divisors, layout, (len(picture), 1))
+    else:
+        # Whole rows take a third of the time of single pixels.
         height = layout.period[0]
-        for row, divisors in enumerate(channel_map(by_channel, layout, (height, picture.shape[1]))):
-            picture[row::height] /= divisors
+        rows = channel_map(divisors, layout, (height, picture.shape[1]))
+        for number, row_divisors in enumerate(rows):
+            picture[number::height] /= row_divisors
+
     # menon2007 compares sums: rounding would decide where they are nearly equal.
-    if c.single and c.method != "menon2007" and fits_single(frame, float(by_channel.min())):
+    is_single = raw.single and raw.method != "menon2007"
+    if is_single and fits_single(frame, float(divisors.min())):
         return np.asarray(picture, np.float32)
     return picture
 
 
-def _balanced_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
-    by_channel = c.white_e if c.layout is None else balance(c.develop, c.layout, c.white_e)
+def _balanced_noise(noise: _ChannelNoise, raw: UndevelopedFrame) -> _ChannelNoise:
+    divisors = raw.white_e
+    if raw.layout is not None:
+        divisors = balance(raw.develop, raw.layout, raw.white_e)
     return replace(
         noise,
-        variance=noise.variance / by_channel**2,
-        columns=noise.columns / by_channel,
-        rows=noise.rows / by_channel,
+        variance=noise.variance / divisors**2,
+        columns=noise.columns / divisors,
+        rows=noise.rows / divisors,
     )
 
 
-def _remosaic(picture: Array, c: Developing) -> Array:
-    assert c.layout is not None
-    return remosaic(picture, c.layout.cell)
+def _remosaic(picture: Array, raw: UndevelopedFrame) -> Array:
+    assert raw.layout is not None
+    return remosaic(picture, raw.layout.cell)
 
 
-def _demosaic(picture: Array, c: Developing) -> list[Array]:
-    if c.mosaic is None or c.method is None:
-        return [picture] if c.layout is None else np.split(picture, c.layout.planes)
-    channels = demosaic(picture, c.mosaic.cell, c.method)
+def _demosaic(picture: Array, raw: UndevelopedFrame) -> list[Array]:
+    if raw.mosaic is None or raw.method is None:
+        return [picture] if raw.layout is None else np.split(picture, raw.layout.planes)
+    channels = demosaic(picture, raw.mosaic.cell, raw.method)
     return [channels[:, :, channel] for channel in range(channels.shape[2])]
 
 
 # --- developed planes
 
 
-def _whiten(planes: Sequence[Array], full: NDArray[np.bool_], layout: Layout) -> None:
-    """Make the pixels neutral, in place, that know a channel from a saturated one: as bright as
-    their brightest channel.
-
-    Nothing is known of their colour.
+def _whiten(planes: Sequence[Array], is_saturated: NDArray[np.bool_], layout: Layout) -> None:
+    """Make pixels neutral, in place, whose channels come from a saturated value: as bright as their
+    brightest channel, since nothing is known of their colour.
     """
     if layout.is_stacked:
-        near = np.any(np.split(full, layout.planes), axis=0)
+        is_affected = np.any(np.split(is_saturated, layout.planes), axis=0)
     else:
-        near = scipy.ndimage.maximum_filter(
-            full, [2 * len(part) - 1 for part in (layout.cell, layout.cell[0])]
-        )
-    brightest = np.max([plane[near] for plane in planes], axis=0)
+        size = 2 * len(layout.cell) - 1, 2 * len(layout.cell[0]) - 1
+        is_affected = scipy.ndimage.maximum_filter(is_saturated, size)
+    brightest = np.max([plane[is_affected] for plane in planes], axis=0)
     for plane in planes:
-        plane[near] = brightest
+        plane[is_affected] = brightest
 
 
-def _highlights(planes: list[Array], c: Developing) -> list[Array]:
-    assert c.full is not None
-    assert c.layout is not None
-    _whiten(planes, c.full, c.layout)
+def _highlights(planes: list[Array], raw: UndevelopedFrame) -> list[Array]:
+    assert raw.is_saturated is not None
+    assert raw.layout is not None
+    _whiten(planes, raw.is_saturated, raw.layout)
     return planes
 
 
-def _sharpen(planes: list[Array], c: Developing) -> list[Array]:
-    return [unsharp_mask(plane, c.develop.sharpen_amount, c.sharpen_px) for plane in planes]
+def _sharpen(planes: list[Array], raw: UndevelopedFrame) -> list[Array]:
+    return [unsharp_mask(plane, raw.develop.sharpen_amount, raw.sharpen_px) for plane in planes]
 
 
-def _sharpened_noise(noise: _ChannelNoise, c: Developing) -> _ChannelNoise:
-    return replace(noise, products=unsharp_products(c.develop.sharpen_amount, c.sharpen_px))
+def _sharpened_noise(noise: _ChannelNoise, raw: UndevelopedFrame) -> _ChannelNoise:
+    return replace(noise, products=unsharp_products(raw.develop.sharpen_amount, raw.sharpen_px))
 
 
 # --- the shown picture
 
 
-def _matrix(dots: list[Array], c: Developing) -> Array:
-    return dots[0] if c.matrix is None else mixed(c.matrix, dots)
+def _matrix(dots: list[Array], raw: UndevelopedFrame) -> Array:
+    return dots[0] if raw.matrix is None else mixed(raw.matrix, dots)
 
 
 # --- the registry
 
-RAW, PLANES, SHOWN = "raw planes", "developed planes", "shown picture"
+RAW, PLANES, DISPLAYED = "raw planes", "developed planes", "shown picture"
 STEPS: Mapping[str, Step] = {
     step.name: step
     for step in (
         Step(
             name="denoise",
             works_on=RAW,
-            is_on=lambda c: c.develop.denoises,
+            is_on=lambda raw: raw.develop.denoises,
             apply=_denoise,
             propagate_noise=_denoised_noise,
         ),
@@ -522,124 +540,132 @@ STEPS: Mapping[str, Step] = {
         Step(
             name="remosaic",
             works_on=RAW,
-            is_on=lambda c: _is_remosaiced(c.develop, c.layout),
+            is_on=lambda raw: _is_remosaiced(raw.develop, raw.layout),
             apply=_remosaic,
-            propagate_noise=lambda noise, c: replace(noise, remosaiced=True),
+            propagate_noise=lambda noise, raw: replace(noise, remosaiced=True),
         ),
         Step(
             name="demosaic",
             works_on=RAW,
             apply=_demosaic,
-            propagate_noise=lambda noise, c: replace(
-                noise, method=c.method
+            propagate_noise=lambda noise, raw: replace(
+                noise, method=raw.method
             ),  # of menon2007 that of malvar2004
         ),
         Step(
             name="highlights",
             works_on=PLANES,
-            is_on=lambda c: c.full is not None and bool(c.full.any()),
+            is_on=lambda raw: raw.is_saturated is not None and bool(raw.is_saturated.any()),
             apply=_highlights,
-            propagate_noise=_unchanged,
+            propagate_noise=_same_noise,
         ),
         Step(
             name="sharpen",
             works_on=PLANES,
-            is_on=lambda c: c.develop.sharpens,
+            is_on=lambda raw: raw.develop.sharpens,
             apply=_sharpen,
             propagate_noise=_sharpened_noise,
         ),
         Step(
             name="matrix",
-            works_on=SHOWN,
+            works_on=DISPLAYED,
             apply=_matrix,
-            propagate_noise=lambda noise, c: replace(noise, matrix=c.matrix),
+            propagate_noise=lambda noise, raw: replace(noise, matrix=raw.matrix),
         ),
         Step(
             name="tone_curve",
-            works_on=SHOWN,
-            is_on=lambda c: bool(c.develop.tone),
-            apply=lambda light, c: toned(light, c.develop, c.imaging.display),
+            works_on=DISPLAYED,
+            is_on=lambda raw: bool(raw.develop.tone),
+            apply=lambda light, raw: toned(light, raw.develop, raw.imaging.display),
         ),
     )
 }
 
 
-def _through_steps(values: object, c: Developing, works_on: str, but: Sequence[str] = ()) -> object:
+def _through_steps(
+    values: object, raw: UndevelopedFrame, works_on: str, but: Sequence[str] = ()
+) -> object:
     """Return what the steps of one kind make of what the first of them takes.
 
     but : names of steps that are left out
     """
     for step in STEPS.values():
-        if step.works_on == works_on and step.name not in but and step.is_on(c):
-            values = step.apply(values, c)
+        if step.works_on == works_on and step.name not in but and step.is_on(raw):
+            values = step.apply(values, raw)
     return values
 
 
-def developed(planes: list[Array], c: Developing) -> list[Array]:
+def developed(planes: list[Array], raw: UndevelopedFrame) -> list[Array]:
     """Return developed planes, (rows, columns) for each channel, of demosaiced ones."""
-    return cast("list[Array]", _through_steps(planes, c, PLANES))
+    return cast("list[Array]", _through_steps(planes, raw, PLANES))
 
 
-def light_of_dots(means: list[Array], c: Developing) -> Array:
+def light_of_dots(means: list[Array], raw: UndevelopedFrame) -> Array:
     """Return the light of the display's primaries, (H, W) or (3, H, W), before the tone curve, of
     means over dots of each plane.
     """
-    return cast("Array", _through_steps(means, c, SHOWN, but=("tone_curve",)))
+    return cast("Array", _through_steps(means, raw, DISPLAYED, but=("tone_curve",)))
 
 
-def developed_planes(c: Developing) -> list[Array]:
-    """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the
-    scene's white in every one.
+def developed_planes(raw: UndevelopedFrame) -> list[Array]:
+    """Return the channels of a frame at each of its pixels, (rows, columns) for each channel, 1 for
+    the scene's white in every one.
 
     Raises PixsimError if a filter's window does not fit into the frame, or what it needs is not
     installed.
     """
-    raw_e = c.frame.estimate_e
-    if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
-        full = np.asarray(raw_e >= SATURATED * c.readout.saturation_e - c.frame.mean_dark_e)
-        if (
-            c.frame.exposures > 1 and c.frame.saturated is not None
-        ):  # the sum hides that some of its exposures are full
-            full |= c.frame.saturated
-        c = replace(c, full=full)
-    return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
+    frame = raw.frame
+    raw_e = frame.estimate_e
+    if raw.layout is not None:
+        # Before noise reduction, which leaves less of a saturated pixel.
+        limit_e = SATURATED * raw.readout.saturation_e - frame.mean_dark_e
+        is_saturated = np.asarray(raw_e >= limit_e)
+        if frame.exposures > 1 and frame.saturated is not None:
+            # The sum of a burst hides that some of its exposures are full.
+            is_saturated |= frame.saturated
+        raw = replace(raw, is_saturated=is_saturated)
+    planes = cast("list[Array]", _through_steps(raw_e, raw, RAW))
+    return developed(planes, raw)
 
 
 def noise_covariance(
-    c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)
+    raw: UndevelopedFrame,
+    levels: Array,
+    dot_um: float | None,
+    works_on: Sequence[str] = (RAW, PLANES),
 ) -> Array:
-    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind
-    the linear steps of some kinds.
+    """Return the covariance of the channels on uniform patches, (P, C, C), as means over a dot,
+    behind the linear steps of some kinds.
 
-    It is that of the pixels over frames and sensors in closed form, through the weights of each
-    step; for menon2007, whose weights depend on the picture, through those of malvar2004. The
-    offsets of columns are the same in all rows. Fixed pattern counts as in a frame without
+    It is the covariance of the pixels over frames and sensors in closed form, through the weights
+    of each step; for menon2007, whose weights depend on the picture, through those of malvar2004.
+    The offsets of columns are the same in all rows. Fixed pattern counts as in a frame without
     correction. Only the exposure of the frame counts, and its expected light with 'wiener_bound'.
 
     levels : (P, C) light of the patches in each channel, 1 for white
     dot_um : side of a dot on the sensor; None: dots are pixels
     """
-    readout, integration_s, layout = c.readout, c.frame.integration_s, c.layout
-    electrons = np.maximum(levels, 0.0) * c.white_e
-    column_offset_e, row_offset_e = (
-        constant_e(readout, along=along) for along in ("column", "row")
-    )
-    pixel_e2 = (
-        frame_variance_dn2(electrons, integration_s, readout) / readout.dn_per_e**2
-        - column_offset_e**2
-        - row_offset_e**2
-    )
-    count = len(c.white_e)
-    lines = np.full(count, column_offset_e), np.full(count, row_offset_e)
+    readout, layout = raw.readout, raw.layout
+    electrons_e = np.maximum(levels, 0.0) * raw.white_e
+    column_e = constant_e(readout, along="column")
+    row_e = constant_e(readout, along="row")
+    total_dn2 = frame_variance_dn2(electrons_e, raw.frame.integration_s, readout)
+    pixel_e2 = total_dn2 / readout.dn_per_e**2 - column_e**2 - row_e**2
+
+    count = len(raw.white_e)
     is_mosaic = layout is not None and not layout.is_stacked
     noise = _ChannelNoise(
         layout.cell if layout is not None and is_mosaic else ("R",),
-        np.maximum(pixel_e2, 0.0),
-        *lines,
+        variance=np.maximum(pixel_e2, 0.0),
+        columns=np.full(count, column_e),
+        rows=np.full(count, row_e),
     )
     for step in STEPS.values():
-        if step.works_on in works_on and step.is_on(c):
+        if step.works_on in works_on and step.is_on(raw):
             assert step.propagate_noise is not None  # of a linear step
-            noise = step.propagate_noise(noise, c)
-    dot_px = None if dot_um is None else min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)
-    return noise.covariance(dot_px, c.imaging.display.interpolation)
+            noise = step.propagate_noise(noise, raw)
+
+    dot_px = None
+    if dot_um is not None:
+        dot_px = min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)
+    return noise.covariance(dot_px, raw.imaging.display.interpolation)

@@ -22,7 +22,7 @@ from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.develop_steps import (
-    Developing,
+    UndevelopedFrame,
     developed_planes,
     light_of_dots,
     noise_covariance,
@@ -123,7 +123,7 @@ class Development:
             empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s)
         )
         return noise_covariance(
-            self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um
+            self.undeveloped(frame, matrix=None), self.rendition.responses, self.screen.dot_um
         )
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
@@ -180,13 +180,13 @@ class Development:
         """
         return noise_gain(self.imaging.develop.sharpen_amount, self.sharpen_px)
 
-    def developing(self, frame: Frame, matrix: Array | None) -> Developing:
+    def undeveloped(self, frame: Frame, matrix: Array | None) -> UndevelopedFrame:
         """Return a frame with all that the steps of its development know.
 
         matrix : from the channels to the display's primaries; None leaves it out
         """
         develop, time_s = self.imaging.develop, frame.integration_s
-        return Developing(
+        return UndevelopedFrame(
             frame,
             self.imaging,
             self.readout,
@@ -214,23 +214,23 @@ class Development:
         self, frame: Frame, window: Callable[[Array], Array] | None = None
     ) -> Array:
         """Return `light` without the tone curve."""
-        developing = self.developing(frame, None if self.rendition is None else self.matrix)
-        return self.mixed_on_dots(developed_planes(developing), developing, window)
+        undeveloped = self.undeveloped(frame, None if self.rendition is None else self.matrix)
+        return self.mixed_on_dots(developed_planes(undeveloped), undeveloped, window)
 
     def mixed_on_dots(
         self,
         planes: Sequence[Array],
-        developing: Developing,
+        undeveloped: UndevelopedFrame,
         window: Callable[[Array], Array] | None = None,
     ) -> Array:
         """Return the light of developed planes on the dots, before the tone curve.
 
         developing : their frame, with the matrix
         """
-        screen, frame = self.screen, developing.frame
+        screen, frame = self.screen, undeveloped.frame
         on_screen = screen.size_um, screen.display, screen.dot_edges_um, frame.registration
         dots = [displays.on_dots(plane, frame.pitch_um, *on_screen) for plane in planes]
-        light = light_of_dots(dots, developing)
+        light = light_of_dots(dots, undeveloped)
         if window is None:
             return light
         return window(light) if light.ndim == 2 else np.stack([window(plane) for plane in light])

@@ -245,8 +245,8 @@ def _delta_e_of_planes(
     """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for
     white.
     """
-    developing = chain.development.developing(noiseless, matrix)
-    dots = chain.development.mixed_on_dots(developed(list(planes), developing), developing)
+    undeveloped = chain.development.undeveloped(noiseless, matrix)
+    dots = chain.development.mixed_on_dots(developed(list(planes), undeveloped), undeveloped)
     return _delta_e_of_dots(dots, chain)
 
 

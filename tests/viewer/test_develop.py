@@ -512,7 +512,7 @@ def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict
     chain = imaging_chain(image, LARGE, pixel, Exposure(integration_s=time_s), display, **settings)
     inner = np.s_[:, 6:-6, 6:-6]
     mean = chain.development.light(noiseless(chain, time_s))[inner].mean(axis=(1, 2))
-    c = chain.development.developing(noiseless(chain, time_s), chain.development.matrix)
+    c = chain.development.undeveloped(noiseless(chain, time_s), chain.development.matrix)
     kinds = [step.works_on for step in STEPS.values()]
     expected = noise_covariance(
         c, np.linalg.solve(chain.development.matrix, mean)[None], chain.screen.dot_um, kinds

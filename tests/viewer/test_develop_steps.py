@@ -31,7 +31,7 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import (
     PLANES,
     RAW,
-    SHOWN,
+    DISPLAYED,
     STEPS,
     developed_planes,
     noise_covariance,
@@ -139,7 +139,7 @@ def noiseless(chain: ImagingChain) -> Frame:
 
 def test_steps_stand_in_the_order_of_what_they_work_on() -> None:
     kinds = [step.works_on for step in STEPS.values()]
-    assert kinds == sorted(kinds, key=[RAW, PLANES, SHOWN].index)
+    assert kinds == sorted(kinds, key=[RAW, PLANES, DISPLAYED].index)
     assert [name for name, step in STEPS.items() if step.works_on == RAW] == [
         "denoise",
         "white_balance",
@@ -204,7 +204,7 @@ def test_denoised_frames_are_nearer_to_the_expected_light(
     plain = replace(chain, imaging=chain.imaging.changed(develop=Develop()))
     errors = []
     for each in (chain, plain):
-        c = each.development.developing(frame, None)
+        c = each.development.undeveloped(frame, None)
         raw = (
             STEPS["denoise"].apply(frame.estimate_e, c) if c.develop.denoises else frame.estimate_e
         )
@@ -219,7 +219,7 @@ def test_no_filter_of_the_list_beats_the_bound_in_mean_square_error_of_even_nois
     """
     chain = chain_of({"denoise": "wiener_bound"})
     frame, expected = chain.capture("bound"), chain.signal_e_per_s * TIME_S
-    bound = STEPS["denoise"].apply(frame.estimate_e, chain.development.developing(frame, None))
+    bound = STEPS["denoise"].apply(frame.estimate_e, chain.development.undeveloped(frame, None))
     least = float(np.mean((bound - expected) ** 2))
     for amount, sigma in ((0.9, 0.5), (0.9, 1.0), (0.5, 1.0), (0.7, 3.0)):
         blurred = frame.estimate_e - amount * (
@@ -260,7 +260,7 @@ def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str
     chain = chain_of({"denoise": "wiener_bound"}, colour, **fields)
     chain = replace(chain, imaging=chain.imaging.changed(correction=Correction(**correction)))
     expected, errors = chain.signal_e_per_s * TIME_S, []
-    c = chain.development.developing(noiseless(chain), None)
+    c = chain.development.undeveloped(noiseless(chain), None)
     for number in range(16):
         raw = STEPS["denoise"].apply(chain.capture("bound", number).estimate_e, replace(c))
         errors.append(float(np.mean((raw - expected) ** 2)))
@@ -292,9 +292,9 @@ def test_noise_reduction_before_demosaicing_leaves_less_chroma_noise() -> None:
 
     chain = chain_of({"denoise": "nlm"}, "rggb", picture=np.full((SIDE, SIDE), 0.5))
     frame = chain.capture("chroma")
-    first = developed_planes(chain.development.developing(frame, None))
+    first = developed_planes(chain.development.undeveloped(frame, None))
     planes = developed_planes(
-        replace(chain, imaging=chain.imaging.changed(develop=Develop())).development.developing(
+        replace(chain, imaging=chain.imaging.changed(develop=Develop())).development.undeveloped(
             frame, None
         )
     )
@@ -543,13 +543,13 @@ def test_covariance_behind_the_bound_is_that_of_frames(
     )
     still = noiseless(chain)
     levels = np.full((1, len(chain.whites_e_per_s)), 0.5)
-    expected = noise_covariance(chain.development.developing(still, None), levels, None)[0]
+    expected = noise_covariance(chain.development.undeveloped(still, None), levels, None)[0]
     found = np.zeros_like(expected)
     for number in range(60):
         noise = even.capture("through", number).estimate_e - even.signal_e_per_s * TIME_S
         planes = np.stack(
             developed_planes(
-                replace(chain.development.developing(replace(still, corrected_e=noise), None))
+                replace(chain.development.undeveloped(replace(still, corrected_e=noise), None))
             )
         )
         found += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 60
