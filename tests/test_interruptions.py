@@ -29,7 +29,14 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 from pixsim.base.errors import PixsimError, UnwritableError
-from pixsim.base.files import FOLDER_VARIABLE, LIST, output_folder, publishing, read_list, replacing
+from pixsim.base.files import (
+    FILE_LIST,
+    FOLDER_VARIABLE,
+    output_folder,
+    publishing,
+    read_file_list,
+    replacing,
+)
 from pixsim.base.locks import LOCK, UNFINISHED, locked_folder, temporary_folder, unfinished
 from pixsim.report.commands.study import reported_saved_rows
 from pixsim.studies.table import COLUMNS, Store
@@ -137,8 +144,8 @@ def interrupt(
         f" {process.returncode}\n{err}{out}"
     )
     written = {str(path.relative_to(folder / "out")) for path in (folder / "out").rglob("*")}
-    if LIST in written:  # it had moved its files
-        assert written >= set(read_list(folder / "out")["files"]), seen
+    if FILE_LIST in written:  # it had moved its files
+        assert written >= set(read_file_list(folder / "out")["files"]), seen
     elif process.returncode == 0:  # it had ended
         assert "report.html" in written, seen
     else:
@@ -331,7 +338,7 @@ setattr({owner}, "{name}", interrupted)
 sys.argv = ["pixsim", *"{line}".split()]
 cli.command()
 """
-LENS, LENS_FILES = "lens singlet --out out", {"report.html", "summary.json", LIST}
+LENS, LENS_FILES = "lens singlet --out out", {"report.html", "summary.json", FILE_LIST}
 
 
 @pytest.mark.parametrize(
@@ -360,7 +367,7 @@ def test_signal_beside_files_leaves_all_or_none(
     }
     assert written >= files if files else not written
     if files:
-        assert written == {LIST, *read_list(tmp_path / "out")["files"]}
+        assert written == {FILE_LIST, *read_file_list(tmp_path / "out")["files"]}
     assert not list((tmp_path / "tmp").iterdir())
 
 
@@ -463,11 +470,11 @@ def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(
         wait_for(lambda group=process.pid: not processes_of(group), GONE_S)
         left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {
             LOCK,
-            LIST,
+            FILE_LIST,
             "results.csv",
         }
         assert {name for name in left if not name.startswith(UNFINISHED)} <= set(
-            read_list(out).get("files", ())
+            read_file_list(out).get("files", ())
         ), delay_s
         if "report.html" in left:
             assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>"), delay_s

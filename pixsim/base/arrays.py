@@ -43,7 +43,7 @@ Picture = Annotated[Array, Axes(2)]
 Row = Annotated[Array, Axes(1)]
 NotNegativePicture = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 Item = TypeVar("Item")
-_MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
+_MAX_FREED_BYTES = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 _CACHE_LINE_BYTES = 64
 # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
 STRIP_SAMPLES = 1 << 15
@@ -77,8 +77,8 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
     """Slices that divide `count` rows of `width` numbers into strips of about `samples` numbers, at
     least one row each.
     """
-    lines = max(1, (samples or STRIP_SAMPLES) // max(width, 1))
-    return (slice(first, min(first + lines, count)) for first in range(0, count, lines))
+    rows = max(1, (samples or STRIP_SAMPLES) // max(width, 1))
+    return (slice(first, min(first + rows, count)) for first in range(0, count, rows))
 
 
 def strips_of(
@@ -92,11 +92,11 @@ def strips_of(
 
     samples : float64 numbers of a strip, as of `strips`
     """
-    scratch, (height, width) = None, shape[-2:]
+    work, (height, width) = None, shape[-2:]
     for rows in strips(height, width, (samples or STRIP_SAMPLES) * 8 // np.dtype(dtype).itemsize):
-        if scratch is None:
-            scratch = np.empty((*shape[:-2], rows.stop, shape[-1]), dtype)
-        yield rows, scratch[..., : rows.stop - rows.start, :]
+        if work is None:
+            work = np.empty((*shape[:-2], rows.stop, shape[-1]), dtype)
+        yield rows, work[..., : rows.stop - rows.start, :]
 
 
 PARTS = 4  # down and across, of a picture too large to be measured whole
@@ -109,7 +109,7 @@ def spread_parts(count: int, size: int) -> list[slice]:
     """Slices of `size` cells, each in the middle of one of `PARTS` equal shares of `count`
     cells.
     """
-    firsts = (round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS))
+    firsts = (round((index + 0.5) * count / PARTS - size / 2) for index in range(PARTS))
     return [slice(max(0, first), max(0, first) + size) for first in firsts]
 
 
@@ -121,12 +121,12 @@ def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
     """
     dtype = planes[0].dtype if planes[0].dtype == np.float32 else np.dtype(float)
     result = np.empty((len(matrix), *planes[0].shape), dtype)
-    for rows, spare in strips_of(planes[0].shape, dtype):
-        for place, weights in zip(result, matrix.tolist(), strict=True):
-            total = place[rows]
+    for rows, work in strips_of(planes[0].shape, dtype):
+        for output, weights in zip(result, matrix.tolist(), strict=True):
+            total = output[rows]
             np.multiply(planes[0][rows], weights[0], out=total)
             for weight, plane in zip(weights[1:], planes[1:], strict=True):
-                total += np.multiply(plane[rows], weight, out=spare)
+                total += np.multiply(plane[rows], weight, out=work)
     return result
 
 
@@ -148,12 +148,12 @@ def _reuse_freed_memory() -> None:
     glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of
     the time of an image of 512².
     """
-    np.empty(_MAX_FREED, np.uint8)
+    np.empty(_MAX_FREED_BYTES, np.uint8)
 
 
-WORTH_THREADS = 1 << 20  # numbers; fewer take less time than threads need to start
+MIN_THREADED_NUMBERS = 1 << 20  # numbers; fewer take less time than threads need to start
 
-_WORTH_WORKERS = (
+_MIN_DCT_NUMBERS = (
     1 << 14
 )  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
 
@@ -165,7 +165,7 @@ def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: in
     The calls must not depend on their order. An error, or Ctrl-C, ends them before the next item.
     """
     _reuse_freed_memory()
-    count = threads() if size >= WORTH_THREADS else 1
+    count = threads() if size >= MIN_THREADED_NUMBERS else 1
     if count == 1:
         for item in items:
             function(item)
@@ -208,7 +208,7 @@ def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
 
 
 def _dct_workers(planes: NDArray[Any]) -> int:
-    return threads() if planes.size >= _WORTH_WORKERS else 1
+    return threads() if planes.size >= _MIN_DCT_NUMBERS else 1
 
 
 def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
@@ -217,11 +217,11 @@ def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
     """
     if not mask.any():
         return None
-    return tuple(int(place) for place in np.unravel_index(mask.argmax(), mask.shape))
+    return tuple(int(index) for index in np.unravel_index(mask.argmax(), mask.shape))
 
 
 _MAX_ARRAYS = 4096
-_PACKINGS = (
+_COMPRESSION_METHODS = (
     zipfile.ZIP_STORED,
     zipfile.ZIP_DEFLATED,
 )  # of NumPy; the others allocate what a member declares
@@ -251,14 +251,14 @@ def read_arrays(
             raise invalid(
                 f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {_MAX_ARRAYS}"
             )
-        wanted = {array: members[array] for array in choose(list(members))}
+        chosen_entries = {array: members[array] for array in choose(list(members))}
         # zipfile reads no more than its directory lists.
-        declared = sum(entry.file_size for entry in wanted.values())
+        declared = sum(entry.file_size for entry in chosen_entries.values())
         check_compression(f"archive '{path}'", declared, os.fstat(file.fileno()).st_size)
 
         result = {}
-        for array, entry in wanted.items():
-            if entry.compress_type not in _PACKINGS:
+        for array, entry in chosen_entries.items():
+            if entry.compress_type not in _COMPRESSION_METHODS:
                 raise invalid(
                     name,
                     f"'{path}' with {array} packed by method {entry.compress_type}",

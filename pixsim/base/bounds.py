@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pixsim.base.errors import invalid
 
-_MAX_SHOWN = 80  # characters of a value in a message
+_MAX_VALUE_CHARACTERS = 80  # characters of a value in a message
 
 
 # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
@@ -35,12 +35,12 @@ class Bounds:
     open_high: bool = False
     unknown: bool = False
 
-    def of(self, what: str) -> str:
-        """The allowed values of `what`, such as "number", for a message."""
+    def of(self, noun: str) -> str:
+        """The allowed values of `noun`, such as "number", for a message."""
         if self.low == -math.inf:
-            return f"{what}, not NaN"
+            return f"{noun}, not NaN"
         start = f"above 0 ({SMALLEST:g} or more)" if self.low == SMALLEST else f"from {self.low:g}"
-        return f"{what} {start} to {'below ' * self.open_high}{self.high:g}"
+        return f"{noun} {start} to {'below ' * self.open_high}{self.high:g}"
 
     def hold(self, low: float, high: float) -> bool:
         """Whether numbers from `low` to `high` are within."""
@@ -117,16 +117,16 @@ def without_bounds(annotation: str, owner: Any) -> str:
     scope = vars(sys.modules[inspect.unwrap(owner).__module__])
 
     def plain(match: re.Match[str]) -> str:
-        named = scope.get(match[0])
-        if get_origin(named) is not Annotated:
+        annotated = scope.get(match[0])
+        if get_origin(annotated) is not Annotated:
             return match[0]
-        bare = get_args(named)[0]
+        plain_type = get_args(annotated)[0]
         return (
             "Array"
-            if get_origin(bare) is np.ndarray
+            if get_origin(plain_type) is np.ndarray
             else "ArrayLike"
-            if bare == ArrayLike
-            else str(bare.__name__)
+            if plain_type == ArrayLike
+            else str(plain_type.__name__)
         )
 
     return re.sub(r"(?<![.\w])[A-Z]\w+", plain, annotation)
@@ -146,7 +146,7 @@ def is_bool(value: object) -> bool:
     return isinstance(value, bool) or getattr(getattr(value, "dtype", None), "kind", "") == "b"
 
 
-def brief(value: object) -> str:
+def value_text(value: object) -> str:
     """A value for a message, in one short line."""
     if hasattr(value, "dtype") and getattr(value, "size", 0) > 1:
         return f"an array of {value.dtype}, shape {getattr(value, 'shape', ())}"
@@ -154,4 +154,4 @@ def brief(value: object) -> str:
         text = reprlib.repr(value)
     except Exception:  # of another program's class
         text = f"a {type(value).__name__}"
-    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "…"
+    return text if len(text) <= _MAX_VALUE_CHARACTERS else text[:_MAX_VALUE_CHARACTERS] + "…"

@@ -11,12 +11,12 @@ import math
 UNKNOWN = "–"
 _MAX_DISTINCT_DIGITS = 17  # which tell any two floats apart
 MAX_DIGITS = 4  # of a number with an error
-COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
+_ONE_DIGIT_ERRORS = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 _MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
-_SMALL_SIZE = 0.1  # of a pixel in micrometres; smaller ones have two digits
+_SMALL_SIDE = 0.1  # of a pixel in micrometres; smaller ones have two digits
 MAX_PROBABILITY = 0.999  # the largest probability that is stated
-_WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
+_PLAIN_DECADES = (-4, 15)  # powers of ten of numbers that are written without one
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -40,7 +40,7 @@ def estimate(value: float, digits: int = 3) -> str:
     if not value or not math.isfinite(value):
         return "0" if value == 0 else UNKNOWN
     decade = _decade(value, digits)
-    if not _WITHOUT_POWER[0] <= decade < _WITHOUT_POWER[1]:
+    if not _PLAIN_DECADES[0] <= decade < _PLAIN_DECADES[1]:
         return f"{value:.{digits - 1}e}"
     return _to_decimals(value, digits - 1 - decade)
 
@@ -55,7 +55,7 @@ def pixel_size(side: float) -> str:
 
 
 def _micrometres(size: float) -> str:
-    return rounded(size) if size < _SMALL_SIZE else f"{round(size, 2):.15g}"
+    return rounded(size) if size < _SMALL_SIDE else f"{round(size, 2):.15g}"
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -91,8 +91,8 @@ def duration(seconds: float) -> str:
     >>> duration(12.34), duration(100.0), duration(1e5)
     ('12 s', '1.7 min', '28 h')
     """
-    unit, size_s = ("s", 1) if seconds < 90 else ("min", 60) if seconds < 5400 else ("h", 3600)
-    return f"{rounded(seconds / size_s)} {unit}"
+    unit, unit_s = ("s", 1) if seconds < 90 else ("min", 60) if seconds < 5400 else ("h", 3600)
+    return f"{rounded(seconds / unit_s)} {unit}"
 
 
 def interval(ends: tuple[float | None, float | None]) -> str:
@@ -140,14 +140,14 @@ def exposure_time(seconds: float) -> str:
     >>> exposure_time(0.00165), exposure_time(3.2e-5), exposure_time(1000.0), exposure_time(0.0)
     ('1.65 ms', '32 µs', '1000 s', '0 ms')
     """
-    unit, size_s = (
+    unit, unit_s = (
         ("s", 1.0)
         if seconds >= 1
         else ("ms", 1e-3)
         if seconds >= 1e-4 or seconds == 0
         else ("µs", 1e-6)
     )
-    return f"{rounded(seconds / size_s, 3)} {unit}"
+    return f"{rounded(seconds / unit_s, 3)} {unit}"
 
 
 def f_stop(value: float) -> str:
@@ -204,7 +204,7 @@ def with_error(value: float, error: float) -> str:
 
     largest = max(abs(value), error)
     power = _decade(largest, MAX_DIGITS)
-    if largest and not _WITHOUT_POWER[0] <= power < _WITHOUT_POWER[1]:
+    if largest and not _PLAIN_DECADES[0] <= power < _PLAIN_DECADES[1]:
         return " ± ".join(
             f"{text}e{power:+03d}"
             for text in with_error(value / 10.0**power, error / 10.0**power).split(" ± ")
@@ -214,7 +214,7 @@ def with_error(value: float, error: float) -> str:
     if error <= ROUNDING * abs(value):
         error, decimals = 0.0, min(decimals, MAX_DIGITS)
     else:
-        digits = 1 if COARSE[0] <= error < COARSE[1] else 2
+        digits = 1 if _ONE_DIGIT_ERRORS[0] <= error < _ONE_DIGIT_ERRORS[1] else 2
         decimals = min(decimals, digits - 1 - _decade(error, digits))
         error = max(error, 10.0**-decimals)
     return f"{_to_decimals(value, decimals)} ± {_to_decimals(error, decimals)}"

@@ -32,10 +32,10 @@ from pixsim.base.bounds import (
     SMALLEST,
     Axes,
     Bounds,
-    brief,
     field_bounds,
     is_bool,
     parts_of,
+    value_text,
 )
 from pixsim.base.errors import PixsimError, invalid
 
@@ -63,12 +63,12 @@ def checked(function: Function, name: str) -> Function:
         from pydantic import ValidationError
 
         try:
-            values, named = _arguments(function)(*args, **kwargs)
+            values, keywords = _arguments(function)(*args, **kwargs)
         except ValidationError as error:
             problem = _first_problem(function, error, args, kwargs)
         else:
             # The defaults, which pydantic adds, are those of the function itself.
-            return function(*values[: len(args)], **{key: named[key] for key in kwargs})
+            return function(*values[: len(args)], **{key: keywords[key] for key in kwargs})
         raise problem
 
     call.__module__, _, call.__qualname__ = name.rpartition(".")  # by which it is pickled
@@ -103,14 +103,14 @@ def public_module(name: str, module: ModuleType) -> ModuleType:
 
     name : under which users find it, such as `pixsim.scielab`
     """
-    face = ModuleType(name, module.__doc__)
+    facade = ModuleType(name, module.__doc__)
     names = getattr(module, "__all__", None) or [
         key for key, value in vars(module).items() if _is_public(key, value, module)
     ]
-    face.__all__ = list(names)  # type: ignore[attr-defined]
-    face.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
-    face.__dir__ = lambda: list(names)  # type: ignore[method-assign]
-    return face
+    facade.__all__ = list(names)  # type: ignore[attr-defined]
+    facade.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
+    facade.__dir__ = lambda: list(names)  # type: ignore[method-assign]
+    return facade
 
 
 def _is_public(key: str, value: Any, module: ModuleType) -> bool:
@@ -161,9 +161,9 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
     hint = _without_alias(hint) if hint is not ArrayLike else hint
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        kind, *stated = inner
-        axes = next((part.count for part in stated if isinstance(part, Axes)), axes)
-        return _type(kind, field_bounds(stated) or bounds, axes)
+        kind, *metadata = inner
+        axes = next((part.count for part in metadata if isinstance(part, Axes)), axes)
+        return _type(kind, field_bounds(metadata) or bounds, axes)
     if hint is ArrayLike or origin is np.ndarray:
         dtype = get_args(inner[1])[0] if origin is np.ndarray and get_args(inner[1]) else None
         return _validated(_array_of(bounds, axes, dtype, is_array=origin is np.ndarray))
@@ -171,8 +171,8 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
         return _union(inner, bounds)
     if hint in (float, int):
         return _validated(_number_of(hint, bounds or FINITE))
-    if (origin or hint) in PLAIN:
-        return _validated(PLAIN[origin or hint])
+    if (origin or hint) in _VALIDATORS:
+        return _validated(_VALIDATORS[origin or hint])
 
     lax = Strict(False)  # a list may stand for a tuple
     if origin is tuple:
@@ -206,10 +206,10 @@ def _without_alias(hint: Any) -> Any:
     """Return the type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one
     from 2.5 on.
     """
-    stands_for, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
-    if stands_for is None:
+    aliased, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
+    if aliased is None:
         return hint
-    return stands_for[inner] if inner else stands_for
+    return aliased[inner] if inner else aliased
 
 
 def _validated(function: Callable[[Any], Any]) -> Any:
@@ -218,7 +218,7 @@ def _validated(function: Callable[[Any], Any]) -> Any:
     return Annotated[Any, PlainValidator(function)]
 
 
-def _refusal(got: object, allowed: str) -> Exception:
+def _invalid_value(got: object, allowed: str) -> Exception:
     from pydantic_core import PydanticCustomError
 
     return PydanticCustomError(PIXSIM_ERROR, "{allowed}", {"allowed": allowed, "got": got})
@@ -235,15 +235,15 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
         if isinstance(plain, bool) or not isinstance(
             plain, numbers.Integral if kind is int else numbers.Real
         ):
-            raise _refusal(brief(value), allowed)
+            raise _invalid_value(value_text(value), allowed)
         try:
             size = float(plain)
         except OverflowError:
             size = math.inf
         if not bounds.hold(size, size):
-            raise _refusal(brief(value), allowed)
+            raise _invalid_value(value_text(value), allowed)
         if 0 < abs(size) < SMALLEST:
-            raise _refusal(brief(value), f"{allowed}, 0 or {SMALLEST:g} or more in size")
+            raise _invalid_value(value_text(value), f"{allowed}, 0 or {SMALLEST:g} or more in size")
         return plain
 
     return number
@@ -256,14 +256,14 @@ def _array_of(
 
     allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'numbers'}"
     takes_bool = dtype in (np.bool_, Any)
-    shaped = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
+    allowed_shape = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
 
     def array(value: Any) -> Any:
         parts = list(parts_of(value))
         if any(np.ma.is_masked(part) for part in parts):
-            raise _refusal("masked values", f"{allowed}; fill them")
+            raise _invalid_value("masked values", f"{allowed}; fill them")
         if not takes_bool and any(is_bool(part) for part in parts):
-            raise _refusal(brief(value), allowed)
+            raise _invalid_value(value_text(value), allowed)
         try:
             values = np.asarray(value)
             if values.dtype.kind == "O" and all(
@@ -271,11 +271,11 @@ def _array_of(
             ):
                 values = values.astype(float)  # integers beyond 64 bits
         except (TypeError, ValueError, OverflowError):
-            raise _refusal(brief(value), allowed) from None
+            raise _invalid_value(value_text(value), allowed) from None
         if values.dtype.kind not in "iufb":
-            raise _refusal(brief(value), allowed)
+            raise _invalid_value(value_text(value), allowed)
         if is_array and axes and (values.ndim != axes or not values.size):
-            raise _refusal(f"an array of shape {values.shape}", shaped)
+            raise _invalid_value(f"an array of shape {values.shape}", allowed_shape)
         if (
             bounds and values.size and not bounds.hold(values.min(), values.max())
         ):  # min propagates NaN
@@ -284,7 +284,7 @@ def _array_of(
             )
             place = np.unravel_index(np.argmin(within), values.shape)
             where = f" at {[int(index) for index in place]}" if values.ndim else ""
-            raise _refusal(f"{values[place]}{where}", allowed)
+            raise _invalid_value(f"{values[place]}{where}", allowed)
         is_float = dtype in (np.float64, np.float32)
         return values.astype(dtype) if is_float and values.dtype.kind != "f" else values
 
@@ -293,38 +293,42 @@ def _array_of(
 
 def _bool(value: Any) -> Any:
     if not is_bool(value) or getattr(value, "ndim", False):
-        raise _refusal(brief(value), "True or False")
+        raise _invalid_value(value_text(value), "True or False")
     return value
 
 
 def _path(value: Any) -> Any:
     if not isinstance(value, str | os.PathLike) or not os.fspath(value) or "\0" in str(value):
-        raise _refusal(brief(value), "the path of a file")
+        raise _invalid_value(value_text(value), "the path of a file")
     return value
 
 
 def _callable(value: Any) -> Any:
     if not callable(value):
-        raise _refusal(brief(value), "a function")
+        raise _invalid_value(value_text(value), "a function")
     return value
 
 
-PLAIN: dict[Any, Callable[[Any], Any]] = {bool: _bool, os.PathLike: _path, Callable: _callable}
+_VALIDATORS: dict[Any, Callable[[Any], Any]] = {
+    bool: _bool,
+    os.PathLike: _path,
+    Callable: _callable,
+}
 
 
 def _list(value: Any) -> Any:
     is_single = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", None) == 0
     if not isinstance(value, Iterable) or is_single:
-        raise _refusal(brief(value), "a list")
+        raise _invalid_value(value_text(value), "a list")
     return list(value)
 
 
 # --- what pydantic says
 
-KIND = re.compile(
+_KIND = re.compile(
     r"str|[a-z-]*\[.*\]", re.DOTALL
 )  # pydantic's names of kinds in the place of a problem, such as list[str]
-ALLOWED = {
+_ALLOWED = {
     "string_type": "a text",
     "is_instance_of": "a {class}",
     "literal_error": "{expected}",
@@ -348,14 +352,14 @@ def _first_problem(
     signature = inspect.signature(function)
     try:
         signature.bind(*args, **kwargs)
-    except TypeError as wrong:
-        return TypeError(f"{function.__name__}() {wrong}")
+    except TypeError as error_of_call:
+        return TypeError(f"{function.__name__}() {error_of_call}")
 
     problems = error.errors(include_url=False)
-    first = problems[0]["loc"][0]
-    name = [*signature.parameters][first] if isinstance(first, int) else str(first)
-    value = args[first] if isinstance(first, int) else kwargs[name]
-    argument_problems = [problem for problem in problems if problem["loc"][0] == first]
+    location = problems[0]["loc"][0]
+    name = [*signature.parameters][location] if isinstance(location, int) else str(location)
+    value = args[location] if isinstance(location, int) else kwargs[name]
+    argument_problems = [problem for problem in problems if problem["loc"][0] == location]
     part_problems = [problem for problem in argument_problems if problem["input"] is not value]
     if part_problems:  # the part at fault of a list or table
         part = part_problems[0]["input"]
@@ -373,7 +377,7 @@ def _place(problem: ErrorDetails) -> str:
     pydantic's names of kinds.
     """
     parts = (
-        part for part in problem["loc"][1:] if isinstance(part, int) or not KIND.fullmatch(part)
+        part for part in problem["loc"][1:] if isinstance(part, int) or not _KIND.fullmatch(part)
     )
     return "".join(f"[{part!r}]" for part in parts)
 
@@ -381,14 +385,14 @@ def _place(problem: ErrorDetails) -> str:
 def _problem(
     name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False
 ) -> PixsimError:
-    got, allowed = brief(value), list[str]()
+    got, allowed = value_text(value), list[str]()
     for problem in problems:
         context = problem.get("ctx", {})
         if problem["type"] == PIXSIM_ERROR:
             got = context["got"] if len(problems) == 1 else got
             allowed.append(context["allowed"])
         else:
-            allowed.append(ALLOWED.get(problem["type"], problem["msg"]).format_map(context))
+            allowed.append(_ALLOWED.get(problem["type"], problem["msg"]).format_map(context))
     return invalid(
         name, got, ", or ".join([*dict.fromkeys(allowed), *(["None"] if optional else [])])
     )

@@ -64,9 +64,9 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     >>> did_you_mean("canon_eos_5d_mark_ii", ["Canon_EOS_5D_Mark_IV", "Canon_EOS_5D_Mark_II"])
     "Did you mean 'Canon_EOS_5D_Mark_II'?"
     """
-    by_folded = {name.casefold(): name for name in names}
-    similar = difflib.get_close_matches(name.casefold(), by_folded, 1)
-    return f"Did you mean '{by_folded[similar[0]]}'?" if similar else ""
+    names_by_folded = {name.casefold(): name for name in names}
+    similar = difflib.get_close_matches(name.casefold(), names_by_folded, 1)
+    return f"Did you mean '{names_by_folded[similar[0]]}'?" if similar else ""
 
 
 PLAIN_WORD = re.compile(r"[A-Za-z0-9_.+,-]{1,24}")

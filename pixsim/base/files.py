@@ -233,8 +233,8 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     if is_private and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return folder
 
-    alone = temporary_folder_of_process() / name
-    alone.mkdir(0o700, exist_ok=True)
+    process_folder = temporary_folder_of_process() / name
+    process_folder.mkdir(0o700, exist_ok=True)
     if not quiet:
         hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
         warn(
@@ -246,7 +246,7 @@ def private_folder(name: str, quiet: bool = False) -> Path:
                 ),
             )
         )
-    return alone
+    return process_folder
 
 
 # Of a disk that is full or fails, not of a wrong name.
@@ -273,13 +273,15 @@ def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]
     except OSError as error:
         if error.errno not in _FAULTS_OF_DISKS:
             raise
-        place = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
+        file = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
         raise UnwritableError(
-            f"output file: '{place}' cannot be written ({error.strerror}). {advice} {hint}"
+            f"output file: '{file}' cannot be written ({error.strerror}). {advice} {hint}"
         ) from None
 
 
-SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times
+UNCHANGED_NS = (
+    2_000_000_000  # since a file's last change, so that another change shows in its times
+)
 
 
 def digest_of(path: Path) -> str:
@@ -291,7 +293,7 @@ def digest_of(path: Path) -> str:
     with opened(path, "file", "a readable file") as file:
         status = os.fstat(file.fileno())
     times_ns = status.st_mtime_ns, status.st_ctime_ns
-    if time.time_ns() - max(times_ns) < SETTLED_NS:
+    if time.time_ns() - max(times_ns) < UNCHANGED_NS:
         _digest_of.cache_clear()
     return _digest_of(path, (status.st_dev, status.st_ino, status.st_size, *times_ns))
 
@@ -304,23 +306,23 @@ def _digest_of(path: Path, _: tuple[int, ...]) -> str:
 
 # --- output folders
 
-LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
-LIST_OF_1_1 = "provenance.json"
-_MAX_LIST = 1 << 24  # bytes
+FILE_LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
+FILE_LIST_OF_1_1 = "provenance.json"
+_MAX_FILE_LIST_BYTES = 1 << 24  # bytes
 _PIXSIM = "pixsim"
 _MAX_LISTED_FILES = 6  # in a message
 
 
-def read_list(folder: Path) -> dict[str, Any]:
+def read_file_list(folder: Path) -> dict[str, Any]:
     """The list of an output folder, also of release 1.1; empty if there is none that pixsim wrote.
 
     "files" are the names of all files of pixsim.
 
     Raises PixsimError if a newer pixsim wrote it.
     """
-    path = folder / (LIST if os.path.lexists(folder / LIST) else LIST_OF_1_1)
+    path = folder / (FILE_LIST if os.path.lexists(folder / FILE_LIST) else FILE_LIST_OF_1_1)
     try:
-        content = json.loads(read_text(path, "list of files", "JSON", _MAX_LIST))
+        content = json.loads(read_text(path, "list of files", "JSON", _MAX_FILE_LIST_BYTES))
         content["versions"] = {_PIXSIM: str(content["versions"][_PIXSIM])}
         content["files"] = [str(name) for name in content.get("files", ())]
     except (PixsimError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
@@ -334,7 +336,7 @@ def version_of_files(folder: Path) -> str:
     does not say.
     """
     with suppress(PixsimError):
-        return read_list(folder).get("versions", {}).get(_PIXSIM, "")[:20]
+        return read_file_list(folder).get("versions", {}).get(_PIXSIM, "")[:20]
     return ""
 
 
@@ -345,27 +347,27 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
     Raises PixsimError that names the other files.
     """
     folder = Path(folder)
-    content = read_list(folder)
-    listed = {LIST, *content["files"]} if content else set()
-    others = set()
-    for name in (*names, LIST):
+    content = read_file_list(folder)
+    listed = {FILE_LIST, *content["files"]} if content else set()
+    foreign = set()
+    for name in (*names, FILE_LIST):
         path = folder / name
         if os.path.lexists(path) and not (name in listed and stat.S_ISREG(path.lstat().st_mode)):
-            others.add(name)
-        ways = (str(way) for way in PurePosixPath(name).parents if way.parts)
-        others.update(
-            way
-            for way in ways
-            if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode)
+            foreign.add(name)
+        folders = (str(part) for part in PurePosixPath(name).parents if part.parts)
+        foreign.update(
+            part
+            for part in folders
+            if os.path.lexists(folder / part) and not stat.S_ISDIR((folder / part).lstat().st_mode)
         )
-    if others:
+    if foreign:
         more = (
-            f" and {len(others) - _MAX_LISTED_FILES} more"
-            if len(others) > _MAX_LISTED_FILES
+            f" and {len(foreign) - _MAX_LISTED_FILES} more"
+            if len(foreign) > _MAX_LISTED_FILES
             else ""
         )
-        shown_names = ", ".join(sorted(others)[:_MAX_LISTED_FILES]) + more
-        got = f"'{folder}', which holds {shown_names}, not written by this command"
+        foreign_names = ", ".join(sorted(foreign)[:_MAX_LISTED_FILES]) + more
+        got = f"'{folder}', which holds {foreign_names}, not written by this command"
         raise invalid(
             "output folder",
             got,
@@ -392,20 +394,22 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
     with unfinished(folder, is_folder=True) as partial:
         with disk_faults_named(partial, folder, unchanged):
             yield partial
-            made = sorted(
+            new_names = sorted(
                 path.relative_to(partial).as_posix()
                 for path in partial.rglob("*")
                 if not path.is_dir()
             )
-            check_replaceable(folder, made)
-            before = read_list(folder).get("files", ())
-            listed = sorted({*made, *(name for name in before if os.path.lexists(folder / name))})
+            check_replaceable(folder, new_names)
+            old_names = read_file_list(folder).get("files", ())
+            listed = sorted(
+                {*new_names, *(name for name in old_names if os.path.lexists(folder / name))}
+            )
             content = {"versions": versions(), **(provenance or {}), "files": listed}
             # All that needs room on the disk is made before the first file is moved.
-            for name in made:
+            for name in new_names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            write_json(folder / LIST, content, named=False)
-        for name in made:
+            write_json(folder / FILE_LIST, content, named=False)
+        for name in new_names:
             os.replace(partial / name, folder / name)
 
 
@@ -413,10 +417,10 @@ def unlist_file(path: Path) -> None:
     """Take a file off the list of its folder, so that only the command that appends to it replaces
     it.
     """
-    content = read_list(path.parent)
+    content = read_file_list(path.parent)
     if path.name in content.get("files", ()):
         files = [name for name in content["files"] if name != path.name]
-        write_json(path.parent / LIST, content | {"files": files}, named=False)
+        write_json(path.parent / FILE_LIST, content | {"files": files}, named=False)
 
 
 def write_new(path: Path, text: str) -> None:
@@ -489,10 +493,10 @@ def max_file_bytes() -> int:
     return bytes_of_variable(MAX_FILE_VARIABLE, _DEFAULT_MAX_FILE_GIB)
 
 
-def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
+def check_size(name: str, size_bytes: int, unit: str = "bytes") -> None:
     """Raise PixsimError if a file, or what it declares to hold, exceeds `max_file_bytes`.
 
-    what : is counted, for the message
+    unit : is counted, for the message
     """
     limit = max_file_bytes()
     if size_bytes > limit:
@@ -501,7 +505,7 @@ def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
             f" {MAX_FILE_VARIABLE}={-(-size_bytes // GIB)}."
         )
         raise invalid(
-            name, f"{size_bytes} {what}", f"up to {limit} bytes ({limit / GIB:g} GiB)", hint
+            name, f"{size_bytes} {unit}", f"up to {limit} bytes ({limit / GIB:g} GiB)", hint
         )
 
 
@@ -626,7 +630,7 @@ def check_compression(name: str, declared_bytes: int, stored_bytes: int) -> None
         )
 
 
-def judge_picture(path: Path) -> None:
+def check_picture(path: Path) -> None:
     """Raise PixsimError if a PNG or TIFF is damaged or declares too many samples."""
     from PIL import Image
 

@@ -34,22 +34,22 @@ class Layer:
 def merge_tables(
     base: dict[str, Any],
     over: dict[str, Any],
-    left_of: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda base, over: dict(
+    remaining: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda base, over: dict(
         base
     ),
     whole: Collection[str] = (),
 ) -> dict[str, Any]:
     """Merge nested tables; values of `over` replace those of `base`.
 
-    left_of : returns what is left of the tables `base` beside `over`, at each depth: what it
+    remaining : returns what is left of the tables `base` beside `over`, at each depth: what it
         restates in other words may go
     whole : names of tables that are one value each
     """
-    merged = left_of(base, over)
+    merged = remaining(base, over)
     for key, value in over.items():
         old = merged.get(key)
         if isinstance(old, dict) and isinstance(value, dict) and key not in whole:
-            value = merge_tables(old, value, left_of, whole)
+            value = merge_tables(old, value, remaining, whole)
         merged[key] = value
     return merged
 

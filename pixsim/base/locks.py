@@ -29,8 +29,8 @@ from pixsim.base.errors import invalid
 LOCK = ".pixsim.lock"  # in an output folder
 UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinished file or folder
 _OTHER_FOLDER = "Move it away, or choose another folder with --out."
-_TRIES = 20  # for a file that another process removes at the moment when it is locked
-_JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
+_MAX_TRIES = 20  # for a file that another process removes at the moment when it is locked
+_LOCK_TIMEOUT_S = 0.1  # of another process, between its removal of a lock and its end
 _NO_LOCKS = {
     errno.ENOSYS,
     errno.ENOLCK,
@@ -65,7 +65,7 @@ def _lock(descriptor: int) -> bool | None:
         return None
 
 
-def _is_there(path: Path, descriptor: int) -> bool:
+def _is_same_file(path: Path, descriptor: int) -> bool:
     """Whether a path still leads to an open file or folder."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.lstat(path))
@@ -86,7 +86,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
     path = Path(os.path.realpath(folder), LOCK)
     lock = FileLock(
-        path, timeout=_JUST_ENDING_S, is_singleton=True, fallback_to_soft=False
+        path, timeout=_LOCK_TIMEOUT_S, is_singleton=True, fallback_to_soft=False
     )  # one a thread
     if lock.is_locked:
         yield
@@ -153,7 +153,7 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
     Raises PixsimError on Windows.
     """
     check_system()
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         path = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
         with suppress(FileExistsError):
             if is_folder:
@@ -162,7 +162,7 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
                 os.O_RDONLY | os.O_DIRECTORY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
             )
             descriptor = os.open(path, flags | os.O_NOFOLLOW, 0o666)
-            if _lock(descriptor) is not False and _is_there(path, descriptor):
+            if _lock(descriptor) is not False and _is_same_file(path, descriptor):
                 break
             os.close(descriptor)  # another process took it for a leftover before it was locked
     else:

@@ -73,10 +73,10 @@ def threads() -> int:
     """Threads that a kernel may use: the usable processors, or the number that OMP_NUM_THREADS
     sets, as in workers of a study.
     """
-    stated = os.environ.get("OMP_NUM_THREADS", "")
+    environment = os.environ.get("OMP_NUM_THREADS", "")
     return (
-        int(stated)
-        if stated.isdigit() and int(stated) > 0
+        int(environment)
+        if environment.isdigit() and int(environment) > 0
         else min(processors().usable, MAX_THREADS)
     )
 
@@ -98,7 +98,10 @@ def memory(root: Path = Path("/")) -> Memory:
     return Memory(
         total,
         available,
-        min((int(n) for n in limits if n.isdigit() and int(n) < _NO_LIMIT_BYTES), default=None),
+        min(
+            (int(limit) for limit in limits if limit.isdigit() and int(limit) < _NO_LIMIT_BYTES),
+            default=None,
+        ),
     )
 
 
@@ -131,16 +134,16 @@ def check_folder(path: Path) -> tuple[str | None, int | None]:
     """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the
     free bytes there.
     """
-    there = next(
+    existing = next(
         (folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/")
     )
     try:
-        with tempfile.TemporaryFile(dir=there):
+        with tempfile.TemporaryFile(dir=existing):
             fault = None
     except OSError as error:
         fault = error.strerror or str(error)
     try:
-        free = shutil.disk_usage(there).free
+        free = shutil.disk_usage(existing).free
     except OSError:
         free = None
     return fault, free

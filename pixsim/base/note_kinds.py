@@ -20,7 +20,6 @@ class _NoteKind(NamedTuple):
 
 NOTES = {
     # --- settings
-    # ------------------------------------------------------------------------------------------------------
     # Another setting or file decides in place of a setting.
     "not_used": _NoteKind("{setting} is not used: {reason}", True),
     # Numbers are the same without a setting, an axis or draws.
@@ -38,13 +37,11 @@ NOTES = {
         True,
     ),
     # --- files
-    # ---------------------------------------------------------------------------------------------------------
     # A file can be read in several ways, or not all of it is used.
     "file_as_read": _NoteKind("{words}", True),
     # The file results.csv is of other settings or another version, or damaged.
     "rows_not_continued": _NoteKind("results: {rows}. The file is kept as '{backup}'{then}"),
     # --- lenses
-    # --------------------------------------------------------------------------------------------------------
     # A lens file leaves a choice, names catalogues that pixsim lacks, or holds what is not used.
     "lens_as_read": _NoteKind("{lens}: {words}", True),
     # A lens of the user's is scaled to the die.
@@ -68,7 +65,6 @@ NOTES = {
         True,
     ),
     # --- scene and light
-    # -----------------------------------------------------------------------------------------------
     # A scene has colours, tables, skies or lamps that Mitsuba or the bands do not hold in full.
     "scene": _NoteKind("{words}", True),
     # A surface sends back more light than it gets.
@@ -95,13 +91,11 @@ NOTES = {
         True,
     ),
     # --- display
-    # -------------------------------------------------------------------------------------------------------
     # More than 1 % of the ideal image is brighter than display white.
     "white_clipped": _NoteKind(
         "{share} of the ideal image is brighter than display white; {hint}", True
     ),
     # --- pixel
-    # ---------------------------------------------------------------------------------------------------------
     # A pixel's stack is beyond the limits of its model.
     "stack_model": _NoteKind("pixel.stack at {pitch_um:g} µm: {words}", True),
     # Electrons are of light for which a quantum efficiency, a glass or the eye has no numbers.
@@ -114,7 +108,6 @@ NOTES = {
         True,
     ),
     # --- results
-    # -------------------------------------------------------------------------------------------------------
     # ΔE is of codes, contrast, saturation or missing light, not of noise and blur.
     "cause": _NoteKind("{words}: {hint}", True),
     # The error of the film or of the render is above its limit.
@@ -124,7 +117,6 @@ NOTES = {
     # The interval of an optimum is open, or wider than target_ci_um.
     "interval": _NoteKind("{case}: the interval is {words}"),
     # --- pictures of edges
-    # ---------------------------------------------------------------------------------------------
     # A picture looks clipped, sharpened or filtered.
     "edge_picture": _NoteKind("edge picture: {words}", True),
     # An edge is bent, or unevenly lit.
@@ -132,7 +124,6 @@ NOTES = {
     # A measurement of a data sheet has a limit, or another setting than was asked for.
     "data_sheet": _NoteKind("{words}", True),
     # --- this machine
-    # --------------------------------------------------------------------------------------------------
     # A processor, a graphics card, a worker, a cache or a disk is not as usual.
     "machine": _NoteKind("{words}"),
     # A library warns.

@@ -45,7 +45,7 @@ def words_of(info: FieldInfo | None) -> Words:
 
 
 MAX_VALUE = 80  # characters of a value in a message
-BRANCHES = (
+UNION_BRANCHES = (
     "table",
     "number",
 )  # of a field that may be either, in the place of an error: no name of a user
@@ -60,8 +60,17 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     listed: set[str] = set()
     problems = error.errors()
     lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
-    more = len(problems) - len(lines)
-    return "\n".join([*lines, *([f"and {more} more problem{'s' * (more > 1)}"] if more else [])])
+    further_count = len(problems) - len(lines)
+    return "\n".join(
+        [
+            *lines,
+            *(
+                [f"and {further_count} more problem{'s' * (further_count > 1)}"]
+                if further_count
+                else []
+            ),
+        ]
+    )
 
 
 # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
@@ -72,7 +81,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     """Return a problem as text. `listed` has the tables whose names were listed, once for each; it
     is written to.
     """
-    path = [str(part) for part in problem["loc"] if part not in BRANCHES]
+    path = [str(part) for part in problem["loc"] if part not in UNION_BRANCHES]
     layer = _layer_of(problem, layers)
     where = _where(title, problem, layer, layers)
     kind = problem["type"]
@@ -93,8 +102,8 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     if kind == "model_type":
         message = " of ".join(filter(None, ["a table", ", ".join(_names_at(title, path))]))
 
-    wrong = problem["input"]
-    text = _value(wrong, layer)
+    value = problem["input"]
+    text = _value(value, layer)
     text = text if len(text) <= MAX_VALUE else text[:MAX_VALUE] + "…"
     if kind.startswith(("greater_than", "less_than")):
         (bound,) = problem["ctx"].values()
@@ -103,9 +112,9 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
             f"{message.rpartition(' ')[0]}"
             f" {bound if isinstance(bound, int) else format(bound, 'g')}"
         )
-        if isinstance(wrong, str):  # on a command line
-            wrong = float(wrong)
-    hint = _hint(title, path, wrong)
+        if isinstance(value, str):  # on a command line
+            value = float(value)
+    hint = _hint(title, path, value)
     return (
         f"{where}: got {text}; allowed:"
         f" {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
@@ -143,13 +152,13 @@ def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
     A setting of this table that users call so counts first, then one of the same name elsewhere,
     then one that they call so.
     """
-    called, same = [], []
+    aliased, same_name = [], []
     for path, info in _fields(RECORDS[title]):
         if name == path[-1]:
-            same.append(path)
+            same_name.append(path)
         elif name in words_of(info).also:
-            called.append(path)
-    return [path for path in called if path[:-1] == list(above)] or same or called
+            aliased.append(path)
+    return [path for path in aliased if path[:-1] == list(above)] or same_name or aliased
 
 
 def _fields(
@@ -167,18 +176,20 @@ def _fields(
 
 def _hint_of_name(title: str, above: list[str], name: str) -> str:
     """What to write in place of an unknown name in a table; empty if nothing is similar."""
-    meant = names_meant(title, above, name)
-    if not meant:
+    meant_paths = names_meant(title, above, name)
+    if not meant_paths:
         return did_you_mean(name, _names_at(title, above))
-    if above and (words := words_of(_field(title, meant[0])).instead.get(name)):
-        return words
-    if _record(title, meant[0]):
-        return f"Write {' or '.join('[' + '.'.join(path) + ']' for path in meant)}."
+    if above and (replacement := words_of(_field(title, meant_paths[0])).instead.get(name)):
+        return replacement
+    if _record(title, meant_paths[0]):
+        return f"Write {' or '.join('[' + '.'.join(path) + ']' for path in meant_paths)}."
 
-    names = list(dict.fromkeys(path[-1] for path in meant))
-    if all(path[:-1] == above for path in meant):
+    names = list(dict.fromkeys(path[-1] for path in meant_paths))
+    if all(path[:-1] == above for path in meant_paths):
         return f"Write {' or '.join(names)}."
-    tables = dict.fromkeys(f"in [{path[0]}]" if path[1:] else "above all tables" for path in meant)
+    tables = dict.fromkeys(
+        f"in [{path[0]}]" if path[1:] else "above all tables" for path in meant_paths
+    )
     renamed = "" if names == [name] else f", as {' or '.join(names)}"
     return f"It belongs {' or '.join(tables)}{renamed}."
 
@@ -187,11 +198,11 @@ def _hint(title: str, path: Sequence[str], value: Any) -> str:
     """How to write a value that was meant well, as the fields at a path and above it say; empty for
     others.
     """
-    around = (
+    hints = (
         words_of(_field(title, path[:depth])).hint(path[depth:], value)
         for depth in range(len(path), 0, -1)
     )
-    return next(filter(None, around), "")
+    return next(filter(None, hints), "")
 
 
 def _value(value: object, layer: Layer | None) -> str:
@@ -213,30 +224,30 @@ def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
     A missing value, or a conflict between values, has none: it is the last layer with the enclosing
     table.
     """
-    loc = [part for part in problem["loc"] if part not in BRANCHES]
-    loc = list(
-        takewhile(lambda part: not isinstance(part, int), loc)
+    path = [part for part in problem["loc"] if part not in UNION_BRANCHES]
+    path = list(
+        takewhile(lambda part: not isinstance(part, int), path)
     )  # layers replace lists as a whole
-    for length in range(len(loc), -1, -1):
+    for length in range(len(path), -1, -1):
         for layer in reversed(layers):
-            if layer.table and layer.names(loc[:length]):
+            if layer.table and layer.names(path[:length]):
                 return layer
     return next((layer for layer in reversed(layers) if layer.source), None)  # empty ones
 
 
 def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Sequence[Layer]) -> str:
     """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
-    loc = [part for part in problem["loc"] if part not in BRANCHES]
+    path = [part for part in problem["loc"] if part not in UNION_BRANCHES]
     if layer is None or not layer.source:
-        return ".".join(map(str, loc)) or title
+        return ".".join(map(str, path)) or title
     names = {
         name
-        for length in range(len(loc))
-        for name in _names_at(title, [str(part) for part in loc[:length]])
+        for length in range(len(path))
+        for name in _names_at(title, [str(part) for part in path[:length]])
     }
     parts = [
         str(part) if isinstance(part, int) or part in names else _name_in(part, layer)
-        for part in loc
+        for part in path
     ]
     return f"{layer.source}: {'.'.join(parts) or title}"
 

@@ -15,7 +15,7 @@ from pixsim.base.errors import printable
 
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
-EVERY_S = 5.0  # between two lines of a stage
+LINE_INTERVAL_S = 5.0  # between two lines of a stage
 MIN_DONE = 0.1  # done, before the time left is told
 POLL_S = 0.5  # between two looks at the clock
 
@@ -55,28 +55,28 @@ def steps_of(progress: Progress | None, count: int) -> Callable[[], None]:
     return step_done
 
 
-_WATCHED: ContextVar[Progress | None] = ContextVar("watched", default=None)
+_REPORTED_TO: ContextVar[Progress | None] = ContextVar("watched", default=None)
 
 
 @contextmanager
 def watched(progress: Progress | None) -> Iterator[None]:
     """Report to a function what long computations in this thread have done, by `report`."""
-    before = _WATCHED.set(progress)
+    token = _REPORTED_TO.set(progress)
     try:
         yield
     finally:
-        _WATCHED.reset(before)
+        _REPORTED_TO.reset(token)
 
 
 def report(done: float) -> None:
     """Report the fraction that is done of a computation to whom it may concern."""
-    if (progress := _WATCHED.get()) is not None:
+    if (progress := _REPORTED_TO.get()) is not None:
         progress(done)
 
 
 def watched_share(first: float, last: float) -> AbstractContextManager[None]:
     """Report what is done meanwhile as a share of what is watched."""
-    return watched(share_of(_WATCHED.get(), first, last))
+    return watched(share_of(_REPORTED_TO.get(), first, last))
 
 
 class Lines:
@@ -127,7 +127,7 @@ class Lines:
     def tick(self) -> None:
         """Write a line if the last one is five seconds old."""
         with self._lock:
-            if self._name and self._clock() - self._line_s >= EVERY_S:
+            if self._name and self._clock() - self._line_s >= LINE_INTERVAL_S:
                 self._line(self._name + self._state)
 
     def end(self) -> None:
@@ -197,21 +197,21 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
     collects their durations.
     """
     durations_s = {} if seconds is None else seconds
-    current: list[tuple[str, float]] = []
+    running: list[tuple[str, float]] = []
     tasks: dict[str, Any] = {}
     bars = None if quiet else _bars()
     lines = None if quiet or bars else Lines(writer_to(sys.stderr))
 
     def close() -> None:
-        if current:
-            name, start = current.pop()
+        if running:
+            name, start = running.pop()
             durations_s[name] = durations_s.get(name, 0.0) + time.perf_counter() - start
             if lines:
                 lines.end()
 
     def stage(name: str) -> Progress:
         close()
-        current.append((name, time.perf_counter()))
+        running.append((name, time.perf_counter()))
         if lines:
             lines.begin(name)
             return lines.update

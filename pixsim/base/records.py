@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.bounds import LARGEST, SMALLEST, brief, is_bool, parts_of
+from pixsim.base.bounds import LARGEST, SMALLEST, is_bool, parts_of, value_text
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer, merge_tables
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain
@@ -85,7 +85,7 @@ class Record(BaseModel, metaclass=_RecordType):
         if cls.model_fields[info.field_name or ""].annotation is bool:
             return value
         for part in filter(is_bool, parts_of(value)):
-            raise ValueError(f"got {brief(part)}; allowed: a number or a name")
+            raise ValueError(f"got {value_text(part)}; allowed: a number or a name")
         return value
 
     @field_validator("*", mode="after")
@@ -153,7 +153,7 @@ AnyNumber = Annotated[
 def _free_number(value: object) -> object:
     if isinstance(value, int | float) and not abs(value) <= LARGEST:
         raise ValueError(
-            f"got {brief(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text"
+            f"got {value_text(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text"
         )
     return _not_tiny(value)
 

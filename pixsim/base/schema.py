@@ -25,12 +25,12 @@ SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
 _ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
-def _schema_words(got: object) -> str:
+def _schema_words(schema: object) -> str:
     """Return what is said of a file that states another schema, or none (None, or an empty
     text).
     """
-    stated = "no schema" if got in (None, "") else f"schema {str(got)[:20]}"
-    return f"{stated}; this version of pixsim has schema {SCHEMA}"
+    words = "no schema" if schema in (None, "") else f"schema {str(schema)[:20]}"
+    return f"{words}; this version of pixsim has schema {SCHEMA}"
 
 
 def check_not_newer(name: str, got: object) -> None:
@@ -83,9 +83,9 @@ def json_text(content: Mapping[str, Any]) -> str:
     >>> print(json_text({"mtf50_cy_per_px": [0.31, float("nan")]}).replace("\\n", ""))
     {  "mtf50_cy_per_px": [    0.31,    null  ],  "schema": 2}
     """
-    stated = content if "$schema" in content else {KEY: SCHEMA, **content}
+    with_schema = content if "$schema" in content else {KEY: SCHEMA, **content}
     return json.dumps(
-        _finite(stated), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False
+        _finite(with_schema), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False
     )
 
 

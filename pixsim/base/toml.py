@@ -31,8 +31,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     source = f"configuration file '{path}'"
     text = read_text(path, "configuration file", "a readable TOML file", MAX_BYTES)
     # Checked before parsing: these would take the parser too long, or give unusable values.
-    bare = text.translate(dict.fromkeys(map(ord, " \t\"'")))
-    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MAX_DOTS:
+    unquoted = text.translate(dict.fromkeys(map(ord, " \t\"'")))
+    if (
+        max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", unquoted)), default=0)
+        > MAX_DOTS
+    ):
         raise invalid(source, f"a key of more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
     if re.search(rf"[0-9a-fA-F_]{{{MAX_DIGITS + 1}}}", text):
         raise invalid(
@@ -51,8 +54,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:
         raise invalid(source, f"tables nested {depth(table)} levels deep", f"at most {MAX_DEPTH}")
-    if stated := _STATED.match(text):
-        check_not_newer(f"settings '{path}'", int(stated[1]))
+    if header := _SETTINGS_HEADER.match(text):
+        check_not_newer(f"settings '{path}'", int(header[1]))
     return table
 
 
@@ -121,8 +124,8 @@ def kind_of_value(value: object) -> str:
     )
 
 
-HEAD = "# The settings of this folder"  # first line of such a file
-_STATED = re.compile(rf"{HEAD}, {KEY} (\d{{1,9}})\.")
+SETTINGS_HEAD = "# The settings of this folder"  # first line of such a file
+_SETTINGS_HEADER = re.compile(rf"{SETTINGS_HEAD}, {KEY} (\d{{1,9}})\.")
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 
@@ -130,10 +133,10 @@ def settings_table_text(table: Mapping[str, Any], command: str) -> str:
     """TOML file of the tables of `settings_text`, without those that are empty."""
     import tomli_w  # takes 10 ms
 
-    used = {name: value for name, value in table.items() if value not in (None, {}, "")}
+    filled = {name: value for name, value in table.items() if value not in (None, {}, "")}
     return (
-        f"{HEAD}, schema {SCHEMA}. The same numbers again, bit for bit:\n#"
-        f" {command}\n\n{tomli_w.dumps(used)}"
+        f"{SETTINGS_HEAD}, schema {SCHEMA}. The same numbers again, bit for bit:\n#"
+        f" {command}\n\n{tomli_w.dumps(filled)}"
     )
 
 

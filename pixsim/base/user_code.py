@@ -38,7 +38,7 @@ def content_of(value: object, seen: list[object]) -> str:
     value : the function, or what it refers to
     seen : such values that were met before, to which this one is added
     """
-    if inspect.ismodule(value) or any(value is other for other in seen):
+    if inspect.ismodule(value) or any(value is seen_value for seen_value in seen):
         return ""
     seen.append(value)
     function = getattr(value, "__func__", value)  # of a method
@@ -59,8 +59,10 @@ def content_of(value: object, seen: list[object]) -> str:
     steps = [(code.co_code, code.co_names, _constants(code)) for code in codes]
 
     instructions = (step for code in codes for step in dis.get_instructions(code))
-    used = {step.argval for step in instructions if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    names = sorted(used & function.__globals__.keys())
+    global_names = {
+        step.argval for step in instructions if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
+    }
+    names = sorted(global_names & function.__globals__.keys())
     cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
     values = [
         *(function.__globals__[name] for name in names),

@@ -104,15 +104,15 @@ def with_whole_options(arguments: Sequence[str]) -> list[str]:
     """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a
     value of `--lens`.
     """
-    written = []
+    completed = []
     for argument in arguments:
         name, equals, value = argument.partition("=")
-        written.append(
+        completed.append(
             f"{_WHOLE_OPTIONS.get(name, name)}{equals}{value}"
             if argument.startswith("--")
             else argument
         )
-    return written
+    return completed
 
 
 def _check_current_folder() -> None:
@@ -669,13 +669,13 @@ def lens(
     from pixsim.measure.lens import LensData, lens as trace
     from pixsim.report.lens import FILES, lens_document
 
-    reading = without_none(
+    stated_options = without_none(
         {
             "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
             "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
         }
     )  # fmt: skip
-    how: LensOptions = checked(LensOptions, [Layer({"file": file, **reading})])
+    reading_options: LensOptions = checked(LensOptions, [Layer({"file": file, **stated_options})])
 
     def measure(stage: Stage) -> LensData:
         return trace(
@@ -690,7 +690,7 @@ def lens(
             pitch_um=pitch_um,
             reflectance=reflectance,
             progress=stage,
-            **{name: getattr(how, name) for name in reading},
+            **{name: getattr(reading_options, name) for name in stated_options},
         )
 
     write_answer(

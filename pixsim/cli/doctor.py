@@ -202,12 +202,12 @@ def _cache() -> Diagnosis:
 
 
 def _results(out: Path) -> Diagnosis:
-    fault, free_bytes = machine.check_folder(out)
-    if fault:
+    reason, free_bytes = machine.check_folder(out)
+    if reason:
         return Diagnosis(
             "results",
             PROBLEM,
-            f"{out} cannot be written ({fault})",
+            f"{out} cannot be written ({reason})",
             "choose another folder with --out",
         )
     return Diagnosis(

@@ -46,7 +46,7 @@ COMMON = frozenset(
         "--pitch.count",
     }
 )
-MANY = 30  # options: a command that has more shows the common ones first
+MIN_SHORTENED = 30  # options: a command that has more shows the common ones first
 
 
 class _CommonOptions(DefaultFormatter):
@@ -75,14 +75,18 @@ def print_help(app: App, arguments: Sequence[str]) -> str:
     one.
     """
     command = next((word for word in arguments if not word.startswith("-") and word in app), None)
-    number = (
+    option_count = (
         0
         if command is None
         else sum(argument.show for argument in app[command].assemble_argument_collection())
     )
-    app.help_formatter = _CommonOptions() if number > MANY else None
+    app.help_formatter = _CommonOptions() if option_count > MIN_SHORTENED else None
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     finally:
         app.help_formatter = None
-    return f"\n`pixsim {command} --help-all` shows all {number} options.\n" if number > MANY else ""
+    return (
+        f"\n`pixsim {command} --help-all` shows all {option_count} options.\n"
+        if option_count > MIN_SHORTENED
+        else ""
+    )

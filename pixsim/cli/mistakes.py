@@ -20,7 +20,7 @@ from pixsim.cli.options import app
 from pixsim.viewer.setting import Run
 
 # What takes a file of this suffix, where a command has it.
-_TAKES = {
+_OPTIONS_OF_SUFFIX = {
     ".toml": ("--config", "-o"),
     ".xml": ("--scene", "-o"),
     ".exr": ("-o",),
@@ -84,7 +84,7 @@ def _hint_of_word(word: str, options: set[str]) -> str:
         return f"Did you mean {option}{equals}{shlex.quote(value) if value else ''}?"
     if name and equals and "-D" in options:
         return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
-    for option in _TAKES.get(Path(word).suffix.lower(), ()):
+    for option in _OPTIONS_OF_SUFFIX.get(Path(word).suffix.lower(), ()):
         if option in options:
             return f"Such a file goes after {option}: {option} {shlex.quote(word)}"
     if word.replace(".", "").isdecimal():
@@ -103,14 +103,14 @@ def _hint_of_option(name: str, options: set[str], proposed: bool) -> str:
 
     Empty if nothing better is known.
     """
-    *above, last = name.lstrip("-").replace("-", "_").split(".")
-    meant = [
-        "--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)
+    *tables, last = name.lstrip("-").replace("-", "_").split(".")
+    candidates = [
+        "--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, tables, last)
     ]
-    meant += [option for option in sorted(options) if option.startswith(f"{name}-")]
-    meant += [_OTHER_NAME[name]] if name in _OTHER_NAME else []
-    if meant := [option for option in meant if option in options]:
-        return f"Did you mean {' or '.join(meant)}?"
-    if "-D" in options and not (proposed or above) and name.startswith("--"):
+    candidates += [option for option in sorted(options) if option.startswith(f"{name}-")]
+    candidates += [_OTHER_NAME[name]] if name in _OTHER_NAME else []
+    if candidates := [option for option in candidates if option in options]:
+        return f"Did you mean {' or '.join(candidates)}?"
+    if "-D" in options and not (proposed or tables) and name.startswith("--"):
         return f"A parameter of the scene goes after -D: -D {last}=VALUE"
     return ""

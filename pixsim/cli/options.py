@@ -152,7 +152,7 @@ def choices_of(annotation: object) -> tuple[str, ...]:
     )
 
 
-def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
+def field_option(record: type[Record], name: str, /, **parameters: Any) -> Parameter:
     """How the help and the completion show an option that is text, and that a field of a record
     validates.
     """
@@ -182,13 +182,13 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     }
     if choices:
         options["completer"] = lambda _: choices
-    return Parameter(**{**options, **more})
+    return Parameter(**{**options, **parameters})
 
 
 _NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
 
 
-def _several(kind: Any, tokens: Sequence[Token]) -> Any:
+def _converted_values(kind: Any, tokens: Sequence[Token]) -> Any:
     """Convert the texts of an option that may be repeated, each of which holds values separated by
     commas or blanks.
 
@@ -204,7 +204,7 @@ def _several(kind: Any, tokens: Sequence[Token]) -> Any:
 
 
 SEVERAL = Parameter(
-    converter=_several, consume_multiple=False
+    converter=_converted_values, consume_multiple=False
 )  # of every option of several values but names of files
 
 
@@ -219,8 +219,8 @@ def _packaged_or_files(
     def complete(context: Any) -> list[str]:
         started = str(context.incomplete)
         folder, separator, start = started.rpartition("/")
-        there = Path(folder or separator or ".")
-        entries = sorted(there.iterdir()) if there.is_dir() else []
+        directory = Path(folder or separator or ".")
+        entries = sorted(directory.iterdir()) if directory.is_dir() else []
         paths = [
             f"{folder}{separator}{path.name}{'/' * path.is_dir()}"
             for path in entries
@@ -361,19 +361,19 @@ def _option_table(record: type[Record], name: str, inside: str = "") -> object:
                 (key, _option_table(records[0], key.replace("_", "-"), name), field(default=None))
             )
             continue
-        more = (
+        parameters = (
             {"completer": _complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
         )
         if record is LensOptions and key == "file":
-            more = {
+            parameters = {
                 "name": ("--lens.file", "--lens"),
                 "completer": complete_lens,
                 "metavar": "NAME|FILE",
             }
         if record is Detectability and key == "without":
-            more = {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
-        how = field_option(record, key, allow_leading_hyphen=True, **more)
-        fields.append((key, Annotated[str | None, how], field(default=None)))
+            parameters = {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
+        parameter = field_option(record, key, allow_leading_hyphen=True, **parameters)
+        fields.append((key, Annotated[str | None, parameter], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
     return Annotated[

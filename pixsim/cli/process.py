@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import NoReturn
 
-WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
-_ENDING = {
-    getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)
+SIGNAL_WORDS = {
+    "SIGINT": "interrupted",
+    "SIGTERM": "terminated",
+    "SIGHUP": "the terminal was closed",
+}
+_WORDS_OF_SIGNAL = {
+    getattr(signal, name): words for name, words in SIGNAL_WORDS.items() if hasattr(signal, name)
 }  # Windows has no SIGHUP
 _IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 # the exit code of a shell for a process that a signal ended, less the signal's number
@@ -52,7 +56,7 @@ class _Interruption:
         """Take the signals, except those that whoever started this process has set to be ignored
         (nohup, background jobs).
         """
-        for number in _ENDING:
+        for number in _WORDS_OF_SIGNAL:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._receive)
         if _IS_TIMED:
@@ -81,7 +85,7 @@ class _Interruption:
     @property
     def words(self) -> str:
         """What happened, for a message; Python itself may have raised KeyboardInterrupt."""
-        return _ENDING[signal.Signals(self.received or signal.SIGINT)]
+        return _WORDS_OF_SIGNAL[signal.Signals(self.received or signal.SIGINT)]
 
     @property
     def exit_code(self) -> int:
@@ -129,7 +133,7 @@ class _Interruption:
         """Ignore signals while Python clears its modules, 0.2 s: it takes our handlers away first,
         and its own would end the process as if the command had not ended.
         """
-        for number in _ENDING:
+        for number in _WORDS_OF_SIGNAL:
             signal.signal(number, signal.SIG_IGN)
 
     def _leave(self) -> NoReturn:

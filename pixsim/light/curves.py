@@ -13,7 +13,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from pixsim.base.bounds import SMALLEST, brief
+from pixsim.base.bounds import SMALLEST, value_text
 from pixsim.base.errors import names_in, quoted
 from pixsim.base.records import as_float
 from pixsim.light.quantities import MIN_FRACTION, Fraction
@@ -240,7 +240,7 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
             return _read_curves(Path(value), kind, highest)
         if not isinstance(value, Mapping) or not value:
             raise ValueError(
-                f"got {brief(value)}; allowed: {_ALLOWED_CURVES}, or a table, as"
+                f"got {value_text(value)}; allowed: {_ALLOWED_CURVES}, or a table, as"
                 " { R = [[400, 0.1], [700, 0.5]] }"
             )
         curves = {}

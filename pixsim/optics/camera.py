@@ -13,7 +13,7 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.bounds import Positive, brief
+from pixsim.base.bounds import Positive, value_text
 from pixsim.base.digits import f_stop
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
@@ -392,7 +392,7 @@ def _as_pixel_count(value: object) -> object:
         )
         example = "1936x1216" if isinstance(given, str) else "[1936, 1216]"
         raise ValueError(
-            f"got {brief(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}"
+            f"got {value_text(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}"
         )
     return value
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from pixsim.base import cache
-from pixsim.base.arrays import WORTH_THREADS, Array, in_threads, strips
+from pixsim.base.arrays import MIN_THREADED_NUMBERS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import content_hash
@@ -1094,7 +1094,7 @@ class _TestPoints:
             x_um, y_um = self.places_um[points[index]]
             transforms[index] = transform(x_um, y_um)
 
-        in_threads(compute, range(len(points)), WORTH_THREADS)
+        in_threads(compute, range(len(points)), MIN_THREADED_NUMBERS)
         return transforms
 
     def transforms(self, light: ChannelWavefronts, window: int) -> NDArray[np.complex128]:

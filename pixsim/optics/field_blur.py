@@ -28,7 +28,7 @@ from scipy.fft import fft, ifft, irfft, irfft2, next_fast_len, rfft, rfft2
 from scipy.special import j0, j1
 
 from pixsim.base.arrays import (
-    WORTH_THREADS,
+    MIN_THREADED_NUMBERS,
     Array,
     dct,
     empty_planes,
@@ -1162,7 +1162,9 @@ def _tile_psfs(
         psfs_of_tiles.update(zip(wanted[batch], psfs.at(places_um, pitch_um, cells), strict=True))
 
     in_threads(
-        compute, strips(len(wanted), 1, _POINTS_PER_CALL), WORTH_THREADS if len(wanted) > 1 else 0
+        compute,
+        strips(len(wanted), 1, _POINTS_PER_CALL),
+        MIN_THREADED_NUMBERS if len(wanted) > 1 else 0,
     )
     return {place: psfs_of_tiles[place] for place in wanted}
 

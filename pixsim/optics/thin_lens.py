@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, Finites, Numbers, strips
-from pixsim.base.bounds import POSITIVE_OR_INFINITE, Count, Positive, brief, check_broadcast
+from pixsim.base.bounds import POSITIVE_OR_INFINITE, Count, Positive, check_broadcast, value_text
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 from pixsim.optics.pupil import Pupil
@@ -54,7 +54,7 @@ def irradiance_factor(
         if not np.all(tan_alpha <= 1):
             raise invalid(
                 "f_number",
-                brief(f_number),
+                value_text(f_number),
                 "N (1 + |m|) ≥ 0.5",
                 "A thin lens in air cannot be faster than f/0.5.",
             )

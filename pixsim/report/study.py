@@ -64,7 +64,7 @@ from pixsim.show.figures import (
     new_figure,
     prepare_to_draw,
 )
-from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
+from pixsim.show.pages import Drawing, DrawnFigure, Figures, Plate, figure, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import html
 from pixsim.show.sentences import capital
@@ -536,7 +536,7 @@ def study_page(
     )
 
 
-def plot_of(plate: Plate | Drawn) -> Plot:
+def plot_of(plate: Plate | DrawnFigure) -> Plot:
     """Return a figure that is made already."""
     return Plot(lambda: plate)
 

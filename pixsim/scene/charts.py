@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, UnitIntervals
-from pixsim.base.bounds import SMALLEST, Axes, Bounds, brief
+from pixsim.base.bounds import SMALLEST, Axes, Bounds, value_text
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.records import UnitInterval, content_hash
@@ -291,7 +291,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
         key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
         raise invalid(
-            "content", brief(content), "texts, finite numbers, lists and tables"
+            "content", value_text(content), "texts, finite numbers, lists and tables"
         ) from None
     label = {cache.ENTRY: cache.entry_label(KIND, key)}
     path = cache.folder() / KIND / f"{key}.exr"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pixsim.base import notes
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import judge_picture, opened, reason
+from pixsim.base.files import check_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
 from pixsim.scene.textures import inspect_radiance
@@ -162,7 +162,7 @@ def _codes(path: Path) -> Array:
     """Return the values of a PNG, JPEG or TIFF, in [0, 1], upright: (H, W) or (H, W, 3)."""
     from PIL import Image, ImageOps
 
-    judge_picture(path)
+    check_picture(path)
     try:
         with (
             warnings.catch_warnings(action="ignore"),

@@ -13,7 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 from pixsim.base import caller
-from pixsim.base.bounds import LARGEST, SMALLEST, brief
+from pixsim.base.bounds import LARGEST, SMALLEST, value_text
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import cache_folder, digest_of, missing
@@ -593,7 +593,7 @@ def _with_target(scene: Scene) -> Scene:
 def _beyond(value: object) -> Beyond | None:
     if value is None or value == "hold" or value == "zero":
         return value
-    raise invalid(f"scene.{BEYOND_TABLES}", brief(value), "'hold' or 'zero'")
+    raise invalid(f"scene.{BEYOND_TABLES}", value_text(value), "'hold' or 'zero'")
 
 
 def _flag(name: str, value: object) -> bool:
@@ -670,7 +670,7 @@ def _positive(name: str, value: object) -> float:
         number = math.nan
     low, high = _LIGHT_RANGE if name in (LUMINANCE, ILLUMINANCE, WHITE) else (SMALLEST, LARGEST)
     if not low <= number <= high:
-        raise invalid(name, brief(value), f"a positive number, {low:g} to {high:g}")
+        raise invalid(name, value_text(value), f"a positive number, {low:g} to {high:g}")
     return number
 
 

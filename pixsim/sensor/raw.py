@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
-from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
+from pixsim.base.files import MAX_PICTURE, check_picture, opened, reason, size_of
 from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
@@ -503,7 +503,7 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
 
     _let_pillow_open_mosaics()
     try:
-        judge_picture(path)
+        check_picture(path)
     except PixsimError as error:
         hint = (
             "Save it as grey or RGB of 16 bits or as grey in floating point, or its array as .npz"

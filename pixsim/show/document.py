@@ -15,7 +15,7 @@ from pixsim.base.digits import number
 from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
-from pixsim.show.pages import Drawn, Figures, Plate
+from pixsim.show.pages import DrawnFigure, Figures, Plate
 from pixsim.show.pictures import Picture
 
 
@@ -110,24 +110,28 @@ class DocumentTable(_DocumentRecord):
 class Plot:
     """A figure with its data, drawn when it is first asked for."""
 
-    draw: Callable[[], Plate | Drawn] = field(repr=False)
+    draw: Callable[[], Plate | DrawnFigure] = field(repr=False)
 
     @cached_property
-    def _made(self) -> Plate | Drawn:
+    def _plate_or_drawn(self) -> Plate | DrawnFigure:
         return self.draw()
 
     @cached_property
-    def drawn(self) -> Drawn:
-        return self._made if isinstance(self._made, Drawn) else self._made.drawn()
+    def drawn(self) -> DrawnFigure:
+        return (
+            self._plate_or_drawn
+            if isinstance(self._plate_or_drawn, DrawnFigure)
+            else self._plate_or_drawn.drawn()
+        )
 
-    def drawn_as(self, figures: Figures) -> Drawn:
+    def drawn_as(self, figures: Figures) -> DrawnFigure:
         """Return the figure with the files that are asked for; one that was drawn elsewhere has
         those of its drawing.
         """
-        if figures == "svg" or isinstance(self._made, Drawn):
+        if figures == "svg" or isinstance(self._plate_or_drawn, DrawnFigure):
             return self.drawn
         return replace(
-            self.drawn, pdf=pdf_bytes(self._made.figure)
+            self.drawn, pdf=pdf_bytes(self._plate_or_drawn.figure)
         )  # drawn once, for the page as for its file
 
 

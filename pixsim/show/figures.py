@@ -110,7 +110,7 @@ def _style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(defaults | _PIXSIM_SETTINGS)
 
 
-_styled = SharedBlock(_style)
+_style_block = SharedBlock(_style)
 
 
 @contextmanager
@@ -129,7 +129,7 @@ def pixsim_style() -> Iterator[None]:
             "a file, or none",
             "Move it away.",
         )
-    with _styled:
+    with _style_block:
         yield
 
 
@@ -157,7 +157,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that needs no display and is saved to the same bytes every time. Call and
     fill it in `pixsim_style`.
     """
-    assert _styled.is_running, "a figure takes its style from the settings while it is filled"
+    assert _style_block.is_running, "a figure takes its style from the settings while it is filled"
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -181,8 +181,8 @@ def fix_margins(
     """
     width_in, height_in = figure.get_size_inches()
     figure.set_layout_engine(None)
-    place = figure.axes[0].get_subplotspec()
-    rows, columns = place.get_gridspec().get_geometry() if place else (1, 1)
+    subplot = figure.axes[0].get_subplotspec()
+    rows, columns = subplot.get_gridspec().get_geometry() if subplot else (1, 1)
     panel_in = (
         (width_in - left_in - right_in + between_in) / columns,
         (height_in - bottom_in - top_in + between_in) / rows,
@@ -309,13 +309,13 @@ def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str
         )
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")
-    has_more = bool(
+    has_extra_terms = bool(
         {"microlens", "opening", "motion"} & terms.keys()
     )  # whose additional lines leave less room at a fixed place
     axes.legend(
         frameon=False,
         fontsize=8,
-        loc="best" if has_more else "lower left",
+        loc="best" if has_extra_terms else "lower left",
         handlelength=LEGEND_LINE,
     )
     return product

@@ -52,9 +52,9 @@ class Plate:
         """Return the figure under another name: one of several of a kind."""
         return replace(self, name=name)
 
-    def drawn(self, figures: Figures = "svg") -> Drawn:
+    def drawn(self, figures: Figures = "svg") -> DrawnFigure:
         svg = svg_text(self.figure)
-        return Drawn(
+        return DrawnFigure(
             self.name,
             self.caption,
             svg,
@@ -104,7 +104,7 @@ def _table_of(columns: Mapping[str, Array | Column]) -> dict[str, Column]:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnFigure:
     """The SVG and CSV text of a plate, and its PDF if that was asked for."""
 
     name: str
@@ -152,17 +152,17 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64," + base64.b64encode(content).decode()
 
 
-def _text_uri(kind: str, text: str, more: Mapping[str, str] | None = None) -> str:
+def _text_uri(kind: str, text: str, further_codes: Mapping[str, str] | None = None) -> str:
     """Return a text file as a data URI for an attribute in double quotes, in fewer bytes than
     `data_uri` takes.
 
     It is marked as escaped: a template would escape angle brackets and single quotes, which may
     stand there.
 
-    more : characters that are encoded too, with their codes
+    further_codes : characters that are encoded too, with their codes
     """
     from markupsafe import Markup
 
-    for character, code in (_ENCODED | dict(more or {})).items():
+    for character, code in (_ENCODED | dict(further_codes or {})).items():
         text = text.replace(character, code)
     return Markup(f"data:{kind};charset=utf-8,{text}")

@@ -117,10 +117,10 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
         y = TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height
         draw.line((LEFT - 1 - TICK, y, LEFT - 1, y), BLACK)
         draw.text((LEFT - TICK - GAP, y), text, BLACK, font(15), anchor="rm")
-    for delta_e_there in np.linspace(0, end, _SCALE_STEPS + 1):
-        y = bottom - delta_e_there / end * height
+    for tick_delta_e in np.linspace(0, end, _SCALE_STEPS + 1):
+        y = bottom - tick_delta_e / end * height
         draw.line((bar + BAR, y, bar + BAR + TICK, y), BLACK)
-        draw.text((bar + BAR + TICK + GAP, y), f"{delta_e_there:g}", BLACK, font(15), anchor="lm")
+        draw.text((bar + BAR + TICK + GAP, y), f"{tick_delta_e:g}", BLACK, font(15), anchor="lm")
     return png_bytes(np.asarray(canvas))
 
 
@@ -129,8 +129,8 @@ def delta_e_colours(delta_e: Array, end: float) -> NDArray[np.uint8]:
     the last colour.
     """
     table = viridis()
-    place = np.clip(delta_e / end * len(table), 0, len(table) - 1)
-    return np.asarray(table[place.astype(int)])
+    index = np.clip(delta_e / end * len(table), 0, len(table) - 1)
+    return np.asarray(table[index.astype(int)])
 
 
 @lru_cache
@@ -145,8 +145,8 @@ def font(size: int) -> FreeTypeFont:
     """Return Matplotlib's DejaVu Sans without importing Matplotlib."""
     from PIL.ImageFont import truetype
 
-    home = util.find_spec("matplotlib")
-    folder = next(iter(home.submodule_search_locations or [])) if home else ""
+    matplotlib_spec = util.find_spec("matplotlib")
+    folder = next(iter(matplotlib_spec.submodule_search_locations or [])) if matplotlib_spec else ""
     return truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
 
 
@@ -177,13 +177,13 @@ def smallest_png(codes: NDArray[np.uint8]) -> bytes:
     if (codes == codes[:, :, :1]).all():
         return png_bytes(codes[:, :, 0])
     picture = Image.fromarray(np.ascontiguousarray(codes))
-    counted = picture.getcolors(256)
-    if counted is None:
+    colour_counts = picture.getcolors(256)
+    if colour_counts is None:
         return png_bytes(codes)
-    palette = np.array(sorted(colour for _, colour in counted), np.uint8)
+    palette = np.array(sorted(colour for _, colour in colour_counts), np.uint8)
     weights = np.array([1 << 16, 1 << 8, 1])
-    places = np.searchsorted(palette @ weights, codes @ weights).astype(np.uint8)
-    picture = Image.fromarray(places)
+    palette_indices = np.searchsorted(palette @ weights, codes @ weights).astype(np.uint8)
+    picture = Image.fromarray(palette_indices)
     picture.putpalette(palette.tobytes())
     metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
     metadata.add_text("Software", "pixsim")
@@ -281,11 +281,11 @@ class Window:
         rows, columns = picture.shape[:2]
         row = min(round(self.top * rows), rows - 1)
         column = min(round(self.left * columns), columns - 1)
-        below, beside = (
+        last_row, last_column = (
             row + max(1, round(self.height * rows)),
             column + max(1, round(self.width * columns)),
         )
-        return picture[row:below, column:beside]
+        return picture[row:last_row, column:last_column]
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -337,8 +337,8 @@ def reduced(luminance: Array) -> Array:
     """
     rows, columns = luminance.shape[:2]
     down, across = min(factor_for(luminance), rows), min(factor_for(luminance), columns)
-    whole = luminance[: rows // down * down, : columns // across * across]
-    blocks = whole.reshape(rows // down, down, columns // across, across, *luminance.shape[2:])
+    cropped = luminance[: rows // down * down, : columns // across * across]
+    blocks = cropped.reshape(rows // down, down, columns // across, across, *luminance.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3)))
 
 

@@ -46,7 +46,7 @@ PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
-BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
+INDENT = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 _BETWEEN = "  "  # columns
 MIN_WORDS_WIDTH = 12  # to which a column of words is wrapped
 WIDTH = 160  # columns of output that does not go to a terminal
@@ -56,35 +56,35 @@ def text(document: Document, width: int = WIDTH) -> str:
     """Return the lines for a terminal of so many columns."""
     blocks = enumerate(document.terminal or (*document.answers, *document.lead, *document.brief))
     return "\n".join(
-        line for number, block in blocks for line in lines(block, width, BELOW if number else "")
+        line for number, block in blocks for line in lines(block, width, INDENT if number else "")
     )
 
 
-def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str]:
+def lines(block: Block, width: int = WIDTH, indent: str = INDENT) -> Iterator[str]:
     """Yield the lines of a block for a terminal, which shows no figures and pictures.
 
     width : columns that tables may take
-    before : the rows of a table that is below something
+    indent : the rows of a table that is below something
     """
     match block:
         case Answer():
             yield plain_text(block.head)
-            yield from (BELOW + plain_text(part) for part in block.below)
+            yield from (INDENT + plain_text(part) for part in block.below)
         case Fact():
             yield plain_text(block.text)
         case Note():
             yield f"note: {block}"
         case Listed():
-            yield from (BELOW + plain_text(item) for item in block.items)
+            yield from (INDENT + plain_text(item) for item in block.items)
         case DocumentTable():
-            yield from _table_lines(block, width, before)
+            yield from _table_lines(block, width, indent)
         case Section():
             yield from ("", *(line for inner in block.blocks for line in lines(inner, width)))
         case str() | tuple():
             yield plain_text(block)
 
 
-def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]:
+def _table_lines(table: DocumentTable, width: int, indent: str) -> Iterator[str]:
     """Yield a table in columns as wide as their longest cell; where that is too wide, those of
     words are wrapped.
     """
@@ -93,15 +93,17 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
     count = max(map(len, rows), default=0) - table.wide
     rows = [row[:count] for row in rows]
     words = range(count) if table.words is None else (0, *table.words)
-    before = BELOW if any(len(row) == 1 for row in rows) else before
+    indent = INDENT if any(len(row) == 1 for row in rows) else indent
 
     widths = [
         max(map(len, column))
         for column in zip(*(row for row in rows if len(row) == count), strict=True)
     ]
-    room = width - len(before) - len(_BETWEEN) * (count - 1)
-    while sum(widths) > room and (wide := [at for at in words if widths[at] > MIN_WORDS_WIDTH]):
-        widths[max(wide, key=widths.__getitem__)] -= 1
+    max_width = width - len(indent) - len(_BETWEEN) * (count - 1)
+    while sum(widths) > max_width and (
+        too_wide := [at for at in words if widths[at] > MIN_WORDS_WIDTH]
+    ):
+        widths[max(too_wide, key=widths.__getitem__)] -= 1
 
     for row in rows:
         if len(row) == 1:
@@ -116,10 +118,10 @@ def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]
         ]
         for parts in zip_longest(*cells, fillvalue=""):
             padded = (
-                part.ljust(wide) if left else part.rjust(wide)
-                for part, wide, left in zip(parts, widths, is_text, strict=False)
+                part.ljust(too_wide) if left else part.rjust(too_wide)
+                for part, too_wide, left in zip(parts, widths, is_text, strict=False)
             )
-            yield (before + _BETWEEN.join(padded)).rstrip()
+            yield (indent + _BETWEEN.join(padded)).rstrip()
 
 
 def _wrapped(cell: str, width: int) -> list[str]:
@@ -229,7 +231,7 @@ def write(
 def _write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
     """Write all files of a document but their list to a new folder."""
     with ThreadPoolExecutor(2) as pool:
-        written = [pool.submit(make, folder) for make in document.writers]
+        writes = [pool.submit(write_content, folder) for write_content in document.writers]
         drawn = (plot.drawn_as(figures).files for plot in document.plots)
         plots = {
             f"{document.figures}/{name}": content
@@ -240,7 +242,7 @@ def _write_files(document: Document, folder: Path, figures: Figures = "svg") -> 
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         write_json(folder / document.data_file, document.data)
-        for writer in written:
+        for writer in writes:
             writer.result()
     for name, part in document.parts.items():
         _write_files(part, folder / name, figures)

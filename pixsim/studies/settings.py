@@ -25,13 +25,13 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.bounds import brief
+from pixsim.base.bounds import value_text
 from pixsim.base.caller import setting
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import did_you_mean, invalid, name_fault
 from pixsim.base.layers import Layer, nested
 from pixsim.base.notes import Note, warn
-from pixsim.base.problems import BRANCHES
+from pixsim.base.problems import UNION_BRANCHES
 from pixsim.base.records import AnyNumber, NumberOrText, Record, UnitInterval, as_list, checked
 from pixsim.light.curves import RESPONSES
 from pixsim.light.quantities import ILLUMINANCE, LUMINANCE, Fraction
@@ -151,7 +151,7 @@ def _settings(table: object) -> dict[str, Any]:
         value = reduce(getitem, path, table)
         if not isinstance(value, str | int | float | list | tuple | dict):
             raise ValueError(
-                f"{'.'.join(path)} = {brief(value)}; allowed: a number, a text or a list"
+                f"{'.'.join(path)} = {value_text(value)}; allowed: a number, a text or a list"
             )
         if path[0] in NOT_SETTINGS:
             hint = NOT_SETTINGS[path[0]]
@@ -252,7 +252,7 @@ _SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
 def _axis_number(value: object) -> object:
     if not isinstance(value, float | int | str) or value == "":
         raise ValueError(
-            f"got {brief(value)}; allowed: a number, a name, or a table of label and set"
+            f"got {value_text(value)}; allowed: a number, a name, or a table of label and set"
         )
     if isinstance(value, str) and (fault := name_fault(value)):
         raise ValueError(f"got a name that {fault}; allowed: another name")
@@ -260,7 +260,7 @@ def _axis_number(value: object) -> object:
 
 
 def _is_table(value: object) -> str:
-    return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
+    return UNION_BRANCHES[0] if isinstance(value, dict | AxisValue) else UNION_BRANCHES[1]
 
 
 class AxisValue(Record):
@@ -276,8 +276,8 @@ class AxisValue(Record):
 
 # One branch for each kind, so that a message is about the kind that was meant.
 _OneOfAxis = Annotated[
-    Annotated[AxisValue, Tag(BRANCHES[0])]
-    | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Annotated[AxisValue, Tag(UNION_BRANCHES[0])]
+    | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(UNION_BRANCHES[1])],
     Discriminator(_is_table),
 ]
 

@@ -71,13 +71,15 @@ class KnownAnswer:
         inputs = [
             arguments if isinstance(arguments, tuple) else (arguments,) for arguments in self.inputs
         ]
-        end = -1 if self.expected is ANSWERS else None
+        answer_index = -1 if self.expected is ANSWERS else None
         with (
             warnings.catch_warnings(record=True) as caught,
             np.errstate(all="warn", under="ignore"),
         ):
             warnings.simplefilter("always")
-            results = [np.asarray(self.call(*arguments[:end]), float) for arguments in inputs]
+            results = [
+                np.asarray(self.call(*arguments[:answer_index]), float) for arguments in inputs
+            ]
         got = np.concatenate([result.ravel() for result in results])
         expected = _elements(self.expected, inputs, results)
         scale = np.abs(expected) if self.scale is None else _elements(self.scale, inputs, results)

@@ -45,10 +45,10 @@ Row = tuple[Any, ...]  # the fields of a KnownAnswer
 
 NO_ARGUMENTS = ((),)  # inputs of a call without arguments
 SIGMAS = 5.0  # limit of random samples, in standard errors
-DRAWN = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
+RANDOM_SAMPLES = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
 _EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
-_STORED = 2e-7  # the irradiance is stored in float32
+_FLOAT32_ROUNDING = 2e-7  # the irradiance is stored in float32
 BOLTZMANN_J_PER_K, ELECTRON_C = (
     1.380649e-23,
     1.602176634e-19,
@@ -76,9 +76,9 @@ OTFS = (
     (0.999, 3.79549743734e-5),
     (1 - 1e-10, 1.2004e-15),
 )
-_ROUNDED = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
+_FEW_ROUNDINGS = 4e-15  # at most 20 roundings of 1.1e-16 in a well-conditioned formula
 # rounding of a cosine transform and its inverse, relative to the brightest sample
-_TRANSFORMED = 1e-14
+_TRANSFORM_ROUNDING = 1e-14
 
 
 def blurred(picture: Array, f_number: float) -> Array:
@@ -104,7 +104,7 @@ def optics() -> list[Row]:
             "E/L of a lens, f/0.5 to f/1e150, 0 to 80°, magnification 0 to -2",
             irradiance_factor,
             ANSWERS,
-            _ROUNDED,
+            _FEW_ROUNDINGS,
             "Foote's formula in 400 digits; rounding",
             IRRADIANCES,
         ),
@@ -120,7 +120,7 @@ def optics() -> list[Row]:
             "OTF from 0 to just below the cut-off",
             lambda share: diffraction_otf(share, 1e6, 1.0),  # a cut-off of 1 cy/mm
             ANSWERS,
-            _ROUNDED,
+            _FEW_ROUNDINGS,
             "overlap of two pupils; rounding of terms near 1",
             OTFS,
             1.0,
@@ -129,7 +129,7 @@ def optics() -> list[Row]:
             "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole",
             lambda picture, n: blurred(picture, n).mean(),
             lambda picture, n: picture.mean(),
-            _TRANSFORMED,
+            _TRANSFORM_ROUNDING,
             "conservation of energy; rounding of the transform",
             product(pictures, [0.5, 4.0, 1e3, 1e6, 1e300, np.inf]),
         ),
@@ -180,7 +180,7 @@ LINES = (
 BANDS_NM = np.arange(365.0, 826.0, 10.0)
 SURFACES = np.zeros((0, 471))  # none
 _BANDS_TOLERANCE = 2.5e-4  # error of the bands in a render with default tolerance
-_SUMMED = 1e-13  # rounding of a running sum over up to 15 040 cells
+_SUM_ROUNDING = 1e-13  # rounding of a running sum over up to 15 040 cells
 
 
 def line(centre_nm: float) -> Spectrum:
@@ -221,7 +221,7 @@ def _is_refused(spectrum: Array, physics: PixelPhysics) -> bool:
 
 def spectra() -> list[Row]:
     physics = derive(Pixel(pitch_um=10.0))
-    cut = derive(Pixel(pitch_um=10.0, technology="4t-bsi", infrared_cut_nm=650.0))
+    infrared_cut = derive(Pixel(pitch_um=10.0, technology="4t-bsi", infrared_cut_nm=650.0))
 
     def electrons(nm: Array) -> Array:
         return physics.quantum_efficiency(nm) * photons_per_joule(nm)
@@ -230,31 +230,35 @@ def spectra() -> list[Row]:
     nm, watts, electrons_e, lux = zip(*LINES, strict=True)
     lamps = [line(centre_nm) for centre_nm in nm]
     bands = [place_bands([lamp], SURFACES, detectors, _BANDS_TOLERANCE) for lamp in lamps]
-    images = [image_of(lamp, placed) for lamp, placed in zip(lamps, bands, strict=True)]
+    images = [image_of(lamp, lamp_bands) for lamp, lamp_bands in zip(lamps, bands, strict=True)]
 
-    def power_of_pulse(lamp: Spectrum, placed: Bands) -> float:
-        pulses = fit(lamp, placed, SURFACES, detectors, _BANDS_TOLERANCE)
+    def power_of_pulse(lamp: Spectrum, lamp_bands: Bands) -> float:
+        pulses = fit(lamp, lamp_bands, SURFACES, detectors, _BANDS_TOLERANCE)
         return (
             math.nan
             if pulses is None
-            else float((pulses.spectra.sum(axis=0) * placed.width_nm).sum())
+            else float((pulses.spectra.sum(axis=0) * lamp_bands.width_nm).sum())
         )
 
-    lit = {  # with the electrons of a pixel per second
+    lights = {  # with the electrons of a pixel per second
         "every second band dark": (physics, np.tile([0.02, 0.0], 24)[:47], 187258201.36563483),
         "light only below and above the response, 400-800 nm": (
             physics,
             np.where(abs(BANDS_NM - 600) > 200, 0.02, 0.0),
             0.0,
         ),
-        "light only beyond the infrared cut": (cut, np.where(BANDS_NM > 655, 0.02, 0.0), 0.0),
+        "light only beyond the infrared cut": (
+            infrared_cut,
+            np.where(BANDS_NM > 655, 0.02, 0.0),
+            0.0,
+        ),
     }
     return [
         (
             "power of a 1 nm line in its bands, 360 to 830 nm",
             lambda image: (image.mean_spectrum() * image.band_width_nm).sum(),
             ANSWERS,
-            _SUMMED,
+            _SUM_ROUNDING,
             "area of the triangle within 360-830 nm",
             zip(images, watts, strict=True),
         ),
@@ -262,7 +266,7 @@ def spectra() -> list[Row]:
             "power of a 1 nm line in one pulse of the renderer, 360 to 830 nm",
             power_of_pulse,
             ANSWERS,
-            _SUMMED,
+            _SUM_ROUNDING,
             "the same area",
             zip(lamps, bands, watts, strict=True),
         ),
@@ -294,7 +298,7 @@ def spectra() -> list[Row]:
                 ),
                 product(_uniform_images(spectrum), [Camera()], [pixel]),
             )
-            for name, (pixel, spectrum, rate) in lit.items()
+            for name, (pixel, spectrum, rate) in lights.items()
         ),
         (
             "shares of light in the bands of a lamp that is off",
@@ -318,7 +322,7 @@ def spectra() -> list[Row]:
 
 # --- Light from zero to far beyond saturation ---
 
-QUIET: dict[str, Any] = dict.fromkeys(
+SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
     (
         "dark_current_e_per_s",
         "read_noise_e",
@@ -330,7 +334,7 @@ QUIET: dict[str, Any] = dict.fromkeys(
     ),
     0,
 )  # parameters of a pixel with photon shot noise alone
-GREEN = QUIET | {
+GREEN = SHOT_NOISE_ONLY | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
     "full_well_e": 65_535,
@@ -409,7 +413,7 @@ def _bright_and_dark(diffraction: bool) -> Array:
 
 def light() -> list[Row]:
     small_well = GREEN | {"full_well_e": 1000}  # filled by 1e-9 cd/m² in 25 years
-    metered: dict[str, Any] = {
+    automatic: dict[str, Any] = {
         "options": small_well,
         "integration_s": None,
         "max_integration_s": 1e9,
@@ -425,7 +429,7 @@ def light() -> list[Row]:
             SIGMAS,
             # A mean of 1e-6 gives 0.2 electrons in all pixels together; three or more exceed the
             # limit.
-            f"Poisson: both are the mean; {DRAWN}, 1e-3 at a mean of 1e-6",
+            f"Poisson: both are the mean; {RANDOM_SAMPLES}, 1e-3 at a mean of 1e-6",
             enumerate([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15]),
             lambda seed, mean_e: _moment_errors(mean_e, 200_000, mean_e),
         ),
@@ -433,7 +437,7 @@ def light() -> list[Row]:
             "mean electrons of a uniform field of 1e-9 … 1e12 cd/m²",
             lambda luminance: _green_frame(luminance).mean_e[7, 7],
             lambda luminance: luminance * GREEN_E_PER_S,
-            _STORED,
+            _FLOAT32_ROUNDING,
             "L π sin²α A t QE λ/hc; float32",
             _LUMINANCES_CD_PER_M2,
         ),
@@ -442,13 +446,13 @@ def light() -> list[Row]:
             lambda mean_e: capture(mean_e, GREEN).dn.mean(),
             lambda mean_e: poisson.sf(np.arange(65_535), mean_e).sum(),
             SIGMAS,
-            f"Σ min(n, well) P(n) over Poisson counts; {DRAWN}, each of 6",
+            f"Σ min(n, well) P(n) over Poisson counts; {RANDOM_SAMPLES}, each of 6",
             [0.01, 1.0, 1e3, 65_535.0, 7e4, 1e9],
             lambda mean_e: np.sqrt(min(mean_e, 65_535) / COUNT),
         ),
         (
             "automatic exposure: brightest pixel over full well, 1e-9 … 1e12 cd/m²",
-            lambda luminance: _green_frame(luminance, **metered).mean_e.max() / 1000,
+            lambda luminance: _green_frame(luminance, **automatic).mean_e.max() / 1000,
             0.95,
             ROUNDING,
             "well_target; rounding of one product",
@@ -499,7 +503,7 @@ def light() -> list[Row]:
 # --- Sensors: pixels of 0.3 to 100 µm, 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB
 # ---
 
-SENSOR = QUIET | {"fill_factor": 0.5}
+SENSOR = SHOT_NOISE_ONLY | {"fill_factor": 0.5}
 # Pitch in µm, full well of a junction of the 0.35 µm process that covers half of the pixel.
 JUNCTION_WELLS_E = (
     (0.3, 14696.568501851178),
@@ -509,7 +513,7 @@ JUNCTION_WELLS_E = (
     (100.0, 23548815.638200372),
 )
 _TEMPERATURES_K = (77.0, 150.0, 250.0, 300.15, 350.0, 400.0)
-NOISY: tuple[dict[str, Any], ...] = (
+NOISY_PIXELS: tuple[dict[str, Any], ...] = (
     {},
     {"technology": "4t-bsi", "pitch_um": 2.8},
     {"well_limit": "diode"},
@@ -545,13 +549,15 @@ def _dark_gains(seed: int, dsnu: float) -> Array:
 
 def sensor() -> list[Row]:
     hot = SENSOR | {"full_well_e": 1000, "bits": 10, "dark_current_e_per_s": 1e6}
-    lowered = capture(0.0, hot, (4, 4), offset_e=-400.0)
-    wide = SENSOR | {"full_well_e": 1e12, "bits": 24, "black_level_dn": 1000}
+    with_offset = capture(0.0, hot, (4, 4), offset_e=-400.0)
+    large_well = SENSOR | {"full_well_e": 1e12, "bits": 24, "black_level_dn": 1000}
     noise = {"read_noise_e": 0.5, "read_noise_after_gain_e": 30.0}
-    amplified = SENSOR | noise | {"full_well_e": 1e5, "bits": 16, "black_level_dn": 4000}
+    amplified_pixel = SENSOR | noise | {"full_well_e": 1e5, "bits": 16, "black_level_dn": 4000}
 
     def amplified_dn(gain_db: float, share: float, shape: tuple[int, int] = FRAME) -> NDArray[Any]:
-        return capture(share * 1e5 / 10 ** (gain_db / 20), amplified, shape, gain_db=gain_db).dn
+        return capture(
+            share * 1e5 / 10 ** (gain_db / 20), amplified_pixel, shape, gain_db=gain_db
+        ).dn
 
     def amplified_variance_dn2(gain_db: float, share: float) -> float:
         gain = 10 ** (gain_db / 20)
@@ -564,7 +570,8 @@ def sensor() -> list[Row]:
             "full well of a pinned photodiode, pitch 0.3 … 100 µm, FF 1e-12 … 1",
             lambda pitch_um, fill: (
                 physics_of(
-                    QUIET | {"technology": "4t-bsi", "pitch_um": pitch_um, "fill_factor": fill}
+                    SHOT_NOISE_ONLY
+                    | {"technology": "4t-bsi", "pitch_um": pitch_um, "fill_factor": fill}
                 ).full_well_e
             ),
             lambda pitch_um, fill: 3490 * fill * pitch_um**2,
@@ -585,7 +592,7 @@ def sensor() -> list[Row]:
                 "dark charge of a thousand full wells, offset -0.4 full wells: every code, and"
                 " saturated pixels"
             ),
-            lambda: [lowered.dn.min(), lowered.dn.max(), lowered.saturated_fraction],
+            lambda: [with_offset.dn.min(), with_offset.dn.max(), with_offset.saturated_fraction],
             [614, 614, 1],
             0.0,
             (
@@ -612,14 +619,14 @@ def sensor() -> list[Row]:
             lambda options, wells: wells > 1,
             0.0,
             "all and none: the full well is 30 σ of shot noise and PRNU away",
-            product(NOISY, [14.0, 0.5]),
+            product(NOISY_PIXELS, [14.0, 0.5]),
         ),
         (
             "saturated pixels under one full well, default pixel",
             saturated_fraction,
             SATURATED_SHARE,
             SIGMAS,
-            f"P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code); {DRAWN}",
+            f"P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code); {RANDOM_SAMPLES}",
             [({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0}, 1.0)],
             math.sqrt(SATURATED_SHARE * (1 - SATURATED_SHARE) / COUNT),
         ),
@@ -655,10 +662,10 @@ def sensor() -> list[Row]:
         ),
         (
             "zero read noise, 24 bits: mean code and variance",
-            lambda: moments(capture(0.5e12, wide).dn, WIDE_DN),
+            lambda: moments(capture(0.5e12, large_well).dn, WIDE_DN),
             [WIDE_DN, WIDE_DN2],
             SIGMAS,
-            f"black level + half of the codes above it; shot noise + 1/12; {DRAWN}",
+            f"black level + half of the codes above it; shot noise + 1/12; {RANDOM_SAMPLES}",
             NO_ARGUMENTS,
             _moment_errors(WIDE_DN2, COUNT),
         ),
@@ -669,7 +676,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             (
                 "black level and light; (before · gain)² + after² + shot noise + 1/12, in codes;"
-                f" {DRAWN}"
+                f" {RANDOM_SAMPLES}"
             ),
             product([0.0, 0.1, 6.0, 20.0, 40.0, 60.0], [0.0, 0.5]),
             lambda gain_db, share: _moment_errors(amplified_variance_dn2(gain_db, share), COUNT),
@@ -709,7 +716,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             # The fourth cumulant of a gamma variable of mean 1 is 6 s⁶; 1e-15 is the rounding of
             # values near 1.
-            f"1 and DSNU²; {DRAWN}",
+            f"1 and DSNU²; {RANDOM_SAMPLES}",
             enumerate([1e-9, 0.02, 0.3, 1.0]),
             lambda seed, dsnu: (
                 _moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10])
@@ -721,7 +728,7 @@ def sensor() -> list[Row]:
 # --- Stacks from 1 nm to 10 mm high behind f/0.5 to f/10⁶ ---
 
 SPOT_NM = np.array([300.0, 550.0, 1200.0])
-_UNDER_LENS = 1e-11  # rounding of boundaries, of a pupil
+_PUPIL_ROUNDING = 1e-11  # rounding of boundaries, of a pupil
 
 
 def _disc_radius_um(f_number: float, height_um: float, index: float) -> float:
@@ -771,7 +778,7 @@ def stacks() -> list[Row]:
                 min(0.7 * _disc_radius_um(*lens), 6.0), *lens
             ),  # its corner is within the disc
             lambda *lens: min(0.7, 6 / _disc_radius_um(*lens)) ** 2 / math.pi,
-            _UNDER_LENS,
+            _PUPIL_ROUNDING,
             "photodiode over disc, w²/(π (h NA/n)²); rounding of boundaries",
             lenses,
         ),
@@ -779,7 +786,7 @@ def stacks() -> list[Row]:
             "photodiodes as wide as the disc, f/0.5 … f/1e6",
             lambda *lens: _share_under_lens(2 * _disc_radius_um(*lens), *lens),
             1.0,
-            _UNDER_LENS,
+            _PUPIL_ROUNDING,
             "1 at N = √((h/nw)² - ¼), where the disc touches the photodiode's sides",
             [lens for lens in lenses if _disc_radius_um(*lens) < 2.95],
         ),
@@ -787,7 +794,7 @@ def stacks() -> list[Row]:
             "photodiodes as wide as their pixels, 0 and 20°: all nine",
             _all_shares,
             1.0,
-            _UNDER_LENS,
+            _PUPIL_ROUNDING,
             "conservation",
             product([0.7, 4.0, 1e3], [0.0, 20.0], [True, False], [3.5, 5.0]),
         ),
@@ -825,11 +832,11 @@ def stacks() -> list[Row]:
 # --- Integration over pixels of incommensurate pitch and grid, and of ratios that are integers
 # except for rounding ---
 
-_ALMOST = 1e-12
+_ALMOST_INTEGER = 1e-12
 SIDE, LONG = 64, 20_000  # samples
 # The rounding of a running sum of n cells is proportional to n, and the spline amplifies it:
 # measured 5 to 20 eps n.
-_RUNNING = 50 * _EPS
+_RUNNING_SUM_ROUNDING = 50 * _EPS
 ROUNDING_OF_SUM = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
 
 
@@ -875,7 +882,7 @@ def integration() -> list[Row]:
             ROUNDING_OF_SUM,
             "conservation; roundings of sums",
             [
-                *product([picture], [1.0, 1 + _ALMOST, 1 / 3, 4 / 7, SIDE]),
+                *product([picture], [1.0, 1 + _ALMOST_INTEGER, 1 / 3, 4 / 7, SIDE]),
                 (_random_picture(63, 70), 7 / 3),
                 (_random_picture(1, 1), 1.0),
             ],
@@ -884,16 +891,16 @@ def integration() -> list[Row]:
             "every pixel, pitch/grid 1 + 1e-12 and 1 - 1e-12",
             lambda ratio: integrate_pixels(picture, 1.0, ratio, ratio),
             picture,
-            4 * SIDE * _ALMOST,
+            4 * SIDE * _ALMOST_INTEGER,
             "limit: the samples themselves; borders move by 3.2e-11 samples along either axis",
-            [1 + _ALMOST, 1 - _ALMOST],
+            [1 + _ALMOST_INTEGER, 1 - _ALMOST_INTEGER],
             1.0,
         ),
         (
             "linear pictures of 64×64 to 20 000×4 samples, pitch/grid 1, 7/3, π, 1/3, 0.3",
             lambda size_um, ratio: _integrated_plane(size_um, ratio, 0.6 * ratio),
             1.0,
-            _RUNNING,
+            _RUNNING_SUM_ROUNDING,
             "closed form; rounding of a running sum of n samples, relative to n samples",
             product([(SIDE, SIDE), (5, 60), (60, 4), (LONG, 4)], [1.0, 7 / 3, math.pi, 1 / 3, 0.3]),
             lambda size_um, ratio: max(size_um) / (0.6 * ratio),
@@ -902,7 +909,7 @@ def integration() -> list[Row]:
             "a photodiode of a millionth of a sample's width, linear picture",
             lambda: _integrated_plane((SIDE, SIDE), math.pi, 1e-6),
             1.0,
-            _RUNNING * SIDE / 1e-6,
+            _RUNNING_SUM_ROUNDING * SIDE / 1e-6,
             "limit: the value at its centre; rounding of a running sum relative to the width",
         ),
         (
@@ -940,8 +947,14 @@ def integration() -> list[Row]:
 # ---
 
 _DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
-_SEEN_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))  # smaller than the widest Gaussian, 4.3°
-BOTH = ("published", "zhang1996")
+_VIEWED_SHAPES = (
+    (1, 1),
+    (2, 1),
+    (1, 9),
+    (3, 5),
+    (33, 20),
+)  # smaller than the widest Gaussian, 4.3°
+BOTH_FILTERS = ("published", "zhang1996")
 WHITE = np.array([95.047, 100.0, 108.883])
 THRESHOLD = (6 / 29) ** 3  # of Y/Yn, CIE 15
 # X/Xn, Y/Yn, Z/Zn and CIELAB, by the branches of CIE 15.
@@ -963,10 +976,10 @@ GRATINGS = (
 )
 # Rounding of transforms of values near 1 times the slope of Lab, up to 903 in L* and 500·7.8 in a*:
 # 1e-15 · 4e3 · 10.
-_LAB_ROUNDED = 1e-10
+_LAB_ROUNDING = 1e-10
 
 
-def _seen_lab(
+def _viewed_lab(
     relative: Array, samples_per_deg: float = 23.0, filters: Filters = "published"
 ) -> Array:
     """CIELAB of X/Xn, Y/Yn, Z/Zn behind the filters of the eye."""
@@ -975,7 +988,7 @@ def _seen_lab(
     )
 
 
-def _seen_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters: Any) -> Array:
+def _viewed_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters: Any) -> Array:
     return delta_e_map(
         relative * WHITE * unit,
         other * WHITE * unit,
@@ -995,67 +1008,67 @@ def _mirrored_lab(relative: Array, samples_per_deg: float, filters: Filters) -> 
     """CIELAB of a picture, filtered with its mirror images around it."""
     rows, columns, _ = relative.shape
     whole = np.pad(relative, ((0, rows), (0, columns), (0, 0)), mode="symmetric")
-    return _seen_lab(whole, samples_per_deg, filters)[:rows, :columns]
+    return _viewed_lab(whole, samples_per_deg, filters)[:rows, :columns]
 
 
 def viewer() -> list[Row]:
-    pictures = [default_rng(shape).uniform(0.02, 1.2, (*shape, 3)) for shape in _SEEN_SHAPES]
+    pictures = [default_rng(shape).uniform(0.02, 1.2, (*shape, 3)) for shape in _VIEWED_SHAPES]
     grey = np.ones((4, 4, 3))
     noise = default_rng(9).uniform(-0.5, 0.5, (24, 24, 3)) * THRESHOLD
     return [
         (
             "CIELAB of uniform pictures, 0.5 to 2000 samples/deg",
-            lambda colour, lab, shape, density: _seen_lab(
+            lambda colour, lab, shape, density: _viewed_lab(
                 np.broadcast_to(colour, (*shape, 3)), density
             ),
             lambda colour, lab, shape, density: lab,
-            _LAB_ROUNDED,
+            _LAB_ROUNDING,
             "CIE 15: blur does not change a uniform picture; ΔE, rounding",
             [
                 (*colour, *view)
-                for colour, view in product(COLOURS, product(_SEEN_SHAPES, _DENSITIES))
+                for colour, view in product(COLOURS, product(_VIEWED_SHAPES, _DENSITIES))
             ],
             1.0,
         ),
         (
             "CIELAB of coloured gratings, 0.5 to 1e9 samples/deg",
-            lambda density, order: _seen_lab(grating(order), density)[0, 0],
+            lambda density, order: _viewed_lab(grating(order), density)[0, 0],
             ANSWERS,
-            _LAB_ROUNDED,
+            _LAB_ROUNDING,
             "Σ w exp(-π² s² f²)/Σ w of each opponent channel, closed form; ΔE, rounding",
             GRATINGS,
             1.0,
         ),
         (
             "pictures smaller than the eye's blur, both filters, 0.5 to 2000 samples/deg",
-            _seen_lab,
+            _viewed_lab,
             _mirrored_lab,
-            _LAB_ROUNDED,
+            _LAB_ROUNDING,
             "symmetry: adding the mirror images to a picture changes nothing; ΔE, rounding",
-            product(pictures, _DENSITIES, BOTH),
+            product(pictures, _DENSITIES, BOTH_FILTERS),
             1.0,
         ),
         (
             "ΔE of a picture with itself: black, negative, 1e-12 and 1e12 times white",
-            lambda picture, times, filters: _seen_delta_e(
+            lambda picture, times, filters: _viewed_delta_e(
                 picture * times, picture * times, filters=filters
             ),
             0.0,
             0.0,
             "exactly 0",
-            product(pictures, [0, -1, 1e-12, 1e12], BOTH),
+            product(pictures, [0, -1, 1e-12, 1e12], BOTH_FILTERS),
         ),
         (
             "ΔE of images and white times 2^-1000 and 2^1000",
-            lambda picture, unit: _seen_delta_e(picture, 0.9 * picture[::-1, ::-1], unit),
-            lambda picture, unit: _seen_delta_e(picture, 0.9 * picture[::-1, ::-1]),
+            lambda picture, unit: _viewed_delta_e(picture, 0.9 * picture[::-1, ::-1], unit),
+            lambda picture, unit: _viewed_delta_e(picture, 0.9 * picture[::-1, ::-1]),
             0.0,
             "independent of the unit of XYZ, bit for bit",
             product(pictures, [2.0**-1000, 2.0**1000]),
         ),
         (
             "ΔE of black and grey of 1e-150 to 1e-3 of white",
-            lambda share: _seen_delta_e(0 * grey, share * grey),
+            lambda share: _viewed_delta_e(0 * grey, share * grey),
             lambda share: (29 / 3) ** 3 * share,
             1e-12,
             "(29/3)³ Y/Yn",
@@ -1063,9 +1076,9 @@ def viewer() -> list[Row]:
         ),
         (
             "CIELAB of noise around black, negative XYZ included",
-            lambda: _seen_lab(-noise),
-            lambda: -_seen_lab(noise),
-            _LAB_ROUNDED,
+            lambda: _viewed_lab(-noise),
+            lambda: -_viewed_lab(noise),
+            _LAB_ROUNDING,
             "symmetry: CIELAB is linear through zero, without clipping; ΔE, rounding",
             NO_ARGUMENTS,
             1.0,
@@ -1075,8 +1088,8 @@ def viewer() -> list[Row]:
             lambda picture, density: filtered_grey_lab(
                 picture[..., 1], white_xyz=WHITE, samples_per_deg=density
             ),
-            lambda picture, density: _seen_lab(picture[..., [1, 1, 1]], density),
-            _LAB_ROUNDED,
+            lambda picture, density: _viewed_lab(picture[..., [1, 1, 1]], density),
+            _LAB_ROUNDING,
             "identical pictures; ΔE, rounding",
             product(pictures, _DENSITIES),
             1.0,

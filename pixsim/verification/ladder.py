@@ -264,20 +264,20 @@ def climb(
         if request.plan.samples.exact and REFERENCE_OF_CHART * across <= max_across
         else REFERENCE
     )
-    wanted = [*efforts, *([reference] if reference * across <= max_across else [])]
+    rung_efforts = [*efforts, *([reference] if reference * across <= max_across else [])]
     widths = {
         effort: fitting_width(ratio, max(MIN_ACROSS, effort * across), max_across)
-        for effort in wanted
+        for effort in rung_efforts
     }
     _measure(
         request, imaging, widths[efforts[0]], 1 / efforts[0], None
     )  # what is compiled now counts for no rung
     rungs: list[Rung] = []
     noise: Array | None = None
-    for done, (effort, width) in enumerate(widths.items(), 1):
+    for rung_number, (effort, width) in enumerate(widths.items(), 1):
         rung, noise = _measure(request, imaging, width, 1 / effort, noise)
         rungs.append(rung)
-        progress(done / len(widths), "")
+        progress(rung_number / len(widths), "")
     if len(rungs) == len(efforts):
         return tuple(rungs), None
 
@@ -291,14 +291,14 @@ def climb(
 
 
 def _measure(
-    request: LightRequest, imaging: Imaging, across: int, noise_times: float, noise: Array | None
+    request: LightRequest, imaging: Imaging, across: int, noise_factor: float, noise: Array | None
 ) -> tuple[Rung, Array]:
     """Return a rung, and the standard noise of its frame.
 
-    noise_times : as much render noise as asked for
+    noise_factor : as much render noise as asked for
     noise : of another rung's frame; None draws it
     """
-    render_noise = noise_times * request.settings.render_noise
+    render_noise = noise_factor * request.settings.render_noise
     noisier_request = replace(
         request, settings=request.settings.model_copy(update={"render_noise": render_noise})
     )

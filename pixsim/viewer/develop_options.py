@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
-from pixsim.base.bounds import brief
+from pixsim.base.bounds import value_text
 from pixsim.base.errors import invalid
 from pixsim.base.records import Record, UnitInterval, as_float, as_list
 from pixsim.base.user_code import by_value, code_hash
@@ -85,7 +85,9 @@ def _as_denoiser(value: object) -> object:
     if isinstance(value, str) and value not in _DENOISERS:
         if value in _functions:
             return _functions[value]
-        raise ValueError(f"got {brief(value)}; allowed: {', '.join(_DENOISERS)}; {_FUNCTION_HINT}")
+        raise ValueError(
+            f"got {value_text(value)}; allowed: {', '.join(_DENOISERS)}; {_FUNCTION_HINT}"
+        )
     return value
 
 

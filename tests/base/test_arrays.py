@@ -65,7 +65,7 @@ def test_dct_matches_cosine_sum_and_inverts(shape):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-@pytest.mark.parametrize("size", [10, 2 * arrays.WORTH_THREADS])
+@pytest.mark.parametrize("size", [10, 2 * arrays.MIN_THREADED_NUMBERS])
 def test_in_threads_calls_each_once_and_raises_its_error(count, size, monkeypatch):
     monkeypatch.setattr(arrays, "threads", lambda: count)
     called: list[int] = []

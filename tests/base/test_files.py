@@ -12,13 +12,13 @@ import pytest
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import (
-    LIST,
-    LIST_OF_1_1,
-    SETTLED_NS,
+    FILE_LIST,
+    FILE_LIST_OF_1_1,
+    UNCHANGED_NS,
     check_replaceable,
     digest_of,
     publishing,
-    read_list,
+    read_file_list,
 )
 
 
@@ -32,7 +32,7 @@ def publish(folder: Path, **texts: str) -> None:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != LIST)
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != FILE_LIST)
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
 
@@ -56,7 +56,7 @@ def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_pat
     }
     (tmp_path / "figures/b.txt").unlink()
     publish(tmp_path, d="5")
-    assert read_list(tmp_path)["files"] == ["a.txt", "d.txt", "figures/c.txt"]
+    assert read_file_list(tmp_path)["files"] == ["a.txt", "d.txt", "figures/c.txt"]
 
 
 @pytest.mark.parametrize(
@@ -72,13 +72,13 @@ def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path:
         path.unlink()
         path.mkdir() if change == "folder" else path.symlink_to(tmp_path / "gone")
     elif change == "foreign list":
-        (tmp_path / LIST).write_text('{"files": ["a.txt"]}')
+        (tmp_path / FILE_LIST).write_text('{"files": ["a.txt"]}')
     else:
-        (tmp_path / LIST).unlink()
+        (tmp_path / FILE_LIST).unlink()
     before = sorted(
         (path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir()
     )
-    named = {"foreign list": LIST, "not listed": "c.txt"}.get(change, "a.txt")
+    named = {"foreign list": FILE_LIST, "not listed": "c.txt"}.get(change, "a.txt")
     with pytest.raises(PixsimError, match=rf"holds .*{named}.*Choose another with --out"):
         check_replaceable(tmp_path, ["a.txt", "c.txt"])
     with pytest.raises(PixsimError, match=named):
@@ -97,7 +97,7 @@ def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
         "versions": {"pixsim": "1.1.0"},
         "files": {"a.txt": {"command": "run", "digests": ["0" * 32]}},
     }
-    (tmp_path / LIST_OF_1_1).write_text(json.dumps(listing))
+    (tmp_path / FILE_LIST_OF_1_1).write_text(json.dumps(listing))
     publish(tmp_path, a="new")
     assert contents(tmp_path)["a.txt"] == "new"
     (tmp_path / "b.txt").write_text("mine")
@@ -151,13 +151,13 @@ def test_digest_of_sees_each_change(
 ) -> None:
     """Also of a file of the same size at the same place, whose digest was taken before."""
     path = tmp_path / "a.txt"
-    now_ns = time.time_ns() + (3 * SETTLED_NS if age == "settled" else 0)
+    now_ns = time.time_ns() + (3 * UNCHANGED_NS if age == "settled" else 0)
     monkeypatch.setattr("pixsim.base.files.time.time_ns", lambda: now_ns)
     found = []
     for text in ("one", "two", "one"):
         path.write_text(text)
         if age == "settled":  # long after the last change, so at another time
-            os.utime(path, ns=(now_ns - 2 * SETTLED_NS + len(found),) * 2)
+            os.utime(path, ns=(now_ns - 2 * UNCHANGED_NS + len(found),) * 2)
         found += [digest_of(path), digest_of(path)]
     assert found[0] == found[1] == found[4] == found[5] != found[2] == found[3]
     assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
@@ -171,7 +171,7 @@ def test_digest_of_unchanged_file_is_not_read_again(
     os.utime(path, (1, 1))
     monkeypatch.setattr(
         "pixsim.base.files.time.time_ns",
-        lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * SETTLED_NS,
+        lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * UNCHANGED_NS,
     )
     first = digest_of(path)
     monkeypatch.setattr(hashlib, "file_digest", None)

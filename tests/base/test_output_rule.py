@@ -15,7 +15,7 @@ import pytest
 from helpers.commands import assert_refused, command
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import LIST, check_replaceable, output_folder, publishing, write_new
+from pixsim.base.files import FILE_LIST, check_replaceable, output_folder, publishing, write_new
 from pixsim.base.locks import LOCK
 from pixsim.base.tables import write_text
 from pixsim.light.exr import write_exr
@@ -191,7 +191,7 @@ def publish(folder: Path) -> None:
         (unfinished / "figures/a.csv").write_text("new")
 
 
-@pytest.mark.parametrize("linked", ["figures", "figures/a.csv", LIST, LOCK])
+@pytest.mark.parametrize("linked", ["figures", "figures/a.csv", FILE_LIST, LOCK])
 def test_publishing_never_goes_through_a_link_in_the_folder(
     linked: str, theirs: Path, tmp_path: Path
 ) -> None:

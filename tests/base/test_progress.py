@@ -96,7 +96,7 @@ def test_stages_without_terminal_tick_while_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The thread looks at the clock by itself; the stage ends when its line has come."""
-    monkeypatch.setattr(progress, "EVERY_S", 0.0)
+    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
     monkeypatch.setattr(progress, "POLL_S", 0.001)
     ticked, tick = progress.threading.Event(), Lines.tick
 

@@ -10,9 +10,9 @@ import warnings
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import LIST, check_replaceable, publishing, write_json
+from pixsim.base.files import FILE_LIST, check_replaceable, publishing, write_json
 from pixsim.base.schema import KEY, SCHEMA
-from pixsim.base.toml import HEAD, read_toml, settings_table_text
+from pixsim.base.toml import SETTINGS_HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
 from pixsim.studies.table import CHECK, COLUMNS, Store
@@ -34,7 +34,7 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     assert KEY not in json.loads(capsys.readouterr().out)
     with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("a")
-    assert json.loads((tmp_path / LIST).read_text())[KEY] == SCHEMA
+    assert json.loads((tmp_path / FILE_LIST).read_text())[KEY] == SCHEMA
 
 
 def test_rows_without_a_check_are_kept_apart_and_computed_again(tmp_path):
@@ -75,7 +75,9 @@ def test_settings_of_another_schema(tmp_path):
         path.write_text(written)
         with warnings.catch_warnings(action="error"):
             assert read_toml(path) == {"camera": {"f_number": 4.0}}
-    path.write_text(text.replace(f"{HEAD}, {KEY} {SCHEMA}", f"{HEAD}, {KEY} {SCHEMA + 1}"))
+    path.write_text(
+        text.replace(f"{SETTINGS_HEAD}, {KEY} {SCHEMA}", f"{SETTINGS_HEAD}, {KEY} {SCHEMA + 1}")
+    )
     with pytest.raises(
         PixsimError, match=f"schema {SCHEMA + 1}; allowed: up to {SCHEMA}. Take the version"
     ):
@@ -86,7 +88,7 @@ def test_settings_of_another_schema(tmp_path):
 def test_folder_of_a_newer_version_is_refused(tmp_path, stated):
     with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("a")
-    path = tmp_path / LIST
+    path = tmp_path / FILE_LIST
     content = json.loads(path.read_text())
     check_replaceable(tmp_path, ["a.txt"])
     path.write_text(json.dumps({name: value for name, value in content.items() if name != KEY}))

@@ -19,7 +19,7 @@ from pixsim.base.layers import Layer
 from pixsim.base.records import Record, as_list, checked
 from pixsim.base.toml import packaged
 from pixsim.cli.commands import app
-from pixsim.cli.help import COMMON, MANY
+from pixsim.cli.help import COMMON, MIN_SHORTENED
 from pixsim.cli.options import choices_of, complete_study, value_name
 from pixsim.optics.camera import CameraOptions
 from pixsim.scene.packaged import packaged_scenes
@@ -109,13 +109,13 @@ def test_help_shows_usage_common_options_and_how_to_see_all(name: str) -> None:
     short, full = OPTION.findall(part), OPTION.findall(text)
     # SENSORS has no name
     line = f"`pixsim {name} --help-all` shows all {len(full) + (name == 'compare')} options.\n"
-    if len(full) <= MANY:
+    if len(full) <= MIN_SHORTENED:
         assert short == full
         assert line not in part
         return
     assert part.endswith(line)
     assert short == [option for option in full if option in short]
-    assert 8 < len(short) < MANY
+    assert 8 < len(short) < MIN_SHORTENED
     assert {*short} - COMMON <= {"--PIXEL"}, "words without an option are shown, too"
 
 

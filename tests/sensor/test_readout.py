@@ -361,7 +361,7 @@ def test_frame_of_many_blocks_is_independent_of_threads(monkeypatch):
     within 5σ.
     """
     monkeypatch.setattr(sensors, "BLOCK_PIXELS", 1 << 18)
-    monkeypatch.setattr(arrays, "WORTH_THREADS", 1)
+    monkeypatch.setattr(arrays, "MIN_THREADED_NUMBERS", 1)
     flaws = {
         "prnu": 0.02,
         "dsnu": 0.5,

@@ -18,7 +18,7 @@ from scipy import stats
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import estimate
-from pixsim.base.files import LIST
+from pixsim.base.files import FILE_LIST
 from pixsim.base.schema import SCHEMA
 from pixsim.report.run import run_document, shown_mean_of
 from pixsim.sensor.pixel import spread_registration
@@ -53,7 +53,7 @@ def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> 
         {
             path.name: path.read_bytes()
             for path in (tmp_path / folder).iterdir()
-            if path.name != LIST
+            if path.name != FILE_LIST
         }
         for folder in ("command", "python")
     )

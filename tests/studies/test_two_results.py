@@ -16,7 +16,7 @@ from helpers.tiny import TINY, rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import LIST
+from pixsim.base.files import FILE_LIST
 from pixsim.studies.table import ROWS_FILE
 
 SMALL: dict[str, Any] = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
@@ -141,14 +141,14 @@ def test_a_folder_of_another_version_is_named_as_such(
     for path in folders["quiet"].iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    provenance = json.loads((tmp_path / LIST).read_text(encoding="utf-8"))
+    provenance = json.loads((tmp_path / FILE_LIST).read_text(encoding="utf-8"))
     provenance["versions"]["pixsim"] = "1.0.3"
-    (tmp_path / LIST).write_text(json.dumps(provenance), encoding="utf-8")
+    (tmp_path / FILE_LIST).write_text(json.dumps(provenance), encoding="utf-8")
     assert_refused(
         *command("compare", folders["quiet"], tmp_path),
         [f"'{tmp_path}', of pixsim 1.0.3", "Make it again"],
     )
-    (tmp_path / LIST).write_bytes((folders["quiet"] / LIST).read_bytes())
+    (tmp_path / FILE_LIST).write_bytes((folders["quiet"] / FILE_LIST).read_bytes())
     rows = (tmp_path / "results.csv").read_text(encoding="utf-8")
     (tmp_path / "results.csv").write_text(rows.replace(",0,", ",3,", 1), encoding="utf-8")
     assert_refused(
