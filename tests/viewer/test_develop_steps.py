@@ -272,7 +272,7 @@ def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str
             wiener.signal_power(light),
             wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2),
         )
-        for light, own in zip(c.parts(expected), c.parts(variance), strict=True)
+        for light, own in zip(c.channel_planes(expected), c.channel_planes(variance), strict=True)
     ]
     assert np.mean(errors) == pytest.approx(np.mean(stated), rel=0.05)
 
