@@ -35,9 +35,16 @@ _HOME = {
 }  # others: diffraction
 
 __all__ = [
-    "cutoff_cy_per_mm", "diffract", "diffract_sum", "diffraction_otf", "field_factor", "irradiance_factor",
-    "square_aperture_mtf", "stack_collection", "white_otf",
-]  # fmt: skip
+    "cutoff_cy_per_mm",
+    "diffract",
+    "diffract_sum",
+    "diffraction_otf",
+    "field_factor",
+    "irradiance_factor",
+    "square_aperture_mtf",
+    "stack_collection",
+    "white_otf",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -22,7 +22,7 @@ from pixsim.base.records import Record
 from pixsim.light.curves import Share
 from pixsim.light.quantities import Fraction
 from pixsim.optics.chief_rays import ChiefRayAngles, ChiefRays, RelativeIllumination
-from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions, PrescriptionOptions, TracedLens
+from pixsim.optics.lens_options import ANY_LENS_FIELDS, LensOptions, PrescriptionOptions, TracedLens
 from pixsim.optics.quantities import (
     DieWidth,
     Distance,
@@ -40,7 +40,7 @@ LARGEST_MAGNIFICATION = (
 _CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
 
 
-_OF_VEIL = "veiling_glare", "veiling_glare_outside"  # of `Camera`
+_VEIL_FIELDS = "veiling_glare", "veiling_glare_outside"  # of `Camera`
 _IN_PIXELS = Words(also=("pixels",))
 # Usual words for the columns and rows of a sensor, or of a display.
 SIZES = "resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"
@@ -60,7 +60,10 @@ class Camera(Record):
     With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture
     radius f/2N.
 
-    >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)  # at twice the focal length: magnification 1
+
+    At twice the focal length the magnification is 1:
+
+    >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)
     >>> camera.magnification, camera.image_distance_mm, camera.working_f_number
     (1.0, 100.0, 8.0)
     >>> round(camera.effective_f_number, 4)  # determines diffraction
@@ -106,7 +109,7 @@ class Camera(Record):
         table: dict[str, Any] = handler(self)
         absent = {
             name
-            for name in ("lens", *OF_ANY_LENS.values())
+            for name in ("lens", *ANY_LENS_FIELDS.values())
             if getattr(self, name) == type(self).model_fields[name].default
         }
         return {name: value for name, value in table.items() if name not in absent}
@@ -245,51 +248,54 @@ class Camera(Record):
         see, may differ.
         """
         tables = {self.relative_illumination, other.relative_illumination}
-        later = {name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *_OF_VEIL)}
+        later = {
+            name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *_VEIL_FIELDS)
+        }
         return len(tables) == 1 and self.model_copy(update=later) == other
 
     @property
     def without_veil(self) -> Camera:
         """The same without veiling glare, which no render and no blur depends on."""
-        return self.model_copy(update=dict.fromkeys(_OF_VEIL, 0.0)) if self.veiling_glare else self
+        return (
+            self.model_copy(update=dict.fromkeys(_VEIL_FIELDS, 0.0)) if self.veiling_glare else self
+        )
 
-    def with_light_of(self, chosen: LensOptions) -> Camera:
-        """The same with the veil and the fall-off that options of a lens state; what they leave
-        open stays.
+    def with_light_of(self, options: LensOptions) -> Camera:
+        """The same with the veil and the fall-off that options of a lens state; others stay.
 
-        chosen : options of a lens, whose file is not looked at
+        options : of a lens, whose file is not looked at
 
         Raises PixsimError for a fall-off beside another one, or that ends before the corner of the
         die.
         """
-        given = {
-            field: getattr(chosen, name)
-            for name, field in OF_ANY_LENS.items()
-            if getattr(chosen, name) is not None
+        changes = {
+            field: getattr(options, name)
+            for name, field in ANY_LENS_FIELDS.items()
+            if getattr(options, name) is not None
         }
-        return Camera(**dict(self) | given) if given else self
+        return Camera(**dict(self) | changes) if changes else self
 
     @property
     def options(self) -> CameraOptions:
         """The options that make this camera again; with a real lens, beside its `LensOptions`."""
-        of_lens = {"lens", *OF_ANY_LENS.values()} | (
-            {"focal_length_mm", "chief_ray_angle"} if self.lens else set()
-        )
-        return CameraOptions(
-            **self.model_dump(exclude=of_lens)
-            | ({"f_number": self.lens.f_number} if self.lens else {})
-        )
+        lens_fields = {"lens", *ANY_LENS_FIELDS.values()}
+        if self.lens:
+            lens_fields |= {"focal_length_mm", "chief_ray_angle"}
+        fields = self.model_dump(exclude=lens_fields)
+        if self.lens:
+            fields["f_number"] = self.lens.f_number
+        return CameraOptions(**fields)
 
     @property
     def lens_options(self) -> LensOptions:
         """The options of its real lens, if it has one, and of its veil and its fall-off."""
-        of_file = (
-            self.lens.model_dump(include=set(PrescriptionOptions.model_fields)) if self.lens else {}
-        )
-        of_any = {name: getattr(self, field) or None for name, field in OF_ANY_LENS.items()}
-        return LensOptions(
-            **of_file | {name: value for name, value in of_any.items() if value is not None}
-        )
+        options: dict[str, Any] = {}
+        if self.lens:
+            options = self.lens.model_dump(include=set(PrescriptionOptions.model_fields))
+        for name, field in ANY_LENS_FIELDS.items():
+            if value := getattr(self, field):
+                options[name] = value
+        return LensOptions(**options)
 
     @property
     def fov_deg(self) -> float:
@@ -303,9 +309,12 @@ class Camera(Record):
 
     @property
     def field_words(self) -> str:
-        """Full angles that it sees, across and down, as text.
+        """Full angles of the field of view, across and down, as text.
 
-        >>> Camera(focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6).field_words
+        >>> camera = Camera(
+        ...     focal_length_mm=50.0, die_mm=36.0, die_height_mm=24.0, object_distance_m=1e6
+        ... )
+        >>> camera.field_words
         '39.6° × 27°'
         """
         across, down = (
@@ -380,21 +389,16 @@ def _as_pixel_count(value: object) -> object:
     """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a
     pair.
     """
-    given = value
+    pair = value
     if isinstance(value, str):
-        value = [
-            part.strip()
-            for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")
-        ]
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        hint = (
-            "The number of samples across the film is resolution." if isinstance(given, int) else ""
-        )
-        example = "1936x1216" if isinstance(given, str) else "[1936, 1216]"
-        raise ValueError(
-            f"got {value_text(given)}; allowed: columns and rows, as {example}.{hint and ' '}{hint}"
-        )
-    return value
+        text = value.lower().replace("×", "x").replace(",", "x").strip("[] ")
+        pair = [part.strip() for part in text.split("x")]
+    if not isinstance(pair, list | tuple) or len(pair) != 2:
+        is_count = isinstance(value, int)
+        hint = " The number of samples across the film is resolution." if is_count else ""
+        example = "1936x1216" if isinstance(value, str) else "[1936, 1216]"
+        raise ValueError(f"got {value_text(value)}; allowed: columns and rows, as {example}.{hint}")
+    return pair
 
 
 _PixelCount = Annotated[
@@ -403,11 +407,8 @@ _PixelCount = Annotated[
 ]
 
 
-OF_DIE = (
-    "die_mm",
-    "die_height_mm",
-    "pixels",
-)  # of `CameraOptions`: what a sensor has of its own, not a lens
+# Fields of `CameraOptions` that belong to a sensor, not to a lens.
+DIE_FIELDS = ("die_mm", "die_height_mm", "pixels")
 
 
 @checked_methods
@@ -453,11 +454,9 @@ class CameraOptions(Record):
                 list(self.pixels),
                 "pixels together with pixel.pitch_um, or die_mm and die_height_mm",
             )
-        fixed = (
-            ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle")
-            if camera.lens
-            else ()
-        )
+        fixed: tuple[str, ...] = ()
+        if camera.lens:
+            fixed = ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle")
         if changed := [name for name in fixed if getattr(self, name) is not None]:
             got = (
                 f"camera.{changed[0]} for light that came through the lens"
@@ -483,14 +482,15 @@ class CameraOptions(Record):
             )
         die_mm = {}
         for name, count in zip(("die_mm", "die_height_mm"), self.pixels, strict=True):
-            of_pixels_mm, given_mm = 1e-3 * count * pitch_um, getattr(self, name)
-            if given_mm is not None and abs(given_mm - of_pixels_mm) > 0.5e-3 * pitch_um:
+            size_mm = 1e-3 * count * pitch_um
+            stated_mm = getattr(self, name)
+            if stated_mm is not None and abs(stated_mm - size_mm) > 0.5e-3 * pitch_um:
                 raise ValueError(
-                    f"camera.{name} = {given_mm:g} differs from camera.pixels = {list(self.pixels)}"
-                    f" of {pitch_um:g} µm, which are {of_pixels_mm:.6g} mm, by more than half a"
-                    " pixel; give one of them"
+                    f"camera.{name} = {stated_mm:g} differs from camera.pixels ="
+                    f" {list(self.pixels)} of {pitch_um:g} µm, which are {size_mm:.6g} mm, by"
+                    " more than half a pixel; give one of them"
                 )
-            die_mm[name] = round(of_pixels_mm, _DIE_DIGITS) if given_mm is None else given_mm
+            die_mm[name] = round(size_mm, _DIE_DIGITS) if stated_mm is None else stated_mm
         return CameraOptions(**self.model_dump() | die_mm)
 
     def assumption(self, camera: Camera) -> str:

@@ -51,7 +51,7 @@ from pixsim.optics.field_blur import (
     resolving_um,
 )
 from pixsim.optics.lens import Lens, read_lens
-from pixsim.optics.lens_options import READING, LensOptions, TracedLens
+from pixsim.optics.lens_options import READING_OPTIONS, LensOptions, TracedLens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
@@ -168,7 +168,7 @@ def camera_with_lens(
         else camera_options.f_number,
         field_mm=field_mm,
         content=content_hash(unscaled.fingerprint),
-        **{name: getattr(lens_options, name) for name in READING},
+        **{name: getattr(lens_options, name) for name in READING_OPTIONS},
     )
     traced = traced_lens(lens, camera.object_distance_m)
     object_mm = 1e3 * camera.object_distance_m

@@ -54,7 +54,7 @@ class CameraPupil:
         everywhere
     magnification : image over object size
     chief_ray_angle : `Camera.chief_ray_angle`
-    real : whose pupil is traced, with `chief_ray_angle` of its trace; None: that of a thin lens
+    real : lens whose pupil is traced, with `chief_ray_angle` of its trace; None for a thin lens
     """
 
     f_number: float
@@ -100,22 +100,20 @@ class CameraPupil:
         heights_mm, fields_deg = field_angles(
             self.real.lens, self.real.object_distance_m, self.real.corner_mm
         )
-        lit_mm = max(row[0] for row in self.chief_ray_angle if len(row) < 3 or row[2] > DARK)
-        wanted_um, which = np.unique(
-            np.minimum(radius_um, min(1e3 * lit_mm, 1e3 * float(heights_mm[-1]))),
-            return_inverse=True,
+        image_circle_mm = max(
+            row[0] for row in self.chief_ray_angle if len(row) < 3 or row[2] > DARK
         )
-        fields = np.interp(1e-3 * wanted_um, heights_mm, fields_deg)
-        found, which = (
-            lens.directions(fields, lens.primary_nm, 0.0, rings, spokes),
-            which.reshape(radius_um.shape),
-        )
+        end_um = min(1e3 * image_circle_mm, 1e3 * float(heights_mm[-1]))
+        heights_um, index = np.unique(np.minimum(radius_um, end_um), return_inverse=True)
+        index = index.reshape(radius_um.shape)
+        fields = np.interp(1e-3 * heights_um, heights_mm, fields_deg)
+        directions = lens.directions(fields, lens.primary_nm, 0.0, rings, spokes)
+
+        # Rotate the directions, traced along x, to the azimuths. Rows: where +x and +y go.
         cosine, sine = np.cos(azimuth), np.sin(azimuth)
-        turn = np.stack(
-            [np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2
-        )  # rows: where +x and +y go
-        chief = (found.chief_cosines[which][..., None, :] @ turn)[..., 0, :]
-        return Directions(found.cosines[which] @ turn, found.weight[which], chief)
+        rotation = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)
+        chief = (directions.chief_cosines[index][..., None, :] @ rotation)[..., 0, :]
+        return Directions(directions.cosines[index] @ rotation, directions.weight[index], chief)
 
 
 def camera_pupil(camera: Camera) -> CameraPupil:

@@ -123,8 +123,7 @@ def read_with_camera(
 def camera_of_light(
     image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = _GIVEN
 ) -> Camera:
-    """Return the camera of light of pixsim, or of light that is given: that of its header,
-    overridden by the options.
+    """Return the camera in the header of light, overridden by the options.
 
     path : of its file, for messages
 
@@ -153,7 +152,8 @@ def _from_cube(
     unit, text = _agreed_unit(path, cube.units, units, cube.per_nm)
     sampling_um = _agreed_pitch(path, cube.pitch_um, pitch_um, camera, cube.data.shape[1])
     header: dict[str, Any] = {"source": path.name, "units": text, "pixsim": VERSION}
-    light: float | Array = unit.factor
+
+    irradiance_per_value: float | Array = unit.factor
     if unit.radiance:
         if camera is None:
             hint = (
@@ -166,7 +166,7 @@ def _from_cube(
                 "irradiance, or radiance and a camera",
                 hint,
             )
-        light = (
+        irradiance_per_value = (
             unit.factor
             * camera.transmittance
             * camera_factor(camera, cube.data.shape[:2], sampling_um)
@@ -174,19 +174,20 @@ def _from_cube(
         header["camera"] = camera.model_dump()
     if cube.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = _positive(path, "white_cd_per_m2", cube.white_cd_per_m2)
+
     data = np.empty(cube.data.shape, np.float32)
     for band, centre_nm in enumerate(nm):
         file_values = cube.data[:, :, band]
         with np.errstate(over="ignore", invalid="ignore"):
-            data[:, :, band] = file_values.astype(float) * light
+            data[:, :, band] = file_values.astype(float) * irradiance_per_value
         _check_band(path, data[:, :, band], file_values, centre_nm)
-    _check_lit(path, data.any())
+    _check_not_black(path, data.any())
     if outliers := find_outliers(data @ width_nm):
-        header[OUTLIERS] = [list(place) for place in outliers]
+        header[OUTLIERS] = [list(sample) for sample in outliers]
         row, column = outliers[0]
-        named = f"row {row}, column {column}" + (
-            f" and {len(outliers) - 1} more" if len(outliers) > 1 else ""
-        )
+        named = f"row {row}, column {column}"
+        if len(outliers) > 1:
+            named += f" and {len(outliers) - 1} more"
         words = (
             f"has samples that stand alone, more than {OUTLIER:g} times all others ({named}), as"
             " fireflies of a path tracer do: the automatic exposure is as if they were like their"
@@ -194,10 +195,10 @@ def _from_cube(
         )
         warn(Note("light_file", file=path.name, words=words))
     _note_bands(path, nm, width_nm)
+
     # The light is taken as uniform within each band.
-    nodes = nm[:, None] + width_nm[:, None] * (
-        (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
-    )
+    offsets = (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
+    nodes = nm[:, None] + width_nm[:, None] * offsets
     within = nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
     return SpectralImage(nm, width_nm, sampling_um, data=data, within=within, header=header)
 
@@ -262,20 +263,15 @@ def _read_pixsim_exr(
         warn(Note("light_file", file=path.name, words=words))
     # Check the pictures of the factors: a band that is made of them may be slightly below zero, as
     # may be what rings.
-    planes = (
-        list(image.factors[1])
-        if image.factors
-        else [image.band(band) for band in range(image.wavelength_nm.size)]
-    )
+    if image.factors:
+        planes = list(image.factors[1])
+    else:
+        planes = [image.band(band) for band in range(image.wavelength_nm.size)]
     for plane, centre_nm in zip(planes, np.resize(image.wavelength_nm, len(planes)), strict=True):
-        _check_band(
-            path,
-            plane,
-            plane,
-            float(centre_nm),
-            lowest_allowed(image.header, float(np.nanmax(plane, initial=0.0))),
-        )
-    _check_lit(path, any(plane.any() for plane in planes))
+        highest = float(np.nanmax(plane, initial=0.0))
+        lowest = lowest_allowed(image.header, highest)
+        _check_band(path, plane, plane, float(centre_nm), lowest)
+    _check_not_black(path, any(plane.any() for plane in planes))
     if image.factors and (image.factors[0] < 0).any() and image.header.get(RINGS) is not True:
         # Single samples are below zero by the noise of a render, whose factors are independent.
         mean = image.factors[0].T @ image.factors[1].mean(axis=(1, 2), dtype=float)
@@ -332,18 +328,22 @@ def _agreed_unit(
     """Return the unit of the values and its text; a unit that the caller states must not contradict
     the file's.
     """
-    name, text = f"units of '{path}'", stated or file_units
+    name = f"units of '{path}'"
+    text = stated or file_units
     if not text:
         raise invalid(name, "none in the file", foreign.ALLOWED_UNITS, foreign.HOW_TO_STATE)
     unit = file_unit = foreign.parse_light_unit(text, name, typed=bool(stated))
     if stated and file_units:
         with suppress(PixsimError):  # the file's text may be no unit
             file_unit = foreign.parse_light_unit(file_units, name, typed=False)
-    if per_nm:
-        unit, file_unit = (
-            replace(one, spectral=True) if one.radiance else one for one in (unit, file_unit)
-        )
-    if (file_unit != unit) if file_unit.spectral else (file_unit.radiance != unit.radiance):
+    if per_nm and unit.radiance:
+        unit = replace(unit, spectral=True)
+    if per_nm and file_unit.radiance:
+        file_unit = replace(file_unit, spectral=True)
+
+    # Of a unit that is not per wavelength, only its kind says something.
+    is_other_kind = file_unit.radiance != unit.radiance
+    if is_other_kind or (file_unit.spectral and file_unit != unit):
         raise invalid(
             name,
             f"{file_units} in the file, {stated} given",
@@ -366,13 +366,14 @@ def _agreed_pitch(
     """Return the pitch in µm: the camera's if it agrees with the others, so that the picture fills
     the die exactly.
     """
-    known: dict[str, Any] = {}
+    stated_pitches: dict[str, Any] = {}
     if camera:
-        known[f"camera.die_mm / {columns} columns"] = 1e3 * camera.die_mm / columns
-    known |= {"the file": file_pitch_um, "pitch_um": stated}
+        stated_pitches[f"camera.die_mm / {columns} columns"] = 1e3 * camera.die_mm / columns
+    stated_pitches["the file"] = file_pitch_um
+    stated_pitches["pitch_um"] = stated
     pitches = {
         source: _positive(path, "pitch_um", value)
-        for source, value in known.items()
+        for source, value in stated_pitches.items()
         if value is not None
     }
     if not pitches:
@@ -400,7 +401,7 @@ def _positive(path: Path, what: str, value: object) -> float:
         number = float(np.asarray(value).item())
     except (TypeError, ValueError):
         number = np.nan
-    low, high = OF_PICTURES[what]
+    low, high = PICTURE_BOUNDS[what]
     if not low <= number <= high:
         got = "no number" if np.isnan(number) else f"{number:g}"
         raise invalid(f"{what} of '{path}'", got, f"a positive number, {low:g} to {high:g}")
@@ -409,7 +410,7 @@ def _positive(path: Path, what: str, value: object) -> float:
 
 # Samples from a thousandth of a pixel's smallest pitch to a die of their own, and the luminances
 # that a display's white may have.
-OF_PICTURES = {"pitch_um": (1e-6, 1e6), "white_cd_per_m2": (1e-12, 1e15)}
+PICTURE_BOUNDS = {"pitch_um": (1e-6, 1e6), "white_cd_per_m2": (1e-12, 1e15)}
 
 
 def _check_band(
@@ -434,8 +435,8 @@ def _check_band(
         )
 
 
-def _check_lit(path: Path, lit: object) -> None:
-    if not lit:
+def _check_not_black(path: Path, has_light: object) -> None:
+    if not has_light:
         raise invalid(
             f"light in '{path}'",
             "a black picture",

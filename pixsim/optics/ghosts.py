@@ -51,14 +51,14 @@ def reflectances(indices: Sequence[float], coated: float | None = None) -> Array
     return bare if coated is None else np.where(in_air, coated, bare)
 
 
-def ghosts_of(
+def find_ghosts(
     surfaces: Sequence[Surface],
     indices: Sequence[float],
     reflectance: Array,
     height_mm: float,
     slope: float,
 ) -> list[Ghost]:
-    """Return what each pair of reflecting surfaces makes of a marginal ray, the largest share
+    """Return the ghost of a marginal ray by each pair of reflecting surfaces, the largest share
     first.
 
     indices : (S + 1,) in front of the lens and behind each surface
@@ -67,42 +67,45 @@ def ghosts_of(
 
     >>> from pixsim.optics.glass import constant_glass
     >>> plate = [Surface(0.0, 1.0, constant_glass("glass", 1.5)), Surface(0.0, 10.0)]
-    >>> ghosts_of(plate, [1.0, 1.5, 1.0], reflectances([1.0, 1.5, 1.0]), 1.0, 0.0)
-    [Ghost(surfaces=(1, 2), share=0.0016000000000000003, focus_from_image_mm=inf, blur_mm=2.0)]
+    >>> indices = [1.0, 1.5, 1.0]
+    >>> (ghost,) = find_ghosts(plate, indices, reflectances(indices), 1.0, 0.0)
+    >>> ghost.surfaces, round(ghost.share, 12), ghost.focus_from_image_mm, ghost.blur_mm
+    ((1, 2), 0.0016, inf, 2.0)
     """
-    found = []
+    ghosts = []
     reflecting = np.flatnonzero(reflectance > 0).tolist()
     for last in reflecting:
         for first in reflecting[: reflecting.index(last)]:
-            between = float(np.prod((1 - reflectance[first + 1 : last]) ** 2))
-            start = np.array([height_mm]), np.array([slope * indices[0]])
-            height, angle = (
-                float(part[0])
-                for part in paraxial(*unfolded(surfaces, indices, first, last), *start)
-            )
+            # Trace the paraxial ray along its way, unfolded at both reflections.
+            path, path_indices = unfolded_path(surfaces, indices, first, last)
+            start_height = np.array([height_mm])
+            start_angle = np.array([slope * indices[0]])
+            end_height, end_angle = paraxial(path, path_indices, start_height, start_angle)
+            height = float(end_height[0])
+            angle = float(end_angle[0])
             at_image = height + surfaces[-1].thickness_mm * angle / indices[-1]
             focus = -at_image * indices[-1] / angle if angle else math.inf
+
+            between = float(np.prod((1 - reflectance[first + 1 : last]) ** 2))
             share = float(reflectance[first] * reflectance[last]) * between
-            found.append(Ghost((first + 1, last + 1), share, focus, 2 * abs(at_image)))
-    return sorted(found, key=lambda ghost: (-ghost.share, ghost.surfaces))
+            ghosts.append(Ghost((first + 1, last + 1), share, focus, 2 * abs(at_image)))
+    return sorted(ghosts, key=lambda ghost: (-ghost.share, ghost.surfaces))
 
 
-def unfolded(
+def unfolded_path(
     surfaces: Sequence[Surface], indices: Sequence[float], first: int, last: int
 ) -> tuple[list[Surface], list[float]]:
-    """Return the surfaces that light meets which `last` reflects back and `first` forth again, and
-    the indices around them.
+    """Return the surfaces, and the indices around them, along the way of light that the surface
+    `last` reflects back and the surface `first` forth again.
 
     Indices and thicknesses are negative where it travels back, so that a reflection is a refraction
     from n to -n.
     """
     back = range(last - 1, first - 1, -1)
-    path = [
-        *surfaces[:last],
-        *(
-            replace(surfaces[at], thickness_mm=-surfaces[at - 1].thickness_mm)
-            for at in (last, *back[:-1])
-        ),
+    backward = [
+        replace(surfaces[index], thickness_mm=-surfaces[index - 1].thickness_mm)
+        for index in (last, *back[:-1])
     ]
-    of_back = [-indices[at] for at in range(last, first, -1)]
-    return [*path, *surfaces[first:]], [*indices[: last + 1], *of_back, *indices[first + 1 :]]
+    backward_indices = [-indices[index] for index in range(last, first, -1)]
+    path = [*surfaces[:last], *backward, *surfaces[first:]]
+    return path, [*indices[: last + 1], *backward_indices, *indices[first + 1 :]]

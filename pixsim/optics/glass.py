@@ -27,17 +27,18 @@ from pixsim.base.errors import PLAIN_WORD, excerpt, invalid, names_in, one_line,
 from pixsim.base.files import read_bytes
 from pixsim.base.notes import Note, warn
 
-LINES_UM = {
-    "F": 0.4861327,
-    "d": 0.5875618,
-    "C": 0.6562725,
-}  # of hydrogen and helium, which define n_d and V_d
+# Of hydrogen and helium, which define n_d and V_d.
+LINES_UM = {"F": 0.4861327, "d": 0.5875618, "C": 0.6562725}
 _CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
 _ALL_UM = (0.0, math.inf)
 FORMULAS = {
-    1: "Sellmeier", 2: "Sellmeier with squared wavelengths", 3: "power series of n²", 4: "poles and a power series of n²",
-    5: "Cauchy", 7: "Herzberger",
-}  # fmt: skip
+    1: "Sellmeier",
+    2: "Sellmeier with squared wavelengths",
+    3: "power series of n²",
+    4: "poles and a power series of n²",
+    5: "Cauchy",
+    7: "Herzberger",
+}
 _POLES = 8  # numbers of the two poles of formula 4, which are followed by its power series
 HERZBERGER, HERZBERGER_UM2 = 6, 0.028  # coefficients, and of formula 7: L = 1/(λ² - 0.028 µm²)
 MAX_BYTES = 16 << 20  # of a catalogue; those of makers have 0.1 to 1 MB
@@ -80,19 +81,19 @@ class Glass:
         if self.formula not in FORMULAS:
             allowed = ", ".join(f"{number} ({name})" for number, name in FORMULAS.items())
             raise invalid(f"formula of glass {named(self.name)}", self.formula, allowed)
-        count, finite = len(self.coefficients), all(map(math.isfinite, self.coefficients))
-        fits = (
-            count == HERZBERGER
-            if self.formula == 7
-            else count % 2 == 1 and (self.formula != 4 or count > _POLES)
-        )
+
+        count = len(self.coefficients)
+        finite = all(map(math.isfinite, self.coefficients))
+        if self.formula == 7:
+            fits = count == HERZBERGER
+            expected = f"{HERZBERGER} finite numbers"
+        else:
+            fits = count % 2 == 1
+            expected = "an odd number of finite numbers: c1, then pairs"
+        if self.formula == 4:
+            fits = fits and count > _POLES
+            expected += f", at least {_POLES + 1} for formula 4"
         if not (fits and finite):
-            expected = (
-                f"{HERZBERGER} finite numbers"
-                if self.formula == 7
-                else "an odd number of finite numbers: c1, then pairs"
-            )
-            expected += f", at least {_POLES + 1} for formula 4" if self.formula == 4 else ""
             got = f"{count} numbers" if finite else "infinity or NaN"
             raise invalid(f"coefficients of glass {named(self.name)}", got, expected)
 
@@ -104,11 +105,8 @@ class Glass:
         wavelength_um = np.asarray(wavelength_nm, float) / 1e3
         low, high = self.range_um
         # A line given in nm may differ from the end of a range in µm by a rounding.
-        inside = (
-            (wavelength_um >= low * (1 - 1e-12))
-            & (wavelength_um <= high * (1 + 1e-12))
-            & (wavelength_um > 0)
-        )
+        above_low = (wavelength_um >= low * (1 - 1e-12)) & (wavelength_um > 0)
+        inside = above_low & (wavelength_um <= high * (1 + 1e-12))
         if not np.all(inside):
             got = f"{1e3 * float(wavelength_um[~inside].flat[0]):.6g}"
             expected = (
@@ -121,52 +119,56 @@ class Glass:
                 expected,
                 "Leave these wavelengths out, or take another glass.",
             )
-        first, *rest = self.coefficients
-        pairs = list(zip(rest[::2], rest[1::2], strict=False))
-        square = wavelength_um**2
+
         with np.errstate(all="ignore"):
-            if self.formula in (1, 2):
-                poles = (pole**2 if self.formula == 1 else pole for _, pole in pairs)
-                n = np.sqrt(
-                    1
-                    + first
-                    + sum(
-                        b * square / (square - pole)
-                        for (b, _), pole in zip(pairs, poles, strict=True)
-                    )
-                )
-            elif self.formula == 4:
-                poles4 = [rest[start : start + 4] for start in range(0, _POLES, 4)]
-                total = first + sum(
-                    b * wavelength_um**up / (square - base**power) for b, up, base, power in poles4
-                )
-                powers = zip(rest[_POLES::2], rest[_POLES + 1 :: 2], strict=True)
-                n = np.sqrt(total + sum(factor * wavelength_um**power for factor, power in powers))
-            elif self.formula == 7:
-                pole = 1 / (square - HERZBERGER_UM2)
-                linear, double, *even = rest
-                n = first + linear * pole + double * pole**2
-                n = n + sum(
-                    factor * wavelength_um ** (2 * order) for order, factor in enumerate(even, 1)
-                )
-            else:
-                series = (
-                    first
-                    + sum(factor * wavelength_um**power for factor, power in pairs)
-                    + 0 * square
-                )
-                n = np.sqrt(series) if self.formula == 3 else series
+            n = self._index_of_formula(wavelength_um)
             if any(self.shift):
-                n = n + self.shift[0] + self.shift[1] / square
-        if not np.all((n >= _INDEX_RANGE[0]) & (n <= _INDEX_RANGE[1])):
-            got = f"{n.flat[np.argmin((n >= _INDEX_RANGE[0]) & (n <= _INDEX_RANGE[1]))]:g}"
+                n = n + self.shift[0] + self.shift[1] / wavelength_um**2
+        low_n, high_n = _INDEX_RANGE
+        plausible = (n >= low_n) & (n <= high_n)
+        if not np.all(plausible):
             raise invalid(
                 f"index of glass {named(self.name)}",
-                got,
-                f"{_INDEX_RANGE[0]:g} to {_INDEX_RANGE[1]:g}",
+                f"{n.flat[np.argmin(plausible)]:g}",
+                f"{low_n:g} to {high_n:g}",
                 "Check its coefficients.",
             )
         return np.asarray(n)
+
+    def _index_of_formula(self, wavelength_um: Array) -> Array:
+        """Return the index by the formula alone, (...) as the wavelengths; NaN where a root is of a
+        negative number.
+        """
+        square = wavelength_um**2
+        first, *further = self.coefficients
+        pairs = list(zip(further[::2], further[1::2], strict=False))
+        if self.formula in (1, 2):
+            poles = (pole**2 if self.formula == 1 else pole for _, pole in pairs)
+            sellmeier = (
+                b * square / (square - pole) for (b, _), pole in zip(pairs, poles, strict=True)
+            )
+            return np.sqrt(1 + first + sum(sellmeier))
+
+        if self.formula == 4:
+            quadruples = [further[start : start + 4] for start in range(0, _POLES, 4)]
+            total = first + sum(
+                b * wavelength_um**up / (square - base**power) for b, up, base, power in quadruples
+            )
+            powers = zip(further[_POLES::2], further[_POLES + 1 :: 2], strict=True)
+            return np.sqrt(total + sum(factor * wavelength_um**power for factor, power in powers))
+
+        if self.formula == 7:
+            pole = 1 / (square - HERZBERGER_UM2)
+            linear, double, *even_powers = further
+            n = first + linear * pole + double * pole**2
+            return n + sum(
+                factor * wavelength_um ** (2 * order) for order, factor in enumerate(even_powers, 1)
+            )
+
+        terms = (factor * wavelength_um**power for factor, power in pairs)
+        # Without terms, the series has the shape of the wavelengths too.
+        series = first + sum(terms) + 0 * square
+        return np.sqrt(series) if self.formula == 3 else series
 
 
 AIR = Glass("air", 5, (1.0,), source="the medium that indices are relative to")
@@ -192,18 +194,19 @@ def check_coefficients(numbers: Sequence[float], where: str) -> None:
     """Raise PixsimError if a coefficient of a file is neither 0 nor of a size that has an
     effect.
     """
-    least, most = _COEFFICIENTS
-    if wrong := [number for number in numbers if not (number == 0 or least <= abs(number) <= most)]:
-        raise invalid(where, f"{wrong[0]:g}", f"0, or {least:g} to {most:g} in size")
+    low, high = _COEFFICIENTS
+    wrong = [number for number in numbers if not (number == 0 or low <= abs(number) <= high)]
+    if wrong:
+        raise invalid(where, f"{wrong[0]:g}", f"0, or {low:g} to {high:g} in size")
 
 
-def factors_of(formula: int, numbers: Sequence[float]) -> Sequence[float]:
+def dispersive_coefficients(formula: int, numbers: Sequence[float]) -> Sequence[float]:
     """Return the coefficients without which a formula gives one index for all wavelengths."""
     if formula == 7:
         return numbers[1:]
-    return (
-        [*numbers[1 : _POLES + 1 : 4], *numbers[_POLES + 1 :: 2]] if formula == 4 else numbers[1::2]
-    )
+    if formula == 4:
+        return [*numbers[1 : _POLES + 1 : 4], *numbers[_POLES + 1 :: 2]]
+    return numbers[1::2]
 
 
 @lru_cache
@@ -238,34 +241,32 @@ _OTHER_NAMES = {
 # Names of Schott's glasses of before 1998, which other makers gave to glasses of their own: `SK16`
 # of Hikari is not that of Schott.
 _SHARED_NAMES = re.compile(
-    r"(BK|K|PK|FK|PSK|SK|SSK|ZK|UBK|BAK|BALK|BALF|BAF|BASF|KF|LLF|LF|F|SF|SFL|TIK|TIF|TIFN|TISF|LAK|LAKN|LAF|LAFN|LASF|LASFN|KZF|"
-    r"KZFS|KZFSN|BAFN|SFN|SKN|SSKN)\d+[A-Z]?"
+    r"(BK|K|PK|FK|PSK|SK|SSK|ZK|UBK|BAK|BALK|BALF|BAF|BASF|KF|LLF|LF|F|SF|SFL|TIK|TIF|TIFN|TISF|"
+    r"LAK|LAKN|LAF|LAFN|LASF|LASFN|KZF|KZFS|KZFSN|BAFN|SFN|SKN|SSKN)\d+[A-Z]?"
 )
 _SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
 _HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
-LIKE_N_D, LIKE_V_D = (
-    5e-4,
-    0.01,
-)  # of two statements of one glass, V_d relative: melts and rounding differ by less
+# Of two statements of one glass, V_d relative: melts and rounding differ by less.
+TOLERANCE_N_D, TOLERANCE_V_D = 5e-4, 0.01
 
 
-def _of_code(name: str) -> tuple[float, float] | None:
+def _code_numbers(name: str) -> tuple[float, float] | None:
     """Return n_d and V_d of a six-digit code, as 517642 or 516800.641673; None for another name.
 
-    >>> of_code("517642"), of_code("003283")
+    >>> _code_numbers("517642"), _code_numbers("003283")
     ((1.517, 64.2), (2.003, 28.3))
     """
-    if not (found := _SIX_DIGITS.fullmatch(name.strip())):
+    if not (match := _SIX_DIGITS.fullmatch(name.strip())):
         return None
-    index, abbe = (found[1] or found[3]), (found[2] or found[4])
-    return float(f"{2 if int(index[:3]) < _HIGH_INDEX else 1}.{index}"), float(
-        f"{abbe[:2]}.{abbe[2:]}"
-    )
+    index = match[1] or match[3]
+    abbe = match[2] or match[4]
+    whole = 2 if int(index[:3]) < _HIGH_INDEX else 1
+    return float(f"{whole}.{index}"), float(f"{abbe[:2]}.{abbe[2:]}")
 
 
 def code_glass(name: str) -> Glass | None:
     """Return the Cauchy glass of a six-digit code; None for another name."""
-    numbers = _of_code(name)
+    numbers = _code_numbers(name)
     if numbers is None or numbers[1] < ABBE_NUMBERS[0]:
         return None
     return abbe_glass(
@@ -314,11 +315,11 @@ def _maker_of(listed: str, makers: Sequence[str]) -> str | None:
 
 
 # What pixsim adds to the name of a glass, or names it by.
-_OF_NUMBERS = r"n_d [-+.e\d]{1,24}, V_d [-+.e\d]{1,24}"
-_GIVEN_NAME = re.compile(
-    rf"(.*?)(, six digits of {_OF_NUMBERS}| by {_OF_NUMBERS})?(, {_OF_NUMBERS})?"
+_N_D_AND_V_D = r"n_d [-+.e\d]{1,24}, V_d [-+.e\d]{1,24}"
+_NAME_IN_FILE = re.compile(
+    rf"(.*?)(, six digits of {_N_D_AND_V_D}| by {_N_D_AND_V_D})?(, {_N_D_AND_V_D})?"
 )
-_OWN_NAME = re.compile(rf"{_OF_NUMBERS}|n = [-+.e\d]{{1,24}}|dispersion formula")
+_NAME_BY_PIXSIM = re.compile(rf"{_N_D_AND_V_D}|n = [-+.e\d]{{1,24}}|dispersion formula")
 
 
 def named(name: str) -> str:
@@ -328,13 +329,10 @@ def named(name: str) -> str:
     >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
     ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")
     """
-    given = _GIVEN_NAME.fullmatch(name)
-    words = (given[1] if given else name).split(":", 1)
-    return (
-        f"'{name}'"
-        if all(map(PLAIN_WORD.fullmatch, words)) or _OWN_NAME.fullmatch(name)
-        else excerpt(name)
-    )
+    match = _NAME_IN_FILE.fullmatch(name)
+    words = (match[1] if match else name).split(":", 1)
+    is_plain = all(map(PLAIN_WORD.fullmatch, words)) or _NAME_BY_PIXSIM.fullmatch(name)
+    return f"'{name}'" if is_plain else excerpt(name)
 
 
 def find_glass(
@@ -342,7 +340,7 @@ def find_glass(
     where: str,
     makers: Sequence[str] = (),
     hint: str = "",
-    own: Mapping[str, Glass] | None = None,
+    user_glasses: Mapping[str, Glass] | None = None,
     numbers: tuple[float, float] | None = None,
 ) -> Glass:
     """Return a glass of a user's catalogues or the packaged table by its full name, or by the
@@ -353,95 +351,115 @@ def find_glass(
         the name must be in only one. If none that is known has the glass and one of them is
         unknown, a glass of one maker is taken, with a note
     hint : how to give another glass, for messages
-    own : full name -> glass of the user's catalogues, which go before the packaged table
+    user_glasses : full name -> glass of the user's catalogues, which go before the packaged table
     numbers : n_d and V_d that the file states beside the name
 
     Raises PixsimError if the name is not known, or in several catalogues; nothing is substituted.
     """
-    known = catalogue()
     wanted = name.strip().upper()
-    if own and (mine := _among(wanted, own, makers)):
-        return own[mine[0]]
-    found = _named(wanted, known)
-    if ":" not in wanted and makers:
-        listed = [(maker, _maker_of(maker, _PACKAGED_MAKERS)) for maker in makers]
-        of_listed = [
-            full for _, maker in listed for full in found if full.partition(":")[0] == maker
-        ]
-        unknown = [maker for maker, packaged in listed if packaged is None]
-        if found and not of_listed:
-            glass = known[found[0]]
-            like = numbers is None or _alike(glass, numbers)
-            if len(found) > 1 or not unknown or not like or _is_shared(wanted, found[0]):
-                got = (
-                    f"{named(name)}, which is not in the catalogues that the file names"
-                    f" ({', '.join(names_in(makers))})"
-                )
-                return _refuse(
-                    where,
-                    got,
-                    ", ".join(found),
-                    f"Glasses of one name differ between makers. {hint}".strip(),
-                )
-            lacking = ", ".join(names_in(unknown))
-            words = (
-                f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim"
-                f" lacks ({lacking})"
-            )
-            warn(Note("lens_as_read", lens=where, words=words))
-            of_listed = found
-        found = of_listed[:1]
-    elif ":" not in wanted and len(found) == 1 and _is_shared(wanted, found[0]):
-        return _refuse(
+    if user_glasses and (user_names := _user_names(wanted, user_glasses, makers)):
+        return user_glasses[user_names[0]]
+
+    glasses = catalogue()
+    names = _full_names(wanted, glasses)
+    has_maker = ":" in wanted
+    if makers and not has_maker:
+        names = _listed_names(name, where, makers, hint, names, numbers)
+    elif not has_maker and len(names) == 1 and _is_shared(wanted, names[0]):
+        raise invalid(
             where,
             f"{named(name)}, a name that several makers gave",
-            found[0],
+            names[0],
             f"Name the maker. {hint}".strip(),
         )
-    if len(found) > 1:
-        raise invalid(where, f"{named(name)}, which several makers have", ", ".join(found))
-    if not found:
+
+    if len(names) > 1:
+        raise invalid(where, f"{named(name)}, which several makers have", ", ".join(names))
+    if not names:
         got = f"the unknown glass {named(name)}"
-        raise invalid(where, got, f"the {len(known)} glasses of pixsim's table", hint)
-    return known[found[0]]
+        raise invalid(where, got, f"the {len(glasses)} glasses of pixsim's table", hint)
+    return glasses[names[0]]
 
 
-def _refuse(where: str, got: str, allowed: str, hint: str) -> Glass:
-    raise invalid(where, got, allowed, hint)
+def _listed_names(
+    name: str,
+    where: str,
+    makers: Sequence[str],
+    hint: str,
+    names: list[str],
+    numbers: tuple[float, float] | None,
+) -> list[str]:
+    """Return the full name of a glass by the first of the catalogues of a file that has it, as a
+    list of one name; empty if no maker has it.
+
+    names : full names that the packaged table has for it
+
+    The other arguments, the note and the error are as in `find_glass`.
+    """
+    listed = [(maker, _maker_of(maker, _PACKAGED_MAKERS)) for maker in makers]
+    listed_names = [
+        full for _, maker in listed for full in names if full.partition(":")[0] == maker
+    ]
+    if listed_names or not names:
+        return listed_names[:1]
+
+    # Another maker has the glass: one of the unknown catalogues may have been meant.
+    unknown_catalogues = [maker for maker, packaged in listed if packaged is None]
+    glass = catalogue()[names[0]]
+    fits_numbers = numbers is None or _has_numbers(glass, numbers)
+    is_shared = _is_shared(name.strip().upper(), names[0])
+    if len(names) > 1 or not unknown_catalogues or not fits_numbers or is_shared:
+        got = (
+            f"{named(name)}, which is not in the catalogues that the file names"
+            f" ({', '.join(names_in(makers))})"
+        )
+        raise invalid(
+            where,
+            got,
+            ", ".join(names),
+            f"Glasses of one name differ between makers. {hint}".strip(),
+        )
+    words = (
+        f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim"
+        f" lacks ({', '.join(names_in(unknown_catalogues))})"
+    )
+    warn(Note("lens_as_read", lens=where, words=words))
+    return names[:1]
 
 
-def _named(wanted: str, known: Mapping[str, Glass]) -> list[str]:
+def _full_names(name: str, glasses: Mapping[str, Glass]) -> list[str]:
     """Return the full names of glasses by their full or short name in capitals."""
-    if ":" in wanted:
-        return [full for full in known if full.upper() == wanted]
-    return [full for full in known if full.partition(":")[2].upper() == wanted]
+    if ":" in name:
+        return [full for full in glasses if full.upper() == name]
+    return [full for full in glasses if full.partition(":")[2].upper() == name]
 
 
-def _among(wanted: str, own: Mapping[str, Glass], makers: Sequence[str]) -> list[str]:
-    """Return the full names of a user's glasses, those of catalogues that the file names first."""
+def _user_names(name: str, glasses: Mapping[str, Glass], makers: Sequence[str]) -> list[str]:
+    """Return the full names of a user's glasses by a name, in the order of the catalogues."""
     order = [maker.upper() for maker in makers]
-    rank = {
-        full: order.index(stem) if (stem := full.partition(":")[0].upper()) in order else len(order)
-        for full in own
-    }
-    return sorted(_named(wanted, own), key=lambda full: rank[full])
+
+    def rank(full: str) -> int:
+        maker = full.partition(":")[0].upper()
+        return order.index(maker) if maker in order else len(order)
+
+    return sorted(_full_names(name, glasses), key=rank)
 
 
-def _is_shared(wanted: str, full: str) -> bool:
-    return not full.startswith("SCHOTT:") and _SHARED_NAMES.fullmatch(wanted) is not None
+def _is_shared(name: str, full: str) -> bool:
+    return not full.startswith("SCHOTT:") and _SHARED_NAMES.fullmatch(name) is not None
 
 
-def _alike(glass: Glass, numbers: tuple[float, float]) -> bool:
+def _has_numbers(glass: Glass, numbers: tuple[float, float]) -> bool:
     """Whether a glass has these n_d and V_d."""
     n_f, n_d, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
     return (
-        abs(n_d - numbers[0]) < LIKE_N_D
-        and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < LIKE_V_D
+        abs(n_d - numbers[0]) < TOLERANCE_N_D
+        and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < TOLERANCE_V_D
     )
 
 
 # A user's catalogues
-# ------------------------------------------------------------------------------------------------------------
+# ----------------------------------------------------------------------------------------------
 
 
 def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
@@ -465,11 +483,10 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
         content = content[:-1]  # a file that was cut, or that an editor ended with one byte
     for encoding in encodings:
         try:
-            text = content.decode(encoding).rstrip(
-                "\0\x1a\r\n\t "
-            )  # old files end with Ctrl-Z, or are filled up
+            text = content.decode(encoding)
         except UnicodeDecodeError:
             continue
+        text = text.rstrip("\0\x1a\r\n\t ")  # old files end with Ctrl-Z, or are filled up
         if not re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
             return text
     raise invalid(what, f"'{path}', a binary file", f"{expected} in UTF-8 or UTF-16")
@@ -491,14 +508,9 @@ _AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, _Coefficients]]]
     4: lambda c: (4, (1 + c[0], c[1], 2.0, c[2], 2.0, c[3], 0.0, c[4], 2.0)),  # Sellmeier 2
     5: lambda c: (5, (c[0], c[1], -1.0, c[2], -3.5)),  # Conrady
     6: lambda c: (2, (0.0, *c[:8])),  # Sellmeier 3
-    7: lambda c: (
-        4,
-        (c[0], c[1], 0.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0),
-    ),  # Handbook of Optics 1
-    8: lambda c: (
-        4,
-        (c[0], c[1], 2.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0),
-    ),  # Handbook of Optics 2
+    # Handbook of Optics 1 and 2
+    7: lambda c: (4, (c[0], c[1], 0.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0)),
+    8: lambda c: (4, (c[0], c[1], 2.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0)),
     9: lambda c: (2, (c[0] - 1, *c[1:5])),  # Sellmeier 4
     10: lambda c: _powers(c, (2, -2, -4, -6, -8, -10, -12)),  # extended
     11: lambda c: (2, (0.0, *c[:10])),  # Sellmeier 5
@@ -544,25 +556,27 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
         kind, coefficients = _AGF_FORMULAS[formula](c)
         glass = Glass(full, kind, coefficients, (limits[0], limits[1]), f"file '{path.name}'")
         if n_d and limits[0] <= LINES_UM["d"] <= limits[1]:
-            found = float(glass.index(1e3 * LINES_UM["d"]))
-            if not abs(found - n_d) < _AGF_AGREEMENT:
+            formula_n_d = float(glass.index(1e3 * LINES_UM["d"]))
+            if not abs(formula_n_d - n_d) < _AGF_AGREEMENT:
                 raise invalid(
                     f"{where}: n_d of its formula",
-                    f"{found:.6g}",
+                    f"{formula_n_d:.6g}",
                     f"{n_d:g}, as its line NM states",
                     "Check the file.",
                 )
         glasses[full] = glass
 
-    for number, line in enumerate(
-        lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES)), 1
-    ):
+    lines = lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES))
+    for number, line in enumerate(lines, 1):
         keyword, *words = line.split() or [""]
         try:
             if keyword == "NM":
                 finish()
-                name, line_number, parts = words[0], number, {}
-                formula, n_d = int(float(words[1])), float(words[3]) if len(words) > 3 else 0.0
+                name = words[0]
+                line_number = number
+                parts = {}
+                formula = int(float(words[1]))
+                n_d = float(words[3]) if len(words) > 3 else 0.0
             elif keyword in ("CD", "LD") and name:
                 parts[keyword] = [*map(float, words)]
         except (ValueError, IndexError, OverflowError):

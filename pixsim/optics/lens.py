@@ -34,7 +34,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import checked
-from pixsim.optics.ghosts import Ghost, ghosts_of, reflectances
+from pixsim.optics.ghosts import Ghost, find_ghosts, reflectances
 from pixsim.optics.glass import AIR, Glass
 from pixsim.optics.lens_options import PrescriptionOptions
 from pixsim.optics.prescription import Prescription, Vignetting, read_prescription
@@ -43,12 +43,12 @@ from pixsim.optics.quantities import AnyDistance, FNumberOrPinhole, Reflectance
 from pixsim.optics.ray_trace import (
     Rays,
     at_plane,
-    met,
+    intersect,
     paraxial,
     rays_from,
     refracted,
     trace,
-    turned_round,
+    reversed_surfaces,
 )
 
 _StopPoints = Annotated[
@@ -616,7 +616,7 @@ class Lens:
         if len(front) > 1:
             rays = replace(rays, z=rays.z - front[-2].thickness_mm)
         with np.errstate(all="ignore"):
-            rays = met(rays, front[-1], indices[len(front) - 1])
+            rays = intersect(rays, front[-1], indices[len(front) - 1])
         return rays.x, rays.y
 
     def _chief_height(self, field_deg: Array, wavelength_nm: Array) -> Array:
@@ -826,7 +826,7 @@ class Lens:
             if number:
                 rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
             with np.errstate(all="ignore"):
-                rays = met(rays, surface, indices[number])
+                rays = intersect(rays, surface, indices[number])
                 if not np.isfinite(rays.x).all():
                     return f"misses surface {number + 1}"
                 rays = refracted(rays, surface, indices[number], indices[number + 1])
@@ -1130,7 +1130,7 @@ class Lens:
         across, along : (C, P), direction cosines of the light in image space, which is traced
             backwards
         """
-        surfaces = turned_round(self.prescription.surfaces)
+        surfaces = reversed_surfaces(self.prescription.surfaces)
         indices = self._indices(wavelength_nm)[::-1]
         last = len(surfaces) - 1 - self.prescription.stop
         with np.errstate(invalid="ignore"):
@@ -1539,7 +1539,7 @@ class Lens:
             slope = half_mm / self.object_distance_mm
             height_mm -= slope * self._entrance_pupil_mm
         surfaces = self.prescription.surfaces
-        return ghosts_of(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
+        return find_ghosts(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
 
     # Changed lenses
     # ------------------------------------------------------------------------------------------------------

@@ -20,39 +20,39 @@ from pixsim.light.quantities import Wavelength
 from pixsim.optics.chief_rays import RelativeIllumination
 from pixsim.optics.quantities import FNumber, FocalLength, OutsideLight
 
-_OF_THIN_LENS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens has itself
+_THIN_LENS_FIELDS = ("focal_length_mm", "chief_ray_angle")  # of [camera], which a real lens states
 
 
 def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
     """Return the fields of [camera] in `base` that a real lens in `over` replaces."""
-    lens, camera, own = over.get("lens"), base.get("camera"), over.get("camera")
+    lens = over.get("lens")
+    camera = base.get("camera")
+    replacing_camera = over.get("camera")
     if not (isinstance(lens, dict) and lens.get("file") and isinstance(camera, dict)):
         return []
     return [
         name
-        for name in _OF_THIN_LENS
+        for name in _THIN_LENS_FIELDS
         if camera.get(name) is not None
-        and not (isinstance(own, dict) and own.get(name) is not None)
+        and not (isinstance(replacing_camera, dict) and replacing_camera.get(name) is not None)
     ]
 
 
 def as_file_names(value: object) -> object:
     """Names of files, from a list or from text with commas, as an option has it."""
-    return (
-        [part.strip() for part in value.split(",") if part.strip()]
-        if isinstance(value, str)
-        else value
-    )
+    if not isinstance(value, str):
+        return value
+    return [part.strip() for part in value.split(",") if part.strip()]
 
 
 # Fields of any lens, with the fields of the camera that hold them.
-OF_ANY_LENS = {
+ANY_LENS_FIELDS = {
     "veiling_glare": "veiling_glare",
     "veiling_glare_outside": "veiling_glare_outside",
     "relative_illumination": "fall_off",
 }
 # How a lens's file is read, where it leaves a choice.
-READING = (
+READING_OPTIONS = (
     "configuration",
     "semi_diameters",
     "vignetting_factors",
@@ -132,31 +132,38 @@ class PrescriptionOptions(Record):
 
     @model_serializer(mode="wrap")
     def _nothing_without_file(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a real lens settings are written, and hashed, as if it had no fields; so are ways
-        of reading unused.
+        """Return the settings that are written and hashed: without a real lens none of its fields,
+        and no option of reading at its default.
         """
-        of_file, fields = PrescriptionOptions.model_fields, type(self).model_fields
-        unused = (
-            set(of_file)
-            if self.file is None
-            else {name for name in READING if getattr(self, name) == of_file[name].default}
-        )
-        unused |= {"focus_nm"} if self.focus_nm is None else set()
+        prescription_fields = PrescriptionOptions.model_fields
+        fields = type(self).model_fields
+        if self.file is None:
+            unused = set(prescription_fields)
+        else:
+            unused = {
+                name
+                for name in READING_OPTIONS
+                if getattr(self, name) == prescription_fields[name].default
+            }
+        if self.focus_nm is None:
+            unused.add("focus_nm")
         unused |= {
             name
             for name in fields
-            if name in OF_ANY_LENS and getattr(self, name) == fields[name].default
+            if name in ANY_LENS_FIELDS and getattr(self, name) == fields[name].default
         }
         return {name: value for name, value in handler(self).items() if name not in unused}
 
     @model_validator(mode="after")
     def _has_a_file(self) -> Self:
-        of_file = PrescriptionOptions.model_fields
+        prescription_fields = PrescriptionOptions.model_fields
         if self.file is None and (
-            given := [name for name in of_file if name in self.model_fields_set - {"file"}]
+            set_fields := [
+                name for name in prescription_fields if name in self.model_fields_set - {"file"}
+            ]
         ):
             raise ValueError(
-                f"{', '.join(given)} without file; allowed: with the lens's prescription in"
+                f"{', '.join(set_fields)} without file; allowed: with the lens's prescription in"
                 " lens.file"
             )
         return self

@@ -43,7 +43,7 @@ from pixsim.optics.glass import (
     check_coefficients,
     code_glass,
     constant_glass,
-    factors_of,
+    dispersive_coefficients,
     find_glass,
     lines_of,
     named,
@@ -59,17 +59,14 @@ _MAX_SURFACES = 200
 # other
 _MAX_LINES = 50_000
 MAX_POWER = 60  # of an asphere
-_FIELD_ANGLES_DEG = (
-    1e-6,
-    180.0,
-)  # that a file may state; `lens` limits fields to what it can trace
-_LONGEST_MM = 1e6
-_FARTHEST_MM = 1e13  # of an object that is not at infinity: `FAR` in m
+_FIELD_ANGLES_DEG = (1e-6, 180.0)  # of a file; `lens` limits fields to what it can trace
+_MAX_LENGTH_MM = 1e6
+_MAX_DISTANCE_MM = 1e13  # of an object that is not at infinity: `FAR` in m
 # What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal
 # numbers take very long.
-_SHORTEST_MM = 1e-7  # of a thickness or an opening: an atom
-LEAST_CURVATURE_PER_MM, LEAST_CONIC = 1e-12, 1e-9
-_LEAST_SAG_MM = 1e-15  # of a term of an asphere at `_LONGEST_MM`
+_MIN_LENGTH_MM = 1e-7  # of a thickness or an opening: an atom
+MIN_CURVATURE_PER_MM, MIN_CONIC = 1e-12, 1e-9
+_MIN_SAG_MM = 1e-15  # of a term of an asphere at `_MAX_LENGTH_MM`
 _WAVELENGTHS_NM = (10.0, 1e6)
 F_NUMBERS = (0.1, 1e5)
 _NUMERICAL_APERTURES = (5e-6, 0.9999)
@@ -185,17 +182,17 @@ class Prescription:
 
     def scaled(self, factor: float) -> Prescription:
         """Return the prescription with every length times `factor`, above 0."""
-        of_aperture = factor if self.aperture.endswith("_diameter") else 1.0
-        of_field = 1.0 if self.field_of_view == "angle_deg" else factor
+        aperture_factor = factor if self.aperture.endswith("_diameter") else 1.0
+        field_factor = 1.0 if self.field_of_view == "angle_deg" else factor
 
         def at(rows: tuple[Vignetting, ...]) -> tuple[Vignetting, ...]:
-            return tuple(replace(row, field_value=row.field_value * of_field) for row in rows)
+            return tuple(replace(row, field_value=row.field_value * field_factor) for row in rows)
 
         return replace(
             self,
             surfaces=tuple(surface.scaled(factor) for surface in self.surfaces),
-            aperture_value=self.aperture_value * of_aperture,
-            field_value=self.field_value * of_field,
+            aperture_value=self.aperture_value * aperture_factor,
+            field_value=self.field_value * field_factor,
             object_distance_mm=self.object_distance_mm * factor,
             vignetting=at(self.vignetting),
             spare_vignetting=at(self.spare_vignetting),
@@ -219,22 +216,27 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     large, and for what pixsim does not trace: mirrors, gradient indices, tilted, diffractive or
     free-form surfaces, unknown glasses, a missing stop.
     """
-    known = packaged("data/lenses")
-    path = known.get(file) or Path(file)
-    kind = path.suffix.lower()
-    if kind not in READERS:
-        what = f"'{file}'" if kind or not file else f"the unknown lens '{file}'"
-        hint = _HOW_TO_EXPORT.get(kind) or did_you_mean(file, known)
+    packaged_lenses = packaged("data/lenses")
+    path = packaged_lenses.get(file) or Path(file)
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        what = f"'{file}'" if suffix or not file else f"the unknown lens '{file}'"
+        hint = _HOW_TO_EXPORT.get(suffix) or did_you_mean(file, packaged_lenses)
         raise invalid(
-            "lens", what, f"{', '.join(known)}; or the path of a {' or '.join(READERS)} file", hint
+            "lens",
+            what,
+            f"{', '.join(packaged_lenses)}; or the path of a {' or '.join(READERS)} file",
+            hint,
         )
     options = options or PrescriptionOptions()
-    own: dict[str, Glass] = {}
+    user_glasses: dict[str, Glass] = {}
     for name in options.glass_catalogues:
         for full, glass in read_catalogue(Path(name)).items():
-            own.setdefault(full, glass)
-    prescription = READERS[kind](path, options, own)
-    if own and not any(glass.name.partition(", n_d ")[0] in own for glass in prescription.glasses):
+            user_glasses.setdefault(full, glass)
+    prescription = READERS[suffix](path, options, user_glasses)
+    if user_glasses and not any(
+        glass.name.partition(", n_d ")[0] in user_glasses for glass in prescription.glasses
+    ):
         note = Note(
             "not_used",
             setting="lens.glass_catalogues",
@@ -245,7 +247,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
 
 
 _IN_OPTICSTUDIO = "In OpticStudio, save it as .zmx (File, Save As)."
-_OF_CODE_V = (
+_HOW_TO_CONVERT = (
     "Open it in OpticStudio (File, Convert File Formats) and save it as .zmx, or write its surfaces"
     " as .toml: docs/lens.md."
 )
@@ -257,10 +259,10 @@ _HOW_TO_EXPORT = {
         " as .zmx (File, Save As)."
     ),
     ".zda": f"That is data of a Zemax session. {_IN_OPTICSTUDIO}",
-    ".seq": f"That is a file of CODE V. {_OF_CODE_V}",
-    ".len": f"That is a file of CODE V or OSLO. {_OF_CODE_V}",
-    ".osd": f"That is a file of OSLO. {_OF_CODE_V}",
-    ".otx": f"That is a file of another program. {_OF_CODE_V}",
+    ".seq": f"That is a file of CODE V. {_HOW_TO_CONVERT}",
+    ".len": f"That is a file of CODE V or OSLO. {_HOW_TO_CONVERT}",
+    ".osd": f"That is a file of OSLO. {_HOW_TO_CONVERT}",
+    ".otx": f"That is a file of another program. {_HOW_TO_CONVERT}",
     ".roa": "That is a file of rayoptics. Write its surfaces as .toml: docs/lens.md.",
     ".json": "Write its surfaces as .toml: docs/lens.md.",
     ".agf": "That is a glass catalogue: name it in lens.glass_catalogues, beside the lens.",
@@ -268,23 +270,25 @@ _HOW_TO_EXPORT = {
 
 
 _APERTURES: dict[Aperture, tuple[float, float]] = {
-    "entrance_pupil_diameter": (_SHORTEST_MM, _LONGEST_MM),
-    "stop_diameter": (_SHORTEST_MM, _LONGEST_MM),
+    "entrance_pupil_diameter": (_MIN_LENGTH_MM, _MAX_LENGTH_MM),
+    "stop_diameter": (_MIN_LENGTH_MM, _MAX_LENGTH_MM),
     "f_number": F_NUMBERS,
     "working_f_number": F_NUMBERS,
     "object_numerical_aperture": _NUMERICAL_APERTURES,
 }
-LEAST = {
-    "curvature_per_mm": LEAST_CURVATURE_PER_MM,
-    "thickness_mm": _SHORTEST_MM,
-    "conic": LEAST_CONIC,
+MIN_SIZES = {
+    "curvature_per_mm": MIN_CURVATURE_PER_MM,
+    "thickness_mm": _MIN_LENGTH_MM,
+    "conic": MIN_CONIC,
 }
 
 
-def _checked(prescription: Prescription, where: str, place: Callable[[int], str]) -> Prescription:
+def _checked(
+    prescription: Prescription, where: str, surface_name: Callable[[int], str]
+) -> Prescription:
     """Return a prescription whose numbers can be traced.
 
-    place : returns the line and number of a surface (index from 0), for messages
+    surface_name : returns the line and number of a surface (index from 0), for messages
 
     Raises PixsimError if a length is too large, a thickness in glass is negative, or an aspheric
     term is not allowed.
@@ -292,68 +296,25 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     if not 0 < len(prescription.surfaces) <= _MAX_SURFACES:
         raise invalid(f"surfaces of {where}", len(prescription.surfaces), f"1 to {_MAX_SURFACES}")
     for index, surface in enumerate(prescription.surfaces):
-        numbers = {
-            "curvature_per_mm": surface.curvature_per_mm,
-            "thickness_mm": surface.thickness_mm,
-            "conic": surface.conic,
-        }
-        for name, value in numbers.items():
-            if not (value == 0 or LEAST[name] <= abs(value) <= _LONGEST_MM):
-                raise invalid(
-                    f"{place(index)}: {name}",
-                    f"{value:g}",
-                    f"0, or {LEAST[name]:g} to {_LONGEST_MM:g} in size",
-                )
-        if surface.thickness_mm < 0 and surface.glass != AIR:
-            got = f"{surface.thickness_mm:g} in the glass {named(surface.glass.name)}"
-            raise invalid(
-                f"{place(index)}: thickness_mm", got, "0 or more in glass; negative in air only"
-            )
-        if (
-            surface.semi_diameter_mm is not None
-            and not _SHORTEST_MM <= surface.semi_diameter_mm <= _LONGEST_MM
-        ):
-            got = f"{surface.semi_diameter_mm:g}"
-            raise invalid(
-                f"{place(index)}: semi_diameter_mm", got, f"{_SHORTEST_MM:g} to {_LONGEST_MM:g}"
-            )
-        for power, value in surface.asphere:
-            if not (2 <= power <= MAX_POWER and math.isfinite(value)):
-                got = f"A{power} = {value:g}"
-                hint = "A term in r is a cone, which has no focus." if power == 1 else ""
-                raise invalid(
-                    f"{place(index)}: asphere",
-                    got,
-                    f"finite terms A2 to A{MAX_POWER}, by the power of r",
-                    hint,
-                )
-            least = _LEAST_SAG_MM / _LONGEST_MM**power
-            if 0 < abs(value) < least:
-                raise invalid(
-                    f"{place(index)}: asphere",
-                    f"A{power} = {value:g}",
-                    f"0, or at least {least:.1g} in size",
-                )
+        _check_surface(surface, surface_name(index))
+
     low, high = _APERTURES[prescription.aperture]
     if not low <= prescription.aperture_value <= high:
         raise invalid(
             f"aperture of {where}", f"{prescription.aperture_value:g}", f"{low:g} to {high:g}"
         )
-    low, high = (
-        _FIELD_ANGLES_DEG
-        if prescription.field_of_view == "angle_deg"
-        else (_SHORTEST_MM, _LONGEST_MM)
-    )
+
+    is_angle = prescription.field_of_view == "angle_deg"
+    low, high = _FIELD_ANGLES_DEG if is_angle else (_MIN_LENGTH_MM, _MAX_LENGTH_MM)
     if not (prescription.field_value == 0 or low <= prescription.field_value <= high):
-        allowed = (
-            f"0, or {low:g} to {high:g}"
-            f" {'degrees' if prescription.field_of_view == 'angle_deg' else 'mm'}"
-        )
+        allowed = f"0, or {low:g} to {high:g} {'degrees' if is_angle else 'mm'}"
         raise invalid(f"largest field of {where}", f"{prescription.field_value:g}", allowed)
+
     distance = prescription.object_distance_mm
-    if not (_SHORTEST_MM <= distance <= _FARTHEST_MM or distance == math.inf):
-        allowed = f"{_SHORTEST_MM:g} to {_FARTHEST_MM:g}, or at infinity"
+    if not (_MIN_LENGTH_MM <= distance <= _MAX_DISTANCE_MM or distance == math.inf):
+        allowed = f"{_MIN_LENGTH_MM:g} to {_MAX_DISTANCE_MM:g}, or at infinity"
         raise invalid(f"object of {where}", f"{distance:g} mm in front of the lens", allowed)
+
     if not prescription.wavelengths_nm:
         raise invalid(f"wavelengths of {where}", "none", "at least one")
     low, high = _WAVELENGTHS_NM
@@ -362,12 +323,51 @@ def _checked(prescription: Prescription, where: str, place: Callable[[int], str]
     return prescription
 
 
-# TOML
-# ------------------------------------------------------------------------------------------------------------------------
+def _check_surface(surface: Surface, name: str) -> None:
+    """Raise PixsimError if a number of a surface cannot be traced.
 
-Length = Annotated[float, Field(ge=-_LONGEST_MM, le=_LONGEST_MM)]
+    name : file, number and line of the surface, for messages
+    """
+    numbers = {
+        "curvature_per_mm": surface.curvature_per_mm,
+        "thickness_mm": surface.thickness_mm,
+        "conic": surface.conic,
+    }
+    for field_name, value in numbers.items():
+        if not (value == 0 or MIN_SIZES[field_name] <= abs(value) <= _MAX_LENGTH_MM):
+            allowed = f"0, or {MIN_SIZES[field_name]:g} to {_MAX_LENGTH_MM:g} in size"
+            raise invalid(f"{name}: {field_name}", f"{value:g}", allowed)
+
+    if surface.thickness_mm < 0 and surface.glass != AIR:
+        got = f"{surface.thickness_mm:g} in the glass {named(surface.glass.name)}"
+        raise invalid(f"{name}: thickness_mm", got, "0 or more in glass; negative in air only")
+
+    semi_diameter_mm = surface.semi_diameter_mm
+    if semi_diameter_mm is not None and not _MIN_LENGTH_MM <= semi_diameter_mm <= _MAX_LENGTH_MM:
+        allowed = f"{_MIN_LENGTH_MM:g} to {_MAX_LENGTH_MM:g}"
+        raise invalid(f"{name}: semi_diameter_mm", f"{semi_diameter_mm:g}", allowed)
+
+    for power, value in surface.asphere:
+        if not (2 <= power <= MAX_POWER and math.isfinite(value)):
+            hint = "A term in r is a cone, which has no focus." if power == 1 else ""
+            raise invalid(
+                f"{name}: asphere",
+                f"A{power} = {value:g}",
+                f"finite terms A2 to A{MAX_POWER}, by the power of r",
+                hint,
+            )
+        min_size = _MIN_SAG_MM / _MAX_LENGTH_MM**power
+        if 0 < abs(value) < min_size:
+            allowed = f"0, or at least {min_size:.1g} in size"
+            raise invalid(f"{name}: asphere", f"A{power} = {value:g}", allowed)
+
+
+# TOML
+# ----------------------------------------------------------------------------------------------
+
+Length = Annotated[float, Field(ge=-_MAX_LENGTH_MM, le=_MAX_LENGTH_MM)]
 _MaybeInfinite = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True)]
-Positive = Annotated[float, Field(ge=_SHORTEST_MM, le=_LONGEST_MM)]
+Positive = Annotated[float, Field(ge=_MIN_LENGTH_MM, le=_MAX_LENGTH_MM)]
 
 
 class _GlassTable(Record):
@@ -405,20 +405,22 @@ class _GlassTable(Record):
         """Return the glass. Raises PixsimError unless exactly one of the three descriptions is
         whole.
         """
-        given = {
+        descriptions = {
             "formula and coefficients": (self.formula, self.coefficients),
             "n_d and v_d": (self.n_d, self.v_d),
             "n": (self.n,),
         }
-        whole = [what for what, values in given.items() if None not in values]
+        whole = [what for what, values in descriptions.items() if None not in values]
         begun = [
-            what for what, values in given.items() if any(value is not None for value in values)
+            what
+            for what, values in descriptions.items()
+            if any(value is not None for value in values)
         ]
         if len(whole) != 1 or begun != whole:
             raise invalid(
                 f"{where}: glass {quoted(name)}",
                 " and ".join(begun) or "neither",
-                f"exactly one of: {'; '.join(given)}",
+                f"exactly one of: {'; '.join(descriptions)}",
             )
         if self.n is not None:
             return constant_glass(name, self.n)
@@ -435,7 +437,7 @@ class _GlassTable(Record):
         assert self.coefficients is not None
         numbers = self.coefficients
         check_coefficients(numbers, f"{where}: coefficients of glass {quoted(name)}")
-        if not any(factors_of(self.formula, numbers)):
+        if not any(dispersive_coefficients(self.formula, numbers)):
             got = "no pair of numbers that are not 0, after c1"
             raise invalid(
                 f"{where}: coefficients of glass {quoted(name)}",
@@ -545,7 +547,9 @@ _HOW_TO_GIVE_TOML = (
 )
 
 
-def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
+def _read_toml(
+    path: Path, options: PrescriptionOptions, user_glasses: Mapping[str, Glass]
+) -> Prescription:
     table = read_toml(path)
     if options.configuration not in (None, 1):
         raise invalid(
@@ -553,22 +557,21 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
             options.configuration,
             f"1: '{path}' has one configuration, as every .toml file",
         )
-    of_zmx = ("semi_diameters", "vignetting_factors", "unknown_glass")
+    zmx_options = ("semi_diameters", "vignetting_factors", "unknown_glass")
     unused = [
         name
-        for name in of_zmx
+        for name in zmx_options
         if getattr(options, name) != PrescriptionOptions.model_fields[name].default
     ]
-    heads = [
+    text = read_text(path, "lens", "a readable TOML file", MAX_BYTES)
+    surface_lines = [
         number
-        for number, line in enumerate(
-            read_text(path, "lens", "a readable TOML file", MAX_BYTES).split("\n"), 1
-        )
+        for number, line in enumerate(text.split("\n"), 1)
         if re.match(r"\s*\[\[\s*[\"']?surface[\"']?\s*\]\]", line)
     ]
 
-    def place(index: int) -> str:
-        line = f" (line {heads[index]})" if index < len(heads) else ""
+    def surface_name(index: int) -> str:
+        line = f" (line {surface_lines[index]})" if index < len(surface_lines) else ""
         return f"'{path}', surface {index + 1}{line}"
 
     try:
@@ -577,35 +580,43 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         before = re.escape(f"{path}: ")
         located = re.sub(
             rf"(?:{before})?surface\.(\d+)\.?",
-            lambda found: f"{place(int(found[1]))}: ",
+            lambda match: f"{surface_name(int(match[1]))}: ",
             str(error),
         )
         raise PixsimError(located.replace(": : ", ": ")) from None
+
     stops = {index for index, surface in enumerate(file.surface) if surface.stop}
     if file.stop_surface is not None:
         stops.add(file.stop_surface - 1)
-    stop = _one_stop(
+    stop = _single_stop(
         stops, f"'{path}'", len(file.surface), "Give its number, from 1, as stop_surface."
     )
+
+    # One message names all glasses that are not known.
     glasses: list[Glass] = []
     unknown: list[str] = []
     for index, surface in enumerate(file.surface):
         try:
-            glasses.append(_toml_glass(surface.glass, file.glass, place(index), own))
+            glasses.append(
+                _toml_glass(surface.glass, file.glass, surface_name(index), user_glasses)
+            )
         except PixsimError as error:
             unknown.append(str(error))
     if unknown:
         raise PixsimError("\n".join(unknown))
     surfaces = tuple(
-        _toml_surface(surface, glass, place(index))
+        _toml_surface(surface, glass, surface_name(index))
         for index, (surface, glass) in enumerate(zip(file.surface, glasses, strict=True))
     )
-    value = file.aperture.f_number if file.aperture.type == "f_number" else file.aperture.value_mm
-    if value is None:
-        missing = "f_number" if file.aperture.type == "f_number" else "value_mm"
+
+    aperture = file.aperture
+    field_name = "f_number" if aperture.type == "f_number" else "value_mm"
+    aperture_value = aperture.f_number if aperture.type == "f_number" else aperture.value_mm
+    if aperture_value is None:
         raise invalid(
-            f"'{path}': aperture.{missing}", "none", f"a number, for the type {file.aperture.type}"
+            f"'{path}': aperture.{field_name}", "none", f"a number, for the type {aperture.type}"
         )
+
     to_nm = 1e3 if file.wavelengths.unit == "um" else 1.0
     prescription = Prescription(
         name=one_line(file.name or path.stem),
@@ -613,8 +624,8 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         source=one_line(file.source, 200),
         surfaces=surfaces,
         stop=stop,
-        aperture=file.aperture.type,
-        aperture_value=value,
+        aperture=aperture.type,
+        aperture_value=aperture_value,
         field_of_view="angle_deg",
         field_value=file.fields.max_deg,
         wavelengths_nm=tuple(to_nm * value for value in file.wavelengths.values),
@@ -625,10 +636,10 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
             for name in unused
         ),
     )
-    return _checked(prescription, f"'{path}'", place)
+    return _checked(prescription, f"'{path}'", surface_name)
 
 
-def _one_stop(stops: set[int], where: str, count: int, hint: str) -> int:
+def _single_stop(stops: set[int], where: str, count: int, hint: str) -> int:
     if len(stops) != 1 or not max(stops) < count:
         got = (
             "no surface"
@@ -640,17 +651,20 @@ def _one_stop(stops: set[int], where: str, count: int, hint: str) -> int:
 
 
 def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
-    curvature, radius = table.curvature_per_mm, table.radius_mm
+    curvature = table.curvature_per_mm
+    radius = table.radius_mm
     if radius is not None:
-        of_radius = 0.0 if math.isinf(radius) else 1 / radius if radius else math.inf
-        if not abs(of_radius) <= _LONGEST_MM:
+        radius_curvature = 1 / radius if radius else math.inf
+        if math.isinf(radius):
+            radius_curvature = 0.0  # without a sign
+        if not abs(radius_curvature) <= _MAX_LENGTH_MM:
             raise invalid(
                 f"{where}: radius_mm",
                 f"{radius:g}",
-                f"at least {1 / _LONGEST_MM:g} in size; inf for a plane",
+                f"at least {1 / _MAX_LENGTH_MM:g} in size; inf for a plane",
             )
         if curvature is not None and not math.isclose(
-            of_radius, curvature, rel_tol=_AGREEMENT, abs_tol=1e-15
+            radius_curvature, curvature, rel_tol=_AGREEMENT, abs_tol=1e-15
         ):
             got = f"{radius:.12g}, with curvature_per_mm = {curvature:.12g}"
             raise invalid(
@@ -659,7 +673,7 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
                 "the reciprocal of the curvature",
                 "Leave one of them out.",
             )
-        curvature = of_radius if curvature is None else curvature
+        curvature = radius_curvature if curvature is None else curvature
     if curvature is None:
         raise invalid(
             f"{where}: curvature_per_mm and radius_mm",
@@ -688,30 +702,32 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
 
 
 def _toml_glass(
-    given: str | float | _GlassTable,
-    glasses: Mapping[str, _GlassTable],
+    value: str | float | _GlassTable,
+    file_glasses: Mapping[str, _GlassTable],
     where: str,
-    own: Mapping[str, Glass],
+    user_glasses: Mapping[str, Glass],
 ) -> Glass:
-    if isinstance(given, _GlassTable):
-        return given.glass(given.words, where)
-    if not isinstance(given, str):
-        if not 1 <= given <= 10:
-            raise invalid(f"{where}: glass", f"{given:g}", "an index from 1 to 10, or a name")
-        return constant_glass(f"n = {given:g}", given)
-    if given in glasses:
-        return glasses[given].glass(one_line(given), where)
-    if given.lower() == "air":
+    if isinstance(value, _GlassTable):
+        return value.glass(value.words, where)
+    if not isinstance(value, str):
+        if not 1 <= value <= 10:
+            raise invalid(f"{where}: glass", f"{value:g}", "an index from 1 to 10, or a name")
+        return constant_glass(f"n = {value:g}", value)
+    if value in file_glasses:
+        return file_glasses[value].glass(one_line(value), where)
+    if value.lower() == "air":
         return AIR
-    if given.upper() == "MIRROR":
+    if value.upper() == "MIRROR":
         raise invalid(
             f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors"
         )
-    if code := code_glass(given):
-        return code
-    near = did_you_mean(given, [*filter(_is_plain, own), *catalogue()])
+    if six_digit_glass := code_glass(value):
+        return six_digit_glass
+    near = did_you_mean(value, [*filter(_is_plain, user_glasses), *catalogue()])
     other = f"{near} It is another glass, so nothing is substituted. " if near else ""
-    return find_glass(given, f"{where}: glass", hint=other + _HOW_TO_GIVE_TOML, own=own)
+    return find_glass(
+        value, f"{where}: glass", hint=other + _HOW_TO_GIVE_TOML, user_glasses=user_glasses
+    )
 
 
 def _is_plain(full: str) -> bool:
@@ -719,7 +735,7 @@ def _is_plain(full: str) -> bool:
 
 
 # Zemax
-# -----------------------------------------------------------------------------------------------------------------------
+# ----------------------------------------------------------------------------------------------
 
 _UNITS_MM = {
     "MM": 1.0,
@@ -731,43 +747,39 @@ _UNITS_MM = {
     "METER": 1e3,
     "METERS": 1e3,
 }
-STEP = {
-    "STANDARD": 0,
-    "EVENASPH": 2,
-    "ODDASPHE": 1,
-    "XASPHERE": 2,
-    "XOSPHERE": 1,
-}  # of the powers of r of an asphere's terms
-_EXTENDED = (
-    "XASPHERE",
-    "XOSPHERE",
-)  # terms in XDAT: their number, the radius that r is taken over, and the terms
+# Of the powers of r of an asphere's terms.
+STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1, "XASPHERE": 2, "XOSPHERE": 1}
+# Types with terms in XDAT: their number, the radius that r is taken over, and the terms.
+_EXTENDED = ("XASPHERE", "XOSPHERE")
 _NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
 _GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
 TRACED = f"{', '.join(STEP)}, and {_NULL} of zeros"
 _HOW_TRACED = "pixsim traces centred spheres, conics and aspheres of powers of r."
 # Apertures that are not a centred disc.
 _OTHER_APERTURES = {
-    "SQAP": "rectangular aperture", "ELAP": "elliptical aperture", "OBSC": "central obscuration", "SPID": "spider",
-    "SQOB": "rectangular obscuration", "ELOB": "elliptical obscuration", "UDOB": "user obscuration",
+    "SQAP": "rectangular aperture",
+    "ELAP": "elliptical aperture",
+    "OBSC": "central obscuration",
+    "SPID": "spider",
+    "SQOB": "rectangular obscuration",
+    "ELOB": "elliptical obscuration",
+    "UDOB": "user obscuration",
     **dict.fromkeys(("UDAP", "UDAD", "USAP"), "user aperture"),
-}  # fmt: skip
+}
 _FIELD_KINDS: dict[int, FieldOfView] = {
     0: "angle_deg",
     1: "object_height",
     2: "paraxial_image_height",
     3: "real_image_height",
 }
-USUAL_FIELDS, MOST_FIELDS = (
-    12,
-    200,
-)  # of older files, in which the places of unused ones are filled up, and of any
+USUAL_FIELDS = 12  # of older files, in which the places of unused ones are filled up
+MAX_FIELDS = 200
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
 _HOW_TO_GIVE_ZMX = (
     "Or give those of this glass in its line, as N-BK7's in GLAS ___BLANK 1 0 1.5168 64.17."
 )
-_OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
+_HOW_TO_ADD_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
 _PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
 MODEL_GLASS, SHIFTED_GLASS = 1, 4  # what a GLAS line says of its glass
 FIXED = ("1", "2")  # flags of a semi-diameter: typed, and picked up from another surface
@@ -777,9 +789,9 @@ HEAD = frozenset(
     re.findall(
         r"\w+",
         """
-        VERS MODE NAME NOTE PFIL LANG UNIT ENPD ENVD FNUM OBNA FLOA GFAC GCAT RAIM PUSH PUPD SDMA OMMA FTYP ROPD HYPR PICB
-        XFLN YFLN XFLD YFLD FWGN FWGT VDXN VDYN VCXN VCYN VANN WAVM WAVL WWGN WWGT PWAV POLS GLRS GSTD NSCD COFN DBDT LUID
-        MNUM
+        VERS MODE NAME NOTE PFIL LANG UNIT ENPD ENVD FNUM OBNA FLOA GFAC GCAT RAIM PUSH PUPD
+        SDMA OMMA FTYP ROPD HYPR PICB XFLN YFLN XFLD YFLD FWGN FWGT VDXN VDYN VCXN VCYN VANN
+        WAVM WAVL WWGN WWGT PWAV POLS GLRS GSTD NSCD COFN DBDT LUID MNUM
         """,
     )
 )
@@ -820,7 +832,9 @@ class _Block:
         line.words[place] = value
 
 
-def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]) -> Prescription:
+def _read_zmx(
+    path: Path, options: PrescriptionOptions, user_glasses: Mapping[str, Glass]
+) -> Prescription:
     head, blocks, operands = _blocks(path)
     if len(blocks) < 3:
         raise invalid(
@@ -831,67 +845,89 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
         got = f"MODE with {excerpt(' '.join(mode.words))}"
         raise invalid(f"'{path}', line {mode.number}", got, "MODE SEQ, sequential surfaces")
-    scale = 1.0
-    if unit := head.first("UNIT"):
-        name = unit.words[0].upper() if unit.words else ""
-        if name not in _UNITS_MM:
-            got = f"UNIT with {excerpt(name)}"
-            raise invalid(f"'{path}', line {unit.number}", got, ", ".join(_UNITS_MM))
-        scale = _UNITS_MM[name]
+    scale = _zmx_unit_mm(path, head)
+
     notes: list[str] = []
-    solved = _configured(path, head, blocks, operands, options.configuration, notes)
-    _check_traced(path, blocks[1:-1])
+    solved = _set_configuration(path, head, blocks, operands, options.configuration, notes)
+    lens_blocks = blocks[1:-1]
+    _check_traced(path, lens_blocks)
     stated_distance = _zmx_object(path, head, blocks[0])
     object_distance = stated_distance if stated_distance < FAR else math.inf
     _check_image(path, blocks[-1])
-    glasses = _zmx_glasses(path, head, blocks[1:-1], options, own, notes)
+
+    glasses = _zmx_glasses(path, head, lens_blocks, options, user_glasses, notes)
     surfaces = [
         _zmx_surface(block, block.place(path), glass, notes)
-        for block, glass in zip(blocks[1:-1], glasses, strict=True)
+        for block, glass in zip(lens_blocks, glasses, strict=True)
     ]
-    stops = {index for index, block in enumerate(blocks[1:-1]) if block.first("STOP")}
-    stop = _one_stop(stops, f"'{path}'", len(surfaces), "Write a line STOP under its SURF.")
-    fixed = _fixed(blocks[1:-1], surfaces, stop)
+    stops = {index for index, block in enumerate(lens_blocks) if block.first("STOP")}
+    stop = _single_stop(stops, f"'{path}'", len(surfaces), "Write a line STOP under its SURF.")
+    fixed = _fixed_semi_diameters(lens_blocks, surfaces, stop)
     if options.semi_diameters == "clip":
-        surfaces = [
-            replace(surface, clips=surface.clips or index in fixed)
-            for index, surface in enumerate(surfaces)
-        ]
+        for index in fixed:
+            surfaces[index] = replace(surfaces[index], clips=True)
         fixed = ()
-    aperture, value = _zmx_aperture(path, head, surfaces[stop])
-    kind, largest = _zmx_field(path, head, stated_distance)
-    wavelengths, primary = _zmx_wavelengths(path, head)
+
+    aperture, aperture_value = _zmx_aperture(path, head, surfaces[stop])
+    field_of_view, field_value = _zmx_field(path, head, stated_distance)
+    wavelengths_nm, primary_nm = _zmx_wavelengths(path, head)
     for index in solved:
-        surfaces[index] = replace(
-            surfaces[index], thickness_mm=_focus(surfaces[: index + 1], object_distance, primary)
-        )
-    factors = _zmx_vignetting(path, head, notes)
-    if (
-        kind == "angle_deg" and math.isfinite(stated_distance) and _zmx_fields(path, head)[0]
-    ):  # object heights far away
-        factors = tuple(
+        thickness = _paraxial_focus(surfaces[: index + 1], object_distance, primary_nm)
+        surfaces[index] = replace(surfaces[index], thickness_mm=thickness)
+
+    vignetting = _zmx_vignetting(path, head, notes)
+    is_far_object = field_of_view == "angle_deg" and math.isfinite(stated_distance)
+    if is_far_object and _zmx_fields(path, head)[0]:
+        # The file has object heights, the prescription their angles.
+        vignetting = tuple(
             replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance)))
-            for row in factors
+            for row in vignetting
         )
-    used = (
-        options.vignetting_factors
-        or ("ignore" if any(surface.clips for surface in surfaces) else "use")
-    ) == "use"
+    usage = options.vignetting_factors
+    if usage is None:
+        usage = "ignore" if any(surface.clips for surface in surfaces) else "use"
+
+    name = one_line(path.stem)
     title = next((" ".join(line.words) for line in head.all("NAME") if line.words), path.stem)
     prescription = Prescription(
-        one_line(path.stem), one_line(title, 200), f"file '{path.name}'", tuple(surfaces), stop, aperture, value, kind, largest,
-        wavelengths, primary, object_distance, factors if used else (), () if used else factors, fixed,
-        tuple(Note("lens_as_read", lens=f"lens '{one_line(path.stem)}'", words=note) for note in notes),
-    )  # fmt: skip
-    return _checked(
-        prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path)
+        name=name,
+        title=one_line(title, 200),
+        source=f"file '{path.name}'",
+        surfaces=tuple(surfaces),
+        stop=stop,
+        aperture=aperture,
+        aperture_value=aperture_value,
+        field_of_view=field_of_view,
+        field_value=field_value,
+        wavelengths_nm=wavelengths_nm,
+        primary_nm=primary_nm,
+        object_distance_mm=object_distance,
+        vignetting=vignetting if usage == "use" else (),
+        spare_vignetting=vignetting if usage == "ignore" else (),
+        fixed=fixed,
+        notes=tuple(Note("lens_as_read", lens=f"lens '{name}'", words=note) for note in notes),
     )
+    return _checked(
+        prescription.scaled(scale), f"'{path}'", lambda index: lens_blocks[index].place(path)
+    )
+
+
+def _zmx_unit_mm(path: Path, head: _Block) -> float:
+    """Return the unit of the lengths of a file, in mm; 1 if it states none."""
+    unit = head.first("UNIT")
+    if unit is None:
+        return 1.0
+    name = unit.words[0].upper() if unit.words else ""
+    if name not in _UNITS_MM:
+        got = f"UNIT with {excerpt(name)}"
+        raise invalid(f"'{path}', line {unit.number}", got, ", ".join(_UNITS_MM))
+    return _UNITS_MM[name]
 
 
 # Operands of several configurations that are read: a thickness, the aperture, and a field -> its
 # list in newer and older files.
-_OF_FIELDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
-_SET_HERE = frozenset({"THIC", "APER", *_OF_FIELDS})
+_FIELD_OPERANDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
+_READ_OPERANDS = frozenset({"THIC", "APER", *_FIELD_OPERANDS})
 # Those that change no ray: comments, weights, coatings, labels.
 _WITHOUT_EFFECT = frozenset(
     re.findall(
@@ -906,18 +942,18 @@ _OTHER_OPERANDS = frozenset(
     re.findall(
         r"\w+",
         """
-        AFOC APDF APDT APDX APDY APMN APMX APTP CADX CADY CATX CATY CATZ CAOR CBDX CBDY CBTX CBTY CBTZ CBOR CPCN CROR CRSR
-        CSP1 CSP2 EDVA FLTP GPEX GPEY GPIU GPJU GPJX GPJY GPPX GPPY GQPO IGNR IGNM MABB MCSD MDPG MIND MTFU NCOT NGLS NPAR
-        NPOS NPRO PRAM PRES PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PSCX PSCY PSCZ PSHX PSHY PSHZ PSP1 PSP2 PSP3 PUCN PXAR
-        PYAR PZAR RAAM SATP SWCN TCEX TELE TEMP TSP1 TSP2 TSP3 UDAF CRVT CONN GLSS SDIA STPS WAVE PRWV FVDX FVDY FVCX FVCY
-        FVAN
+        AFOC APDF APDT APDX APDY APMN APMX APTP CADX CADY CATX CATY CATZ CAOR CBDX CBDY CBTX
+        CBTY CBTZ CBOR CPCN CROR CRSR CSP1 CSP2 EDVA FLTP GPEX GPEY GPIU GPJU GPJX GPJY GPPX
+        GPPY GQPO IGNR IGNM MABB MCSD MDPG MIND MTFU NCOT NGLS NPAR NPOS NPRO PRAM PRES PAR1
+        PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PSCX PSCY PSCZ PSHX PSHY PSHZ PSP1 PSP2 PSP3 PUCN
+        PXAR PYAR PZAR RAAM SATP SWCN TCEX TELE TEMP TSP1 TSP2 TSP3 UDAF CRVT CONN GLSS SDIA
+        STPS WAVE PRWV FVDX FVDY FVCX FVCY FVAN
         """,
     )
 )
-FOCUS, OTHER_SOLVES = (
-    "MAZH",
-    ("TCOM", "TOLE"),
-)  # of a thickness: the focus of the axial ray, and sums of several
+# Solves of a thickness: the focus of the axial ray, and sums of several.
+FOCUS = "MAZH"
+OTHER_SOLVES = ("TCOM", "TOLE")
 
 
 def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
@@ -929,48 +965,38 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
     if len(text) > _MAX_LINES:
         raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {_MAX_LINES}")
-    words_of = [line.split() for line in text]
-    first = next(
-        (index for index, words in enumerate(words_of) if words[:1] and words[0].upper() == "SURF"),
-        None,
-    )
-    if first is None:
+    words_of_lines = [line.split() for line in text]
+    keywords = [words[0].upper() if words else "" for words in words_of_lines]
+    if "SURF" not in keywords:
         raise invalid("lens", f"'{path}' without a line SURF", "a sequential Zemax prescription")
-    flat = not any(
+    first = keywords.index("SURF")
+    has_indents = any(
         words and line[0].isspace()
-        for line, words in zip(text[first:], words_of[first:], strict=True)
+        for line, words in zip(text[first:], words_of_lines[first:], strict=True)
     )
-    head, blocks, operands = _Block(), dict[int, _Block](), list[_Line]()
-    block, configurations = None, 0
-    for number, (line, words) in enumerate(zip(text, words_of, strict=True), 1):
+
+    head = _Block()
+    blocks: dict[int, _Block] = {}
+    operands: list[_Line] = []
+    block: _Block | None = None
+    configurations = 0
+    for number, (line, words) in enumerate(zip(text, words_of_lines, strict=True), 1):
         if not words:
             continue
-        one = _Line(number, words[0].upper(), words[1:])
-        if one.keyword == "SURF":
-            at = (
-                int(one.words[0]) if one.words and re.fullmatch(r"[0-9]{1,6}", one.words[0]) else -1
-            )
-            if at < 0 or at in blocks:
-                what = f"SURF {at} a second time" if at in blocks else "SURF without a number"
-                raise invalid(
-                    f"'{path}', line {number}",
-                    what,
-                    "SURF with the number of each surface, from 0, once",
-                )
-            if len(blocks) > _MAX_SURFACES + 1:
-                raise invalid(
-                    f"'{path}', line {number}", "more surfaces", f"at most {_MAX_SURFACES}"
-                )
-            block = blocks[at] = _Block(line=number, number=at)
-        elif one.keyword == "MNUM":
-            head.lines.append(one)
-            configurations = int(one.words[0]) if one.words and _is_count(one.words[0]) else 0
-        elif configurations and _is_operand(one, configurations):
-            operands.append(one)
-        elif block is None or one.keyword in HEAD or not (flat or line[0].isspace()):
-            head.lines.append(one)
+        entry = _Line(number, words[0].upper(), words[1:])
+        if entry.keyword == "SURF":
+            block = _new_surface(path, entry, blocks)
+        elif entry.keyword == "MNUM":
+            head.lines.append(entry)
+            is_counted = bool(entry.words) and _is_count(entry.words[0])
+            configurations = int(entry.words[0]) if is_counted else 0
+        elif configurations and _is_operand(entry, configurations):
+            operands.append(entry)
+        elif block is None or entry.keyword in HEAD or (has_indents and not line[0].isspace()):
+            head.lines.append(entry)
         else:
-            block.lines.append(one)
+            block.lines.append(entry)
+
     missing = [number for number in range(len(blocks)) if number not in blocks]
     if missing:
         got = f"surfaces {', '.join(map(str, sorted(blocks)[:20]))}"
@@ -982,6 +1008,25 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     return head, [blocks[number] for number in range(len(blocks))], operands
 
 
+def _new_surface(path: Path, line: _Line, blocks: dict[int, _Block]) -> _Block:
+    """Add the surface that a line SURF begins, and return it. Raises PixsimError if its number is
+    missing or not new, or if there are too many surfaces.
+    """
+    is_numbered = bool(line.words) and _is_count(line.words[0])
+    number = int(line.words[0]) if is_numbered else -1
+    if number < 0 or number in blocks:
+        is_second = number in blocks
+        raise invalid(
+            f"'{path}', line {line.number}",
+            f"SURF {number} a second time" if is_second else "SURF without a number",
+            "SURF with the number of each surface, from 0, once",
+        )
+    if len(blocks) > _MAX_SURFACES + 1:
+        raise invalid(f"'{path}', line {line.number}", "more surfaces", f"at most {_MAX_SURFACES}")
+    blocks[number] = _Block(line=line.number, number=number)
+    return blocks[number]
+
+
 def _is_count(word: str) -> bool:
     return re.fullmatch("[0-9]{1,6}", word) is not None
 
@@ -990,17 +1035,20 @@ def _is_operand(line: _Line, configurations: int) -> bool:
     """Whether a line is an operand: its name, what it acts on, and the number of a
     configuration.
     """
-    if line.keyword not in _SET_HERE | _WITHOUT_EFFECT | _OTHER_OPERANDS or len(line.words) < 2:
+    if (
+        line.keyword not in _READ_OPERANDS | _WITHOUT_EFFECT | _OTHER_OPERANDS
+        or len(line.words) < 2
+    ):
         return False
     return all(map(_is_count, line.words[:2])) and 1 <= int(line.words[1]) <= configurations
 
 
-def _configured(
+def _set_configuration(
     path: Path,
     head: _Block,
     blocks: list[_Block],
     operands: Sequence[_Line],
-    wanted: int | None,
+    configuration: int | None,
     notes: list[str],
 ) -> list[int]:
     """Change the lines of a file to those of a configuration, and return the surfaces (from 0)
@@ -1009,54 +1057,64 @@ def _configured(
     Raises PixsimError if there is no such configuration, or if it changes what pixsim does not
     read.
     """
-    stated = head.first("MNUM")
-    count, active = (
-        max(1, int(_zmx_number(f"'{path}'", stated, place, 1.0))) if stated else 1
-        for place in (0, 1)
-    )
-    if wanted is None:
+    line = head.first("MNUM")
+    count = active = 1
+    if line:
+        count = max(1, int(_zmx_number(f"'{path}'", line, 0, 1.0)))
+        active = max(1, int(_zmx_number(f"'{path}'", line, 1, 1.0)))
+    if configuration is None:
         if count > 1:
-            notes.append(f"the file has {count} configurations; read is number {active}, the active one. "
-                         f"lens.configuration = {1 + active % count} reads another")  # fmt: skip
+            notes.append(
+                f"the file has {count} configurations; read is number {active}, the active one."
+                f" lens.configuration = {1 + active % count} reads another"
+            )
         return []
-    if wanted > count:
-        what = "its only one" if count == 1 else f"of '{path}'"
-        raise invalid("lens.configuration", wanted, f"1{f' to {count}' * (count > 1)}, {what}")
-    if wanted == active:
+    if configuration > count:
+        range_words = "1, its only one" if count == 1 else f"1 to {count}, of '{path}'"
+        raise invalid("lens.configuration", configuration, range_words)
+    if configuration == active:
         return []
-    values: dict[tuple[str, str], dict[int, _Line]] = {}
+
+    # The lines of each operand and what it acts on, by configuration.
+    lines: dict[tuple[str, str], dict[int, _Line]] = {}
     for line in operands:
-        values.setdefault((line.keyword, line.words[0]), {})[int(line.words[1])] = line
+        lines.setdefault((line.keyword, line.words[0]), {})[int(line.words[1])] = line
     unread = []
-    for (keyword, at), of in values.items():
-        one = of.get(wanted)
-        if one is None or keyword in _WITHOUT_EFFECT:
+    for (keyword, target), by_configuration in lines.items():
+        operand = by_configuration.get(configuration)
+        if operand is None or keyword in _WITHOUT_EFFECT:
             continue
-        value = one.words[2] if len(one.words) > 2 else ""
-        before = of[active].words[2:3] if active in of else None
-        if keyword in _SET_HERE:
-            _set(path, head, blocks, one, value)
-        elif before != [value]:
-            unread.append(f"{keyword} {at} (line {one.number})")
+        value = operand.words[2] if len(operand.words) > 2 else ""
+        active_operand = by_configuration.get(active)
+        is_same = active_operand is not None and active_operand.words[2:3] == [value]
+        if keyword in _READ_OPERANDS:
+            _set_operand(path, head, blocks, operand, value)
+        elif not is_same:
+            unread.append(f"{keyword} {target} (line {operand.number})")
     if unread:
-        expected = f"operands {', '.join(sorted(_SET_HERE))}"
+        expected = f"operands {', '.join(sorted(_READ_OPERANDS))}"
         hint = (
-            f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
+            f"Make configuration {configuration} the active one in OpticStudio, and save the lens"
+            " again."
         )
-        raise invalid(f"'{path}': configuration {wanted}", ", ".join(unread), expected, hint)
+        raise invalid(f"'{path}': configuration {configuration}", ", ".join(unread), expected, hint)
+    return _solved_surfaces(path, blocks[1:-1])
+
+
+def _solved_surfaces(path: Path, blocks: Sequence[_Block]) -> list[int]:
+    """Return the surfaces (from 0) whose thickness is solved for the paraxial focus. Raises
+    PixsimError for another solve.
+    """
     solved = []
-    for index, block in enumerate(blocks[1:-1]):
+    for index, block in enumerate(blocks):
         for line in block.all(FOCUS, *OTHER_SOLVES):
             where = f"{block.place(path)}, line {line.number}"
             numbers = [_zmx_number(where, line, place, 0.0) for place in (0, 1)]
             if line.keyword != FOCUS or any(numbers):
-                got = (
-                    f"the solve {line.keyword} {' '.join(f'{number:g}' for number in numbers)} of a"
-                    " thickness"
-                )
+                words = " ".join(f"{number:g}" for number in numbers)
                 raise invalid(
                     where,
-                    got,
+                    f"the solve {line.keyword} {words} of a thickness",
                     f"{FOCUS} 0 0, the paraxial focus",
                     "Make the configuration the active one.",
                 )
@@ -1064,9 +1122,11 @@ def _configured(
     return solved
 
 
-def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str) -> None:
-    """Set what an operand sets. Raises PixsimError if there is no such surface or field."""
-    where, keyword, at = f"'{path}', line {line.number}", line.keyword, int(line.words[0])
+def _set_operand(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str) -> None:
+    """Set the number of an operand. Raises PixsimError if there is no such surface or field."""
+    where = f"'{path}', line {line.number}"
+    keyword = line.keyword
+    at = int(line.words[0])
     is_infinite = keyword == "THIC" and value == "INFINITY"
     if not is_infinite:
         _zmx_number(where, replace(line, words=[value]))
@@ -1074,10 +1134,10 @@ def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str
         if not at < len(blocks):
             raise invalid(f"{where}: {keyword}", f"surface {at}", f"0 to {len(blocks) - 1}")
         blocks[at].put("DISZ", value)
-    elif keyword in _OF_FIELDS:
-        if not 1 <= at <= MOST_FIELDS:
-            raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MOST_FIELDS}")
-        name, older = _OF_FIELDS[keyword]
+    elif keyword in _FIELD_OPERANDS:
+        if not 1 <= at <= MAX_FIELDS:
+            raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MAX_FIELDS}")
+        name, older = _FIELD_OPERANDS[keyword]
         head.put(older if head.first(name) is None and head.first(older) else name, value, at - 1)
     else:
         stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
@@ -1090,10 +1150,12 @@ def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str
         head.put(stated, value)
 
 
-def _focus(surfaces: Sequence[Surface], object_distance: float, primary_nm: float) -> float:
+def _paraxial_focus(
+    surfaces: Sequence[Surface], object_distance: float, primary_nm: float
+) -> float:
     """Return where the paraxial axial ray meets the axis behind surfaces, in their unit."""
-    infinite = math.isinf(object_distance)
-    height, angle, index = (1.0, 0.0, 1.0) if infinite else (object_distance, 1.0, 1.0)
+    height, angle = (1.0, 0.0) if math.isinf(object_distance) else (object_distance, 1.0)
+    index = 1.0
     for number, surface in enumerate(surfaces):
         if number:
             height += surfaces[number - 1].thickness_mm / index * angle
@@ -1136,10 +1198,10 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
             "Delete the line to have the lens in air, which is another lens.",
         )
     curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
-    if _kind(block) != "STANDARD" or curved:
+    if _surface_type(block) != "STANDARD" or curved:
         got = (
             "an object of the type"
-            f" {names_in([_kind(block)])[0]}{' that is curved' if curved else ''}"
+            f" {names_in([_surface_type(block)])[0]}{' that is curved' if curved else ''}"
         )
         raise invalid(where, got, "a plane object, STANDARD")
     line = block.first("DISZ")
@@ -1186,7 +1248,7 @@ def _check_image(path: Path, block: _Block) -> None:
         )
 
 
-def _kind(block: _Block) -> str:
+def _surface_type(block: _Block) -> str:
     return next((line.words[0].upper() for line in block.all("TYPE") if line.words), "STANDARD")
 
 
@@ -1196,7 +1258,7 @@ def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
     medium = ""
     for block in blocks:
         errors += _untraced(block, block.place(path), medium)
-        medium = _glass_name(block) if _kind(block) != _NULL else medium
+        medium = _glass_name(block) if _surface_type(block) != _NULL else medium
     if errors:
         raise PixsimError("\n".join(map(str, errors)))
 
@@ -1217,7 +1279,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
 
     medium : name of the glass in front of it
     """
-    kind = _kind(block)
+    kind = _surface_type(block)
     if kind == _NULL:
         names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
         terms = [
@@ -1303,19 +1365,22 @@ def _is_number(word: str) -> bool:
 
 def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> Surface:
     """Return a surface in the unit of the file."""
-    kind = _kind(block)
+    kind = _surface_type(block)
     curvature, thickness, conic = (
         _zmx_number(where, line) if (line := block.first(keyword)) else 0.0
         for keyword in ("CURV", "DISZ", "CONI")
     )
     if kind == _NULL:
         return Surface(0.0, thickness, glass)
-    step, asphere = STEP[kind], []
+
+    step = STEP[kind]
+    asphere = []
     if kind in _EXTENDED:
         extra = {
             int(_zmx_number(where, line)): _zmx_number(where, line, 1) for line in block.all("XDAT")
         }
-        count, radius = int(extra.get(1, 0.0)), extra.get(2, 0.0)
+        count = int(extra.get(1, 0.0))
+        radius = extra.get(2, 0.0)
         if not radius > 0:
             raise invalid(
                 f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0"
@@ -1337,6 +1402,7 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
             index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
             if value:
                 asphere.append((step * int(index), value))
+
     apertures = list(block.all("CLAP", "FLAP"))
     semi = next((_zmx_number(where, line) for line in block.all("DIAM")), 0.0)
     for aperture in apertures:
@@ -1360,23 +1426,25 @@ def _over_power(value: float, radius: float, power: int) -> float:
         return math.inf
 
 
-def _fixed(blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int) -> tuple[int, ...]:
+def _fixed_semi_diameters(
+    blocks: Sequence[_Block], surfaces: Sequence[Surface], stop: int
+) -> tuple[int, ...]:
     """Return the refracting surfaces, but the stop, whose semi-diameter is fixed without an
     aperture.
     """
-    found, before = [], AIR
+    indices, medium = [], AIR
     for index, (block, surface) in enumerate(zip(blocks, surfaces, strict=True)):
         fixed = any(line.words[1:2] in ([flag] for flag in FIXED) for line in block.all("DIAM"))
         if (
             fixed
             and surface.semi_diameter_mm
-            and surface.glass != before
+            and surface.glass != medium
             and index != stop
             and not surface.clips
         ):
-            found.append(index)
-        before = surface.glass
-    return tuple(found)
+            indices.append(index)
+        medium = surface.glass
+    return tuple(indices)
 
 
 def _zmx_glasses(
@@ -1384,7 +1452,7 @@ def _zmx_glasses(
     head: _Block,
     blocks: Sequence[_Block],
     options: PrescriptionOptions,
-    own: Mapping[str, Glass],
+    user_glasses: Mapping[str, Glass],
     notes: list[str],
 ) -> list[Glass]:
     """Return the medium behind each surface. Raises PixsimError that names all glasses that are not
@@ -1396,7 +1464,7 @@ def _zmx_glasses(
     modelled: list[str] = []
     for block in blocks:
         line = block.first("GLAS")
-        if _kind(block) == _NULL:  # in the medium that it stands in
+        if _surface_type(block) == _NULL:  # in the medium that it stands in
             glasses.append(glasses[-1] if glasses else AIR)
             continue
         if line is None or not line.words or line.words[0].upper() == "AIR":
@@ -1404,16 +1472,18 @@ def _zmx_glasses(
             continue
         try:
             glasses.append(
-                _zmx_glass(line, f"{block.place(path)}, line {line.number}: GLAS", makers, own)
+                _zmx_glass(
+                    line, f"{block.place(path)}, line {line.number}: GLAS", makers, user_glasses
+                )
             )
         except PixsimError as error:
-            numbers = _own_numbers(line)
+            numbers = _stated_numbers(line)
             if options.unknown_glass == "model" and numbers:
                 name = one_line(line.words[0])
                 glasses.append(abbe_glass(f"{name} by {_model_name(*numbers)}", *numbers))
                 modelled.append(f"{names_in([name])[0]} (surface {block.number})")
             else:
-                unknown.append(f"{error} {_ready(line)}")
+                unknown.append(f"{error} {_how_to_use_numbers(line)}")
                 glasses.append(AIR)
     if modelled:
         notes.append(
@@ -1421,28 +1491,23 @@ def _zmx_glasses(
             f" {', '.join(modelled)}"
         )
     if unknown:
-        raise PixsimError("\n".join([*unknown, _OWN_CATALOGUE]))
+        raise PixsimError("\n".join([*unknown, _HOW_TO_ADD_CATALOGUE]))
     return glasses
 
 
-def _own_numbers(line: _Line) -> tuple[float, float] | None:
+def _stated_numbers(line: _Line) -> tuple[float, float] | None:
     """Return n_d and V_d that a GLAS line states beside the name, if they are the glass's own."""
     words = line.words[3:5]
     if len(words) < 2 or not all(map(_is_number, words)):
         return None
     n_d, v_d = map(float, words)
-    return (
-        (n_d, v_d)
-        if 1 < n_d <= 10
-        and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1]
-        and (n_d, v_d) != _PLACEHOLDER
-        else None
-    )
+    is_plausible = 1 < n_d <= 10 and ABBE_NUMBERS[0] <= v_d <= ABBE_NUMBERS[1]
+    return (n_d, v_d) if is_plausible and (n_d, v_d) != _PLACEHOLDER else None
 
 
-def _ready(line: _Line) -> str:
+def _how_to_use_numbers(line: _Line) -> str:
     """Return how to take the numbers that a GLAS line states."""
-    if numbers := _own_numbers(line):
+    if numbers := _stated_numbers(line):
         ready = f"GLAS ___BLANK 1 0 {numbers[0]:g} {numbers[1]:g}"
         return (
             f"Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass ="
@@ -1451,8 +1516,11 @@ def _ready(line: _Line) -> str:
     return f"Its line states no n_d and V_d of its own. {_HOW_TO_GIVE_ZMX}"
 
 
-def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Glass]) -> Glass:
-    name, mode = one_line(line.words[0]), line.words[1] if len(line.words) > 1 else "0"
+def _zmx_glass(
+    line: _Line, at: str, makers: Sequence[str], user_glasses: Mapping[str, Glass]
+) -> Glass:
+    name = one_line(line.words[0])
+    mode = line.words[1] if len(line.words) > 1 else "0"
     if name == "___BLANK" or mode == str(MODEL_GLASS):
         n_d, v_d = _zmx_number(at, line, 3), _zmx_number(at, line, 4)
         low, high = ABBE_NUMBERS
@@ -1462,14 +1530,12 @@ def _zmx_glass(line: _Line, at: str, makers: Sequence[str], own: Mapping[str, Gl
                 f"n_d = {n_d:g}, V_d = {v_d:g}",
                 f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}",
             )
-        return (
-            abbe_glass(_model_name(n_d, v_d), n_d, v_d)
-            if v_d
-            else constant_glass(f"n = {n_d:g}", n_d)
-        )
+        if v_d == 0:
+            return constant_glass(f"n = {n_d:g}", n_d)
+        return abbe_glass(_model_name(n_d, v_d), n_d, v_d)
     if glass := code_glass(name):
         return glass
-    glass = find_glass(name, at, makers, own=own, numbers=_own_numbers(line))
+    glass = find_glass(name, at, makers, user_glasses=user_glasses, numbers=_stated_numbers(line))
     if mode == str(SHIFTED_GLASS):
         return shifted(glass, _zmx_number(at, line, 9, 0.0), _zmx_number(at, line, 10, 0.0))
     return glass
@@ -1480,9 +1546,8 @@ def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, fl
     if line := head.first("ENPD"):
         return "entrance_pupil_diameter", _zmx_number(where, line)
     if line := head.first("FNUM"):
-        return "working_f_number" if _zmx_number(where, line, 1, 0.0) else "f_number", _zmx_number(
-            where, line
-        )
+        kind: Aperture = "working_f_number" if _zmx_number(where, line, 1, 0.0) else "f_number"
+        return kind, _zmx_number(where, line)
     if line := head.first("OBNA"):
         if _zmx_number(where, line, 1, 0.0):
             got = "OBNA of an angle"
@@ -1511,16 +1576,18 @@ def _zmx_fields(path: Path, head: _Block) -> tuple[int, list[tuple[float, float]
     kind = int(_zmx_number(where, line, 0, 0.0)) if line else 0
     # Behind the first numbers are those of fields that are not in use.
     count = int(_zmx_number(where, line, 2, USUAL_FIELDS)) if line else USUAL_FIELDS
-    values = [_list(path, head, *names) for names in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
-    return kind, list(zip(*values, strict=True))[: min(max(count, 0), MOST_FIELDS)], line
+    values = [_zmx_list(path, head, *names) for names in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
+    return kind, list(zip(*values, strict=True))[: min(max(count, 0), MAX_FIELDS)], line
 
 
-def _list(path: Path, head: _Block, keyword: str, older: str = "") -> list[float]:
-    """Return `MOST_FIELDS` numbers of a list in the head; 0 behind its end."""
-    found = head.first(keyword) or (head.first(older) if older else None)
-    places = range(min(len(found.words), MOST_FIELDS)) if found else ()
-    values = [_zmx_number(f"'{path}'", found, place) for place in places if found]
-    return [*values, *([0.0] * (MOST_FIELDS - len(values)))]
+def _zmx_list(path: Path, head: _Block, keyword: str, older: str = "") -> list[float]:
+    """Return `MAX_FIELDS` numbers of a list in the head; 0 behind its end."""
+    line = head.first(keyword) or (head.first(older) if older else None)
+    values = [0.0] * MAX_FIELDS
+    if line:
+        for index in range(min(len(line.words), MAX_FIELDS)):
+            values[index] = _zmx_number(f"'{path}'", line, index)
+    return values
 
 
 def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldOfView, float]:
@@ -1547,47 +1614,50 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
 
 
 def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignetting, ...]:
-    """Return what light of each field fills of the pupil, by rising fields; empty if no field has
-    factors.
+    """Return the part of the pupil that light of each field fills, by rising fields; empty if no
+    field has factors.
     """
     kind, fields, _ = _zmx_fields(path, head)
-    factors = list(zip(*(_list(path, head, keyword) for keyword in FACTORS), strict=True))
+    factors = zip(*(_zmx_list(path, head, keyword) for keyword in FACTORS), strict=True)
     rows: dict[float, Vignetting] = {}
     unused = []
-    for number, ((x, y), (dx, dy, cx, cy, turned)) in enumerate(
+    for number, ((x, y), (dx, dy, cx, cy, angle_deg)) in enumerate(
         zip(fields, factors, strict=False), 1
     ):
-        size = math.hypot(x, y)
-        towards = (x / size, y / size) if size else (0.0, 1.0)
         low, high = _COMPRESSIONS
         if not (low <= cx <= high and low <= cy <= high and abs(dx) < 1 and abs(dy) < 1):
             got = f"decentres {dx:g} and {dy:g}, compressions {cx:g} and {cy:g}"
             allowed = f"decentres below 1 in size, and compressions from {low:g} to {high:g}"
             raise invalid(f"'{path}': vignetting factors of field {number}", got, allowed)
-        along = dx * towards[0] + dy * towards[1]
-        off_axis = abs(dx * towards[1] - dy * towards[0]) > _FACTORS_ZERO
-        round_ = abs(cx - cy) <= _FACTORS_ZERO
-        if (
-            off_axis
-            or (not round_ and (turned or (size and 0.0 not in (x, y))))
-            or (not size and (along or not round_))
-        ):
-            unused.append(number)  # an ellipse that is not symmetric to the plane of the field
+
+        # The decentre along the field and across it.
+        size = math.hypot(x, y)
+        direction = (x / size, y / size) if size else (0.0, 1.0)
+        along = dx * direction[0] + dy * direction[1]
+        across = dx * direction[1] - dy * direction[0]
+
+        # An ellipse that is not symmetric to the plane of the field is not used.
+        is_round = abs(cx - cy) <= _FACTORS_ZERO
+        is_oblique = bool(size) and 0.0 not in (x, y)
+        is_turned = not is_round and (bool(angle_deg) or is_oblique)
+        is_asymmetric_on_axis = not size and (bool(along) or not is_round)
+        if abs(across) > _FACTORS_ZERO or is_turned or is_asymmetric_on_axis:
+            unused.append(number)
             continue
-        semi = (1 - cx, 1 - cy) if not x else (1 - cy, 1 - cx)
+
         # A higher object sends its light down.
-        rows.setdefault(
-            size,
-            Vignetting(size, -along if _FIELD_KINDS.get(kind) == "object_height" else along, *semi),
-        )
+        decentre = -along if _FIELD_KINDS.get(kind) == "object_height" else along
+        semi_across, semi_along = (1 - cy, 1 - cx) if x else (1 - cx, 1 - cy)
+        rows.setdefault(size, Vignetting(size, decentre, across=semi_across, along=semi_along))
     if unused:
-        what = ", ".join(map(str, unused))
+        numbers = ", ".join(map(str, unused))
         notes.append(
-            f"vignetting factors of the fields {what} are not used: they are not symmetric to the"
-            " plane of their field"
+            f"vignetting factors of the fields {numbers} are not used: they are not symmetric to"
+            " the plane of their field"
         )
-    found = tuple(rows[size] for size in sorted(rows))
-    return found if any(row != Vignetting(row.field_value) for row in found) else ()
+    sorted_rows = tuple(rows[size] for size in sorted(rows))
+    has_factors = any(row != Vignetting(row.field_value) for row in sorted_rows)
+    return sorted_rows if has_factors else ()
 
 
 _FACTORS_ZERO = 1e-9
@@ -1609,10 +1679,11 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     fields = head.first("FTYP")
     count = int(_zmx_number(where, fields, 3, 0.0)) if fields else 0
     used = values[:count] if 0 < count <= len(values) else values
-    main = int(_zmx_number(where, line, 0, 1.0)) if (line := head.first("PWAV")) else 1
-    if not 1 <= main <= len(used):
-        raise invalid(f"{where}: PWAV", main, f"1 to {len(used)}, one of the wavelengths")
-    return tuple(used), used[main - 1]
+    primary_line = head.first("PWAV")
+    primary = int(_zmx_number(where, primary_line, 0, 1.0)) if primary_line else 1
+    if not 1 <= primary <= len(used):
+        raise invalid(f"{where}: PWAV", primary, f"1 to {len(used)}, one of the wavelengths")
+    return tuple(used), used[primary - 1]
 
 
 Reader = Callable[[Path, PrescriptionOptions, Mapping[str, Glass]], Prescription]

@@ -1,9 +1,9 @@
 """Real rays through centred surfaces, and paraxial ones: vectorised, in float64.
 
 A ray is a point (x, y, z) with direction cosines (l, m, n), n > 0, relative to the vertex of the
-surface that it has met last. Rays of a batch may have any shape (...). A ray that misses a surface,
-or is totally reflected, is NaN from there on. The formulas are those of G. H. Spencer and M. V. R.
-K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
+last surface that it has crossed. Rays of a batch may have any shape (...). A ray that misses a
+surface, or is totally reflected, is NaN from there on. The formulas are those of G. H. Spencer and
+M. V. R. K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def rays_from(x: Array, y: Array, z: Array, l: Array, m: Array, n: Array) -> Ray
     return Rays(x, y, z, l, m, n, np.zeros(x.shape), np.ones(x.shape, bool))
 
 
-def turned_round(surfaces: Sequence[Surface]) -> list[Surface]:
-    """Return the surfaces as light meets them that travels back from the image; the last thickness
-    is 0.
+def reversed_surfaces(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Return the surfaces in the order of light that travels back from the image; the last
+    thickness is 0.
 
     The glass of each is the medium that follows on the way back, with air in front of the lens.
     """
@@ -84,20 +84,25 @@ def trace(
         for number, surface in enumerate(surfaces):
             if number:
                 rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
-            rays = refracted(
-                met(rays, surface, indices[number]), surface, indices[number], indices[number + 1]
-            )
+            before, behind = indices[number], indices[number + 1]
+            rays = intersect(rays, surface, before)
+            rays = refracted(rays, surface, before, behind)
             yield rays
 
 
-def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
-    """Return rays at a surface, in front of it: where its conic is met in closed form, then
-    Newton's steps to its asphere.
+def intersect(rays: Rays, surface: Surface, index: float | Array) -> Rays:
+    """Return rays at their intersection with a surface, in front of it: with the conic in closed
+    form, then by Newton's steps with the asphere.
+
+    index : of the medium in front of the surface
     """
     c, k = surface.curvature_per_mm, surface.conic
     ray_l, ray_m, ray_n = rays.l, rays.m, rays.n
-    t = -rays.z / ray_n  # to the plane of the vertex, so that what follows is small
-    x, y = rays.x + t * ray_l, rays.y + t * ray_m
+
+    # First to the plane of the vertex, so that what follows is small.
+    t = -rays.z / ray_n
+    x = rays.x + t * ray_l
+    y = rays.y + t * ray_m
     if not c:
         step = np.zeros_like(t)
     else:
@@ -111,7 +116,10 @@ def met(rays: Rays, surface: Surface, index: float | Array) -> Rays:
             step = np.where(on_sheet, step, np.nan)
     if surface.asphere:
         step = _aspheric_step(surface, x, y, ray_l, ray_m, ray_n, step)
-    x, y, z = x + step * ray_l, y + step * ray_m, step * ray_n
+
+    x = x + step * ray_l
+    y = y + step * ray_m
+    z = step * ray_n
     path = rays.path_mm + index * (t + step)
     passed = rays.passed
     if surface.clips and surface.semi_diameter_mm is not None:
@@ -128,8 +136,9 @@ def _aspheric_step(
     n: Array,
     start: Array,
 ) -> Array:
-    """Return the way from the plane of the vertex to the surface along rays, from the way to its
-    conic.
+    """Return the lengths of rays from the plane of the vertex to an asphere, by Newton's method.
+
+    start : lengths to its conic
     """
     step = np.where(np.isfinite(start), start, 0.0)
     moving: NDArray[np.bool_] | bool = True

@@ -45,12 +45,11 @@ from pixsim.base.errors import invalid
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.quantities import FNumberOrPinhole
 
-LOWEST_LENS = 1 / math.sqrt(
-    math.pi
-)  # height over pitch at which a microlens reaches the bound of étendue
-# semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all
+# Height over pitch at which a microlens reaches the bound of étendue.
+MIN_LENS_HEIGHT = 1 / math.sqrt(math.pi)
+# Semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all
 # rounding
-NARROWEST = 1e-8
+MIN_SEMI_AXIS = 1e-8
 _BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 _TABLE_STEPS = 64  # of the width of a spot
 MAX_TURN = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
@@ -102,10 +101,10 @@ class Stack:
                 " the field."
             )
             raise invalid("shift_um", self.shift_um, expected, hint)
-        if self.microlens and not self.height_um >= LOWEST_LENS * self.pitch_um:
+        if self.microlens and not self.height_um >= MIN_LENS_HEIGHT * self.pitch_um:
             expected = (
-                f"at least p/√π = {LOWEST_LENS * self.pitch_um:.6g} under a microlens on a pixel of"
-                f" pitch_um = {self.pitch_um:g}"
+                f"at least p/√π = {MIN_LENS_HEIGHT * self.pitch_um:.6g} under a microlens on a"
+                f" pixel of pitch_um = {self.pitch_um:g}"
             )
             hint = (
                 "An ideal lens so near to its photodiode would collect more than étendue allows,"
@@ -203,7 +202,8 @@ def stack_collection(
     index is below 1, the pupil reaches the horizon, or if a microlens is so low that it would
     collect more than étendue allows.
 
-    >>> stack_collection(6.5, 3.56, 8.0, 1.5, f_number=1.4, refraction="paraxial").round(6)[1, 1].item()
+    >>> shares = stack_collection(6.5, 3.56, 8.0, 1.5, f_number=1.4, refraction="paraxial")
+    >>> shares.round(6)[1, 1].item()
     0.998383
     """
     stack = Stack(pitch_um, photodiode_side_um, height_um, index, microlens, shift_um, refraction)
@@ -323,23 +323,23 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
 
     wavelength_nm : longest and others of the light, in any order
     """
-    found = []
+    limits = []
     longest_nm = float(np.max(wavelength_nm))
     fresnel = float(stack.fresnel_number(longest_nm))
     if stack.microlens and fresnel < 1:
         pitch_um, height_um = stack.pitch_um / math.sqrt(fresnel), stack.height_um * fresnel
-        found.append(
+        limits.append(
             f"the microlens has a Fresnel number of {fresnel:.2f} at {longest_nm:.0f} nm, below 1,"
             " where the scalar model of its diffraction is doubtful; it is 1 at a pitch of"
             f" {pitch_um:.3g} µm, or with a height of {height_um:.3g} µm"
         )
     farthest_um = float(np.abs(stack.shifts_um(pupil.chief_cosines)).max(initial=0.0))
     if farthest_um > stack.pitch_um / 2:
-        found.append(
+        limits.append(
             f"the optimal shift reaches {farthest_um:.3g} µm, more than half of the pitch of"
             f" {stack.pitch_um:g} µm: take a lens with a smaller chief ray angle, or a lower stack"
         )
-    return found
+    return limits
 
 
 OFFSETS = np.arange(-2.0, 3.0)  # of the photodiodes that collect light, in pixels
@@ -351,73 +351,78 @@ OFFSETS = np.arange(-2.0, 3.0)  # of the photodiodes that collect light, in pixe
 STEPS = 32  # of the boundary; within one, a coordinate turns at most once
 _PIECES = 8  # at least, of a boundary
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
-NEWTON_STEPS, WITHIN = (
-    60,
-    1e-14,
-)  # 4 to 6 steps are needed, more where the boundary only touches an edge; radians
+# 4 to 6 steps are needed, more where the boundary only touches an edge.
+NEWTON_STEPS = 60
+_CONVERGED_RAD = 1e-14
 POINTS = 256  # of the sensor at a time, for memory
 
 
 def _shares_of_pupil(stack: Stack, pupil: Pupil) -> Array:
     """Return the geometric shares of pupils (...), (..., 5, 5)."""
     chief = pupil.chief_cosines
-    if pupil.widest < NARROWEST:
+    if pupil.widest < MIN_SEMI_AXIS:
         return _shares_of_rays(
             stack, Directions(chief[..., None, :], np.ones((*chief.shape[:-1], 1)), chief)
         )
-    shape, flat = chief.shape[:-1], pupil.flat()
-    parts = [
-        _shares_of_line(stack, flat.at(slice(first, first + POINTS)))
-        for first in range(0, len(flat.centre), POINTS)
-    ]
-    return np.concatenate([np.empty((0, OFFSETS.size, OFFSETS.size)), *parts]).reshape(
-        *shape, OFFSETS.size, OFFSETS.size
-    )
+    flat = pupil.flat()
+    shares = np.empty((len(flat.centre), OFFSETS.size, OFFSETS.size))
+    for first in range(0, len(flat.centre), POINTS):
+        points = slice(first, first + POINTS)
+        shares[points] = _shares_of_points(stack, flat.at(points))
+    return shares.reshape(*chief.shape[:-1], OFFSETS.size, OFFSETS.size)
 
 
-def _shares_of_line(stack: Stack, pupil: Pupil) -> Array:
+def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     """Return the geometric shares of pupils (n,), (n, 5, 5), in units of the height: lengths are
     tangents in the medium.
     """
-    pitch, side = stack.pitch_um / stack.height_um, stack.photodiode_side_um / stack.height_um
+    pitch = stack.pitch_um / stack.height_um
+    side = stack.photodiode_side_um / stack.height_um
+    exact = stack.refraction == "exact"
+
+    # Centres of the photodiodes (n, 2, 5), and the edges between which a share is smooth.
     chief = stack.tangents(pupil.chief_cosines)
-    centre = (
-        stack.shifts_um(pupil.chief_cosines)[..., None] / stack.height_um + pitch * OFFSETS
-    )  # (n, 2, 5)
-    half = side / 2 if stack.microlens else side
-    edges = (
-        [centre - half, centre + half]
-        if stack.microlens
-        else [centre - half, centre, centre + half]
-    )
+    shift = stack.shifts_um(pupil.chief_cosines)[..., None] / stack.height_um
+    centre = shift + pitch * OFFSETS
+    if stack.microlens:
+        half = side / 2
+        edges = [centre - half, centre + half]
+    else:
+        half = side
+        edges = [centre - half, centre, centre + half]
+
+    # Nodes on the pieces of the boundary, (k, nodes); the weights of dy.
     point, low, high = _pieces(stack, pupil, np.concatenate(edges, axis=-1))
     angle = low[:, None] + (high - low)[:, None] * (1 + NODES) / 2
     at, slope = _boundary(stack, pupil.at(point), angle)
     x, y = at[..., 0], at[..., 1]
-    rise = slope[..., 1] * WEIGHTS * (high - low)[:, None] / 2  # dy
-    exact, start = (
-        stack.refraction == "exact",
-        chief[point, :1],
-    )  # any constant lower limit of the integrals along x
+    rise = slope[..., 1] * WEIGHTS * (high - low)[:, None] / 2
+
+    # The integrals along x may begin at any constant.
+    start = chief[point, :1]
     area = (rise * _moment(start, x, y, 0, exact)).sum(axis=-1)
+
     x, y, start = x[..., None], y[..., None], start[..., None]
-    middle, across = centre[point, None, 0], np.abs(y - centre[point, None, 1])
+    middle = centre[point, None, 0]
+    across = np.abs(y - centre[point, None, 1])
     first, last = middle - half, middle + half
     if stack.microlens:
         inside = np.asarray(across < half, float)
         along = _moment(np.clip(start, first, last), np.clip(x, first, last), y, 0, exact)
     else:
+        # The overlap of opening and photodiode rises to its middle, and falls behind it.
         inside = np.maximum(half - across, 0.0) / pitch
         rising = np.clip(start, first, middle), np.clip(x, first, middle)
         falling = np.clip(start, middle, last), np.clip(x, middle, last)
         along = _moment(*rising, y, 1, exact) - first * _moment(*rising, y, 0, exact)
         along += last * _moment(*falling, y, 0, exact) - _moment(*falling, y, 1, exact)
         along /= pitch
+
+    # Sum over the nodes of each piece, then over the pieces of each boundary.
     shares = np.swapaxes(inside * rise[..., None], 1, 2) @ along
     starts = np.flatnonzero(np.diff(point, prepend=-1))
-    return np.asarray(
-        np.add.reduceat(shares, starts) / np.add.reduceat(area, starts)[:, None, None]
-    )
+    total = np.add.reduceat(area, starts)
+    return np.asarray(np.add.reduceat(shares, starts) / total[:, None, None])
 
 
 def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Array:
@@ -431,17 +436,16 @@ def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Arra
         return (end - start) * ((end + start) / 2 if power else 1.0)
     start, end, y = np.broadcast_arrays(start, end, y)
     result = np.zeros(start.shape)
-    some = start != end  # few: a pupil reaches few photodiodes
-    start, end, square = start[some], end[some], 1 + y[some] ** 2
+    is_span = start != end  # few: a pupil reaches few photodiodes
+    start, end, square = start[is_span], end[is_span], 1 + y[is_span] ** 2
     from_axis2 = (square + start**2) * (square + end**2)
     if power:
-        result[some] = (end - start) * (end + start) / (2 * from_axis2)
+        result[is_span] = (end - start) * (end + start) / (2 * from_axis2)
     else:
         distance = np.sqrt(square)
-        turned = np.arctan2((end - start) * distance, square + start * end)
-        result[some] = ((end - start) * (square - start * end) / from_axis2 + turned / distance) / (
-            2 * square
-        )
+        angle = np.arctan2((end - start) * distance, square + start * end)
+        rational = (end - start) * (square - start * end) / from_axis2
+        result[is_span] = (rational + angle / distance) / (2 * square)
     return result
 
 
@@ -464,21 +468,32 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     edges : (n, 2, edges), of x and of y
     """
     count = len(pupil.centre)
-    line, axis = np.repeat(np.arange(count), 2), np.tile([0, 1], count)  # x and y of each boundary
+    line = np.repeat(np.arange(count), 2)  # x and y of each boundary
+    axis = np.tile([0, 1], count)
+    boundary = pupil.at(line)
+
+    # Values at equal steps, the last of which is the first again, and at the turn within each step.
     nodes = np.linspace(0, 2 * np.pi, STEPS + 1)
-    at, slope = _coordinate(
-        stack, pupil.at(line), axis, np.broadcast_to(nodes, (line.size, nodes.size))
-    )
-    at[:, -1], slope[:, -1] = at[:, 0], slope[:, 0]
-    turn = _turns(stack, pupil.at(line), axis, nodes, slope)
+    angles = np.broadcast_to(nodes, (line.size, nodes.size))
+    at, slope = _coordinate(stack, boundary, axis, angles)
+    at[:, -1] = at[:, 0]
+    slope[:, -1] = slope[:, 0]
+    turn = _turns(stack, boundary, axis, nodes, slope)
     angle, value = np.empty((2, line.size, 2 * STEPS + 1))
-    angle[:, ::2], angle[:, 1::2] = nodes, turn
-    value[:, ::2], value[:, 1::2] = at, _coordinate(stack, pupil.at(line), axis, turn)[0]
+    angle[:, ::2] = nodes
+    angle[:, 1::2] = turn
+    value[:, ::2] = at
+    value[:, 1::2] = _coordinate(stack, boundary, axis, turn)[0]
+
+    # Cut where a coordinate crosses an edge.
     above = value[:, :, None] > edges.reshape(line.size, 1, -1)
     which, step, edge = np.nonzero(above[:, 1:] != above[:, :-1])
-    bracket, rises = (angle[which, step], angle[which, step + 1]), above[which, step + 1, edge]
+    bracket = angle[which, step], angle[which, step + 1]
+    rises = above[which, step + 1, edge]
     edge_at = edges.reshape(line.size, -1)[which, edge]
     cut = _crossings(stack, pupil.at(line[which]), axis[which], bracket, edge_at, rises)
+
+    # Cut each boundary into a few pieces in any case, and sort.
     point = np.concatenate([line[which], np.repeat(np.arange(count), _PIECES + 1)])
     cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, _PIECES + 1), count)])
     order = np.lexsort((cut, point))
@@ -544,9 +559,9 @@ def _crossings(
         with np.errstate(divide="ignore", invalid="ignore"):
             better = angle - (at - edge) / slope
         better = np.where((better >= low) & (better <= high), better, (low + high) / 2)
-        done = np.abs(better - angle) <= WITHIN
+        converged = np.abs(better - angle) <= _CONVERGED_RAD
         angle = better
-        if done.all():
+        if converged.all():
             break
     return angle
 
@@ -557,24 +572,21 @@ def _crossings(
 
 def _shares_of_rays(stack: Stack, rays: Directions) -> Array:
     """Return the geometric shares of rays, (..., 5, 5)."""
-    landing, centre, half = (
-        stack.landing_um(rays)[..., None],
-        stack.pitch_um * OFFSETS,
-        stack.photodiode_side_um / 2,
-    )
+    landing = stack.landing_um(rays)[..., None]
+    centre = stack.pitch_um * OFFSETS
+    side = stack.photodiode_side_um
     if not stack.microlens:
-        return _mean_of_products(
-            rays.shares, np.maximum(2 * half - np.abs(landing - centre), 0.0) / stack.pitch_um
-        )
-    low, high = centre - half, centre + half
+        overlap = np.maximum(side - np.abs(landing - centre), 0.0) / stack.pitch_um
+        return _mean_shares(rays.shares, overlap)
+
     # A ray on an edge is half inside, and photodiodes that touch share it.
-    inside = ((landing >= low) & (landing < high)) * 0.5 + (
-        (landing > low) & (landing <= high)
-    ) * 0.5
-    return _mean_of_products(rays.shares, inside)
+    low, high = centre - side / 2, centre + side / 2
+    behind_low = ((landing >= low) & (landing < high)) * 0.5
+    before_high = ((landing > low) & (landing <= high)) * 0.5
+    return _mean_shares(rays.shares, behind_low + before_high)
 
 
-def _mean_of_products(weight: Array, along: Array) -> Array:
+def _mean_shares(weight: Array, along: Array) -> Array:
     """Return the means (..., 5, 5) over rays, of weights (..., rays) with sum 1, of shares along x
     and y, (..., rays, 2, 5).
     """
@@ -584,36 +596,36 @@ def _mean_of_products(weight: Array, along: Array) -> Array:
 def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Array) -> Array:
     """Return the shares under a microlens at wavelengths (B,), (..., B, 5, 5)."""
     shape = pupil.chief_cosines.shape[:-1]
-    result = np.empty((math.prod(shape), wavelength_nm.size, OFFSETS.size, OFFSETS.size))
+    points = math.prod(shape)
+    result = np.empty((points, wavelength_nm.size, OFFSETS.size, OFFSETS.size))
     for band, nm in enumerate(wavelength_nm):
-        rays = (
-            pupil.directions(*nodes_for(stack, pupil.widest, nm))
-            if isinstance(pupil, Pupil)
-            else pupil
-        )
+        rays = pupil
+        if isinstance(rays, Pupil):
+            rays = rays.directions(*nodes_for(stack, rays.widest, nm))
+
+        # Lengths are in widths of the spot from here on.
         spot_um = 1e-3 * nm * stack.height_um / (stack.index * stack.pitch_um)
+        pitch = stack.pitch_um / spot_um
+        side = stack.photodiode_side_um / spot_um
         farthest = 3 * stack.pitch_um / spot_um + _FAR_SPOTS
-        landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest).reshape(
-            len(result), -1, 2
-        )
-        weight = rays.shares.reshape(len(result), -1)
+        landing = np.clip(stack.landing_um(rays) / spot_um, -farthest, farthest)
+        landing = landing.reshape(points, -1, 2)
+        weight = rays.shares.reshape(points, -1)
+
+        # A table takes less time than the integrals of many rays.
         low, high = float(landing.min(initial=0.0)), float(landing.max(initial=0.0))
-        pitch, side = stack.pitch_um / spot_um, stack.photodiode_side_um / spot_um
-        table = (
-            _spot_table(low, high, pitch, side)
-            if (high - low) * _TABLE_STEPS < landing.size
-            else None
-        )
-        points = max(1, _MAX_RAYS // weight.shape[1])
-        for first in range(0, len(result), points):
-            part = slice(first, first + points)
-            places = landing[part]
-            collected = (
-                _of_spots(places, pitch, side)
-                if table is None
-                else _collected_of_spots(places - low, *table)
-            )
-            result[part, band] = _mean_of_products(weight[part], collected)
+        table = None
+        if (high - low) * _TABLE_STEPS < landing.size:
+            table = _spot_table(low, high, pitch, side)
+
+        count = max(1, _MAX_RAYS // weight.shape[1])
+        for first in range(0, points, count):
+            part = slice(first, first + count)
+            if table is None:
+                collected = _spot_shares(landing[part], pitch, side)
+            else:
+                collected = _interpolated_shares(landing[part] - low, *table)
+            result[part, band] = _mean_shares(weight[part], collected)
     return result.reshape(*shape, *result.shape[1:])
 
 
@@ -626,10 +638,10 @@ def _spot_table(low: float, high: float, pitch: float, side: float) -> tuple[Arr
     """
     x = low + np.arange(int((high - low) * _TABLE_STEPS) + 2) / _TABLE_STEPS
     first, last = (pitch * OFFSETS - x[:, None] + edge for edge in (-side / 2, side / 2))
-    return _of_spots(x, pitch, side), (np.sinc(first) ** 2 - np.sinc(last) ** 2) / _TABLE_STEPS
+    return _spot_shares(x, pitch, side), (np.sinc(first) ** 2 - np.sinc(last) ** 2) / _TABLE_STEPS
 
 
-def _of_spots(x: Array, pitch: float, side: float) -> Array:
+def _spot_shares(x: Array, pitch: float, side: float) -> Array:
     """Return the part of spots with centres at x (...) that the photodiodes collect along one axis,
     (..., 5).
     """
@@ -637,7 +649,7 @@ def _of_spots(x: Array, pitch: float, side: float) -> Array:
     return spot_integral(last) - spot_integral(first)
 
 
-def _collected_of_spots(landing: Array, value: Array, slope: Array) -> Array:
+def _interpolated_shares(landing: Array, value: Array, slope: Array) -> Array:
     """Return the part of spots that the photodiodes collect along one axis, (..., 5), from a table
     that begins at landing 0.
 

@@ -147,10 +147,8 @@ def thin_lens_pupil(
             "infinity or NaN",
             "finite numbers: a pupil at the horizon sends no light",
         )
-    outward, sideways = (
-        np.stack([np.cos(azimuth), np.sin(azimuth)], -1),
-        np.stack([-np.sin(azimuth), np.cos(azimuth)], -1),
-    )
+    outward = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    sideways = np.stack([-np.sin(azimuth), np.cos(azimuth)], -1)
     tan_alpha = 0.5 / (f_number * (1 + abs(magnification)))
     return Pupil(
         tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, is_in_tangents=True

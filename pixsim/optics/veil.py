@@ -3,7 +3,7 @@ falls evenly on the sensor.
 
 With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the
 film that is rendered and the margin around it; s is the light from outside of them that strays in,
-relative to that from within. So a black hole of share a in an even field, without fall-off, has g
+relative to that from within. So a black hole of share a in a uniform field, without fall-off, has g
 (1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
 """
 
@@ -23,46 +23,46 @@ VEIL = "veil_of_w_per_m2_nm"
 
 @dataclass(frozen=True)
 class _Veil:
-    """What strays of a light.
+    """Light that strays in a camera, and light that does not.
 
-    kept : (B,) share of each band that does not stray
-    even_w_per_m2_nm : (B,) irradiance of what strays, the same everywhere
+    direct_share : (B,) share of each band that does not stray
+    uniform_w_per_m2_nm : (B,) irradiance by stray light, the same everywhere
     """
 
-    kept: Array
-    even_w_per_m2_nm: Array
+    direct_share: Array
+    uniform_w_per_m2_nm: Array
 
 
 def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
     """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`);
     None without veiling glare.
 
-    A table of shares goes on beyond its ends as it is there.
+    Beyond its ends, a table of shares is constant.
 
-    >>> even = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
-    >>> veil = veil_of(even, Camera(veiling_glare=0.04))
-    >>> veil.kept.round(3).tolist(), veil.even_w_per_m2_nm.round(8).tolist()
+    >>> flat_field = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+    >>> veil = veil_of(flat_field, Camera(veiling_glare=0.04))
+    >>> veil.direct_share.round(3).tolist(), veil.uniform_w_per_m2_nm.round(8).tolist()
     ([0.96], [4e-05])
     """
     glare = camera.veiling_glare
     if not glare:
         return None
-    share = (
-        np.full(irradiance.wavelength_nm.size, glare)
-        if isinstance(glare, float)
-        else _of_bands(irradiance, glare)
+    if isinstance(glare, float):
+        share = np.full(irradiance.wavelength_nm.size, glare)
+    else:
+        share = _band_shares(irradiance, glare)
+
+    stated_mean = irradiance.header.get(VEIL)  # a file may state anything
+    is_valid = (
+        isinstance(stated_mean, list)
+        and len(stated_mean) == share.size
+        and all(isinstance(value, float) for value in stated_mean)
     )
-    known = irradiance.header.get(VEIL)  # a file may state anything
-    is_known = (
-        isinstance(known, list)
-        and len(known) == share.size
-        and all(isinstance(each, float) for each in known)
-    )
-    mean = np.asarray(known) if is_known else irradiance.whole.mean_spectrum()
+    mean = np.asarray(stated_mean) if is_valid else irradiance.whole.mean_spectrum()
     return _Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
 
-def _of_bands(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
+def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
     nm, share = np.array(glare).T
     return irradiance.band_mean(lambda at: np.interp(at, nm, share))
 

@@ -418,8 +418,8 @@ def split_by_veil(
     veil = veil_of(irradiance, camera)
     if veil is None:
         return weights, [0.0] * len(weights)
-    veils = [M2_PER_UM2 * float((weight * veil.even_w_per_m2_nm).sum()) for weight in weights]
-    return [veil.kept * weight for weight in weights], veils
+    veils = [M2_PER_UM2 * float((weight * veil.uniform_w_per_m2_nm).sum()) for weight in weights]
+    return [veil.direct_share * weight for weight in weights], veils
 
 
 def _add_uniform(rate: Array, veil: float) -> None:

@@ -25,7 +25,7 @@ from pixsim.base.records import UnitInterval, content_hash, restated_by
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
-from pixsim.optics.stack import LOWEST_LENS, Stack
+from pixsim.optics.stack import MIN_LENS_HEIGHT, Stack
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
@@ -764,7 +764,7 @@ class PixelPhysics:
         stated_um = (
             self.charge.stack.height_um if self.charge else None
         )  # a wide microlens lies higher
-        height_um = max(stated_um or self.stack.height_um, LOWEST_LENS * pitch_um)
+        height_um = max(stated_um or self.stack.height_um, MIN_LENS_HEIGHT * pitch_um)
         return Stack(
             pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction
         )
@@ -1100,7 +1100,7 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
     """
     if pixel.stack is None or pixel.stack.height_um is None or not has_microlens(pixel, technology):
         return math.inf
-    return pixel.stack.height_um / LOWEST_LENS
+    return pixel.stack.height_um / MIN_LENS_HEIGHT
 
 
 def _stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
@@ -1115,7 +1115,7 @@ def _stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) ->
     assert height_um is not None
     assert options.index is not None
     if options.microlens == "square" and (pixel.stack is None or pixel.stack.height_um is None):
-        height_um = max(height_um, LOWEST_LENS * pitch_um)
+        height_um = max(height_um, MIN_LENS_HEIGHT * pitch_um)
     shift: tuple[float, float] | Literal["optimal"] = options.shift_um or (0.0, 0.0)
     if options.shift == "optimal":
         shift = "optimal"

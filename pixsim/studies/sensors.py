@@ -18,7 +18,7 @@ from pixsim.base.layers import Layer
 from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
-from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
+from pixsim.optics.camera import DIE_FIELDS, Camera, CameraOptions
 from pixsim.optics.camera_lens import lens_on_die
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.study_scene import StudyScene
@@ -297,7 +297,7 @@ def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
         hint = "The sensors of a comparison have their numbers from their own files."
         raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
     camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
-    if isinstance(camera, Mapping) and (die := [name for name in OF_DIE if name in camera]):
+    if isinstance(camera, Mapping) and (die := [name for name in DIE_FIELDS if name in camera]):
         raise invalid(
             where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die"
         )
@@ -477,7 +477,7 @@ def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
         f"{table}.{name}"
         for table in ("camera", "lens")
         for name in changed_settings(getattr(run, table))
-        if name not in OF_DIE
+        if name not in DIE_FIELDS
         and getattr(getattr(run, table), name) != getattr(getattr(first, table), name)
     )
 
@@ -763,7 +763,7 @@ def prepare(
         camera = {
             name: value
             for name, value in stated.table.get("camera", {}).items()
-            if name not in OF_DIE
+            if name not in DIE_FIELDS
         }
         lens_tables = {"camera": camera, "lens": stated.table.get("lens", {})}
         lens = Layer({name: table for name, table in lens_tables.items() if table}, stated.source)

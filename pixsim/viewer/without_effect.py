@@ -27,7 +27,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage
-from pixsim.optics.lens_options import OF_ANY_LENS
+from pixsim.optics.lens_options import ANY_LENS_FIELDS
 from pixsim.sensor.correction import residual_variance_e2
 from pixsim.sensor.integration import (
     ChannelLight,
@@ -141,7 +141,7 @@ def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
         options = record_with(imaging.metrics.options, path, value)
         return imaging.changed(metrics=replace(imaging.metrics, options=options))
     if table == "lens":
-        table, path = "camera", [OF_ANY_LENS[path[0]]]
+        table, path = "camera", [ANY_LENS_FIELDS[path[0]]]
     imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
     return (
         imaging.changed(technology=load_technology(imaging.pixel.technology))
@@ -536,7 +536,7 @@ class UserSettings:
         for table, record in tables.items():
             # A complete camera has its lens inside, whose settings have a table of their own, and
             # the die of its pixels.
-            inside = ("lens", "pixels", *OF_ANY_LENS.values()) if table == "camera" else ()
+            inside = ("lens", "pixels", *ANY_LENS_FIELDS.values()) if table == "camera" else ()
             names += changed_settings(record, f"{table}.", but=inside)
         names = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]
 
@@ -652,7 +652,7 @@ def _is_of_lens(case: UserSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
     is_of_file = (
-        case.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
+        case.imaging.camera.lens is not None if table == "camera" else field_name not in ANY_LENS_FIELDS
     )
     return is_of_file or None
 

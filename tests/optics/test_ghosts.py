@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.optics.ghosts import ghosts_of, reflectances, unfolded
+from pixsim.optics.ghosts import find_ghosts, reflectances, unfolded_path
 from pixsim.optics.glass import constant_glass
 from pixsim.optics.prescription import Surface
 from pixsim.optics.ray_trace import paraxial
@@ -46,7 +46,7 @@ def test_shares_add_up_to_the_light_of_all_reflections(coated: float | None) -> 
     assert r[1] == pytest.approx((0.2 / 3.2) ** 2, rel=1e-12)  # a cemented surface has no coating
     assert r[0] == (coated or pytest.approx((0.7 / 2.7) ** 2))
     surfaces = [Surface(0.1, 1.0, constant_glass("a", n)) for n in indices[1:]]
-    total = sum(ghost.share for ghost in ghosts_of(surfaces, indices, r, 1.0, 0.0))
+    total = sum(ghost.share for ghost in find_ghosts(surfaces, indices, r, 1.0, 0.0))
     assert total == pytest.approx(through(r) / np.prod(1 - r) - 1, rel=30 * float(r.max()) ** 2)
 
 
@@ -58,7 +58,7 @@ def test_ghost_of_a_thin_lens_is_at_its_closed_form(bending: float) -> None:
     front = curvature * (1 + bending) / 2
     lens = [Surface(front, thin, GLASS), Surface(front - curvature, focal)]
     indices = [1.0, INDEX, 1.0]
-    (ghost,) = ghosts_of(lens, indices, reflectances(indices), 2.0, 0.0)
+    (ghost,) = find_ghosts(lens, indices, reflectances(indices), 2.0, 0.0)
     at = (INDEX - 1) * focal / (3 * INDEX - 1)
     assert ghost.focus_from_image_mm + focal == pytest.approx(at, rel=1e-6)
     assert ghost.blur_mm == pytest.approx(2 * 2.0 * (focal / at - 1), rel=1e-6)
@@ -68,7 +68,7 @@ def test_light_crosses_a_plate_three_times() -> None:
     """A point in front of a plane plate: the reduced thickness three times, in place of once."""
     plate = [Surface(0.0, 3.0, GLASS), Surface(0.0, 10.0)]
     indices = [1.0, INDEX, 1.0]
-    (ghost,) = ghosts_of(plate, indices, reflectances(indices), 0.5, 0.05)
+    (ghost,) = find_ghosts(plate, indices, reflectances(indices), 0.5, 0.05)
     assert ghost.blur_mm == pytest.approx(2 * (0.5 + 0.05 * (3 * 3.0 / INDEX + 10.0)), rel=1e-12)
 
 
@@ -87,7 +87,7 @@ def test_ghosts_of_a_lens_are_in_the_image_of_its_object() -> None:
     assert float((direct[0] + surfaces[-1].thickness_mm * direct[1])[0]) == pytest.approx(
         0, abs=1e-9
     )
-    path, around = unfolded(surfaces, indices, 0, 1)
+    path, around = unfolded_path(surfaces, indices, 0, 1)
     assert [one.thickness_mm for one in path[:3]] == [
         surfaces[0].thickness_mm,
         -surfaces[0].thickness_mm,

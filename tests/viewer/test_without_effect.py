@@ -21,7 +21,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.measure.datasheet import NOT_OF_SHEETS, datasheet_settings
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
-from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions
+from pixsim.optics.lens_options import ANY_LENS_FIELDS, LensOptions
 from pixsim.scene.scene import Scene
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.correction_options import Correction
@@ -400,7 +400,7 @@ def test_every_setting_of_a_frame_is_moved() -> None:
     fields = {
         f"{table}.{name}" for table, record in IN_RECORDS.items() for name in record.model_fields
     }
-    moved = fields - {"camera.lens", *(f"camera.{name}" for name in OF_ANY_LENS.values())}
+    moved = fields - {"camera.lens", *(f"camera.{name}" for name in ANY_LENS_FIELDS.values())}
     assert MOVES.keys() <= moved, "MOVES has settings that no record has"
     assert MOVES.keys() >= moved, "give each new setting a value in MOVES that changes the result"
 
