@@ -47,8 +47,8 @@ from pixsim.optics.ray_trace import (
     paraxial,
     rays_from,
     refracted,
-    trace,
     reversed_surfaces,
+    trace,
 )
 
 _StopPoints = Annotated[
