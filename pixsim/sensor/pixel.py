@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,9 +65,17 @@ from pixsim.sensor.unit_slips import slip_hint
 
 # The public names; everything else is internal.
 __all__ = [
-    "PixelPhysics", "absorbed_efficiency", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet",
-    "pitch_for_fill_factor_um", "response_curve", "silicon_curve", "smallest_pitch_um",
-]  # fmt: skip
+    "PixelPhysics",
+    "absorbed_efficiency",
+    "derive",
+    "fill_factor_law",
+    "given_efficiency",
+    "growth_from_data_sheet",
+    "pitch_for_fill_factor_um",
+    "response_curve",
+    "silicon_curve",
+    "smallest_pitch_um",
+]
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 _C_PER_FF_V = 1e-15
@@ -78,11 +86,11 @@ _INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is n
 
 def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
     """Return C0 (1 + V/PB)^-M at a reverse bias, or its tangent below V = -FC·PB."""
-    bias, knee_v = np.asarray(bias_v, float), -_FORWARD_COEFFICIENT * built_in_v
+    bias = np.asarray(bias_v, float)
+    knee_v = -_FORWARD_COEFFICIENT * built_in_v
     upper = zero_bias_ff * (1 + np.maximum(bias, knee_v) / built_in_v) ** -grading
-    return upper + _tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(
-        knee_v - bias, 0.0
-    )
+    tangent = _tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
+    return upper + tangent * np.maximum(knee_v - bias, 0.0)
 
 
 def _tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
@@ -96,21 +104,24 @@ def junction_charge_fc(
     """Return ∫C dV of `junction_ff` from a reverse bias down by `drop_v` ≥ 0, exact for small drops
     too.
     """
-    high, drop, knee_v = (
-        np.asarray(high_v, float),
-        np.asarray(drop_v, float),
-        -_FORWARD_COEFFICIENT * built_in_v,
-    )
+    high = np.asarray(high_v, float)
+    drop = np.asarray(drop_v, float)
+    knee_v = -_FORWARD_COEFFICIENT * built_in_v
+
+    # Down to the knee, the integral of the power.
     upper = np.minimum(drop, np.maximum(high - knee_v, 0.0))
     from_v = built_in_v + np.maximum(high, knee_v)
-    one_less = 1 - grading
+    exponent = 1 - grading
     power = (
         -(built_in_v**grading)
-        / one_less
-        * from_v**one_less
-        * np.expm1(one_less * np.log1p(-upper / from_v))
+        / exponent
+        * from_v**exponent
+        * np.expm1(exponent * np.log1p(-upper / from_v))
     )
-    beyond, lower = np.maximum(knee_v - high, 0.0), drop - upper
+
+    # Beyond it, that of the tangent.
+    beyond = np.maximum(knee_v - high, 0.0)
+    lower = drop - upper
     knee_ff = zero_bias_ff * (1 - _FORWARD_COEFFICIENT) ** -grading
     tangent = _tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
     return zero_bias_ff * power + lower * (knee_ff + tangent * (beyond + lower / 2))
@@ -179,9 +190,8 @@ class Diode:
             excess_e = self.charge_e(self.reset_voltage_v, drop) - charge
             if np.all(np.abs(excess_e) <= 1e-15 * charge):
                 break
-            drop = np.maximum(
-                drop - excess_e / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)), 0.0
-            )
+            slope_e_per_v = E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)
+            drop = np.maximum(drop - excess_e / slope_e_per_v, 0.0)
         return drop
 
     @property
@@ -207,12 +217,13 @@ class Diode:
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
-# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the 1
-# V swing that its authors use.
-PAPER_NODE_FF, PAPER_FF_PER_UM2, PAPER_SWING_V = 2.6, 0.22, 1.0
-WELL_REFERENCE_S = (
-    0.03  # integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well
-)
+# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the
+# swing of 1 V that its authors use.
+PAPER_NODE_FF = 2.6
+PAPER_FF_PER_UM2 = 0.22
+PAPER_SWING_V = 1.0
+# Integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well.
+WELL_REFERENCE_S = 0.03
 
 
 def mean_junction_ff(
@@ -231,24 +242,26 @@ def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[flo
     """Return the capacitance of a square photodiode and its node: mean over the swing, and at
     reset, which sets kTC noise.
     """
-    j, high_v = junction, junction.reset_voltage_v
-    area_ff, side_ff = j.cj_ff_per_um2 * area_um2, j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
-    swing_v = high_v, high_v - j.voltage_swing_v
-    mean_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, *swing_v) + mean_junction_ff(
-        side_ff, j.pbsw_v, j.mjsw, *swing_v
+    j = junction
+    area_ff = j.cj_ff_per_um2 * area_um2
+    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
+    high_v = j.reset_voltage_v
+    low_v = high_v - j.voltage_swing_v
+
+    mean_area_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, high_v, low_v)
+    mean_side_ff = mean_junction_ff(side_ff, j.pbsw_v, j.mjsw, high_v, low_v)
+    reset_area_ff = area_ff * (1 + high_v / j.pb_v) ** -j.mj
+    reset_side_ff = side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
+    return (
+        mean_area_ff + mean_side_ff + j.node_capacitance_ff,
+        reset_area_ff + reset_side_ff + j.node_capacitance_ff,
     )
-    reset_ff = (
-        area_ff * (1 + high_v / j.pb_v) ** -j.mj + side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
-    )
-    return mean_ff + j.node_capacitance_ff, reset_ff + j.node_capacitance_ff
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
     """Return the standard deviation √(n kTC)/q of the reset noise."""
-    return (
-        math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * _C_PER_FF_V)
-        / ELECTRON_C
-    )
+    variance_c2 = factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * _C_PER_FF_V
+    return math.sqrt(variance_c2) / ELECTRON_C
 
 
 @dataclass(frozen=True)
@@ -360,9 +373,8 @@ def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name:
     Raises PixsimError for a pitch that leaves no photodiode.
     """
     fill_factor = pixel.fill_factor or float(fill_factor_law(pitch_um, technology))
-    if (
-        fill_factor < MIN_FRACTION
-    ):  # below the smallest pitch, or so little above it that rounding decides
+    # Below the smallest pitch, or so little above it that rounding decides.
+    if fill_factor < MIN_FRACTION:
         allowed = (
             f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of"
             f" {technology.name} fill the pixel"
@@ -388,10 +400,8 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
             fill_factor,
             f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})",
         )
-    p0_um, inset_um = (
-        smallest_pitch_um(technology),
-        technology.fill_factor_inset_features * technology.feature_size_um,
-    )
+    p0_um = smallest_pitch_um(technology)
+    inset_um = technology.fill_factor_inset_features * technology.feature_size_um
     limit = technology.fill_factor_limit
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
     root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
@@ -536,12 +546,18 @@ def spread_registration(repeat: int) -> tuple[float, float]:
     >>> [spread_registration(repeat) for repeat in range(4)]
     [(0.0, 0.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.25)]
     """
-    x = y = 0
-    across = down = 1 << (_SOBOL_BITS - 1)
+    x = 0
+    y = 0
+    # Direction numbers of the two dimensions, one for each bit of the repeat.
+    x_direction = 1 << (_SOBOL_BITS - 1)
+    y_direction = 1 << (_SOBOL_BITS - 1)
     while repeat:
         if repeat & 1:
-            x, y = x ^ across, y ^ down
-        repeat, across, down = repeat >> 1, across >> 1, down ^ (down >> 1)
+            x ^= x_direction
+            y ^= y_direction
+        repeat >>= 1
+        x_direction >>= 1
+        y_direction ^= y_direction >> 1
     return x / (1 << _SOBOL_BITS), y / (1 << _SOBOL_BITS)
 
 
@@ -580,8 +596,9 @@ class Charge:
     def content_hash(self) -> str:
         """Hash of what acts; the temperature does so on what diffuses."""
         stack_hash = self.stack.content_hash
-        warm = self.diffusion_um is not None and self.temperature_k != _REFERENCE_TEMPERATURE_K
-        return content_hash([stack_hash, self.temperature_k]) if warm else stack_hash
+        if self.diffusion_um is None or self.temperature_k == _REFERENCE_TEMPERATURE_K:
+            return stack_hash
+        return content_hash([stack_hash, self.temperature_k])
 
 
 @checked_methods
@@ -646,11 +663,9 @@ class PixelPhysics:
         own only channel.
         """
         layout = self.layout
-        return (
-            (self,)
-            if layout is None
-            else tuple(replace(self, channel=letter) for letter in layout.channels)
-        )
+        if layout is None:
+            return (self,)
+        return tuple(replace(self, channel=letter) for letter in layout.channels)
 
     @property
     def planes(self) -> int:
@@ -724,18 +739,17 @@ class PixelPhysics:
         """
         if self.stack is None:
             return None
-        pixel, process = self.pixel, self.technology
-        sheet_area = "microlens" if self.stack.microlens else "photodiode"
-        default = (
-            sheet_area if self._efficiency_is_of_sheet else process.quantum_efficiency_includes
-        )
-        if (pixel.quantum_efficiency_includes or default) == "photodiode":
+
+        pixel = self.pixel
+        process = self.technology
+        area = process.quantum_efficiency_includes
+        if self._efficiency_is_of_sheet:
+            area = "microlens" if self.stack.microlens else "photodiode"
+        if (pixel.quantum_efficiency_includes or area) == "photodiode":
             return None
-        return (
-            pixel.quantum_efficiency_f_number
-            or process.quantum_efficiency_f_number
-            or USUAL_F_NUMBER
-        )
+
+        stated = pixel.quantum_efficiency_f_number or process.quantum_efficiency_f_number
+        return stated or USUAL_F_NUMBER
 
     @property
     def efficiency_stack(self) -> Stack | None:
@@ -748,22 +762,21 @@ class PixelPhysics:
         """
         if self.stack is None or self.efficiency_f_number is None:
             return None
+
         pixel = self.pixel
-        sheet_um = (
-            pixel.data_sheet_pitch_um
-            if self._efficiency_is_of_sheet
-            else self.technology.quantum_efficiency_pitch_um
-        )
-        pitch_um = pixel.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
+        measured_um = self.technology.quantum_efficiency_pitch_um
+        if self._efficiency_is_of_sheet:
+            measured_um = pixel.data_sheet_pitch_um
+        pitch_um = pixel.quantum_efficiency_pitch_um or measured_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
             fill_factor = _fill_factor_at(
                 pitch_um, pixel, self.technology, "quantum_efficiency_pitch_um"
             )
             side_um = math.sqrt(fill_factor) * pitch_um
-        stated_um = (
-            self.charge.stack.height_um if self.charge else None
-        )  # a wide microlens lies higher
+
+        # The height of this pixel's stack may be that of a wide microlens, which lies higher.
+        stated_um = self.charge.stack.height_um if self.charge else None
         height_um = max(stated_um or self.stack.height_um, MIN_LENS_HEIGHT * pitch_um)
         return Stack(
             pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction
@@ -775,17 +788,17 @@ class PixelPhysics:
         technology's.
         """
         pixel = self.pixel
-        stated = pixel.quantum_efficiency is not None or bool(efficiencies_of(pixel.colour))
-        return stated and (
-            self.technology.name == NO_TECHNOLOGY or pixel.data_sheet_pitch_um is not None
-        )
+        is_stated = pixel.quantum_efficiency is not None or bool(efficiencies_of(pixel.colour))
+        has_sheet = self.technology.name == NO_TECHNOLOGY or pixel.data_sheet_pitch_um is not None
+        return is_stated and has_sheet
 
     @property
     def dark_doubling_k(self) -> float:
         """Temperature rise that doubles the dark current: of the data sheet, or of the
         technology.
         """
-        sheet_k = self.pixel.dark_current and self.pixel.dark_current.doubling_k
+        sheet = self.pixel.dark_current
+        sheet_k = None if sheet is None else sheet.doubling_k
         return sheet_k or self.technology.dark_doubling_k
 
     def number(self, quantity: str) -> float:
@@ -801,27 +814,29 @@ class PixelPhysics:
         return number_of(self.pixel, self.technology, quantity)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
-        colour, layout = self.pixel.colour, self.layout
+        colour = self.pixel.colour
+        layout = self.layout
         if colour is None or layout is None:
             return self._unfiltered_quantum_efficiency(wavelength_nm)
-        unfiltered = (
-            self._unfiltered_quantum_efficiency(wavelength_nm)
-            if colour.transmittances
-            else np.zeros_like(wavelength_nm)
-        )
+
+        unfiltered = np.zeros_like(wavelength_nm)
+        if colour.transmittances:
+            unfiltered = self._unfiltered_quantum_efficiency(wavelength_nm)
         if self.channel:
             return channel_efficiency(colour, self.channel, wavelength_nm, unfiltered)
-        parts = [
+
+        # Of the whole pixel: the mean over the values of a frame.
+        efficiencies = [
             channel_efficiency(colour, letter, wavelength_nm, unfiltered)
             for letter in layout.channels
         ]
-        return np.asarray(
-            sum(share * part for share, part in zip(layout.shares, parts, strict=True))
-        )
+        weighted = zip(layout.shares, efficiencies, strict=True)
+        return np.asarray(sum(share * efficiency for share, efficiency in weighted))
 
     def _unfiltered_quantum_efficiency(self, wavelength_nm: Array) -> Array:
-        efficiency, at_nm = self.pixel.quantum_efficiency, self.pixel.quantum_efficiency_nm
+        efficiency = self.pixel.quantum_efficiency
         if efficiency is not None:
+            at_nm = self.pixel.quantum_efficiency_nm
             if at_nm is None or isinstance(efficiency, tuple):
                 return given_efficiency(wavelength_nm, efficiency)
             depth_um = self.pixel.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
@@ -892,6 +907,8 @@ def growth_from_data_sheet(
 
 _MAX_CURRENT_E_PER_S = 1e18  # as the record allows
 _WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
+# Parts of the temporal dark noise that differ from pixel to pixel of a row.
+_PIXEL_NOISES = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
 
 
 def _dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
@@ -932,9 +949,9 @@ def _prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
     if pixel.prnu_percent is not None:
         return pixel.prnu_percent / 100
     is_stated = pixel.prnu is not None or pixel.prnu_um is not None
-    prnu, prnu_um = (
-        (pixel.prnu, pixel.prnu_um) if is_stated else (technology.prnu, technology.prnu_um)
-    )
+    source = pixel if is_stated else technology
+    prnu = source.prnu
+    prnu_um = source.prnu_um
     if prnu is not None:
         return prnu
     assert prnu_um is not None  # the record's validator
@@ -985,35 +1002,29 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
     is_stated = pixel.a_vt_mv_um is not None or pixel.follower_area_um2 is not None
     if not is_stated and technology.offset_fpn is not None:
         return technology.offset_fpn
+
     a_vt_mv_um = technology.a_vt_mv_um if pixel.a_vt_mv_um is None else pixel.a_vt_mv_um
     gate_um2 = (
         technology.follower_area_um2 if pixel.follower_area_um2 is None else pixel.follower_area_um2
     )
     source = "pixel." if is_stated else f"{technology.name}: "
     if a_vt_mv_um is None or gate_um2 is None:
-        names = (
-            ("a_vt_mv_um", "follower_area_um2")
-            if gate_um2 is None
-            else ("follower_area_um2", "a_vt_mv_um")
-        )
-        raise invalid(
-            f"{source}{names[0]}",
-            f"no {names[1]} beside it",
-            "both of them",
-            "Or give offset_fpn in place of both.",
-        )
+        stated, missing = "a_vt_mv_um", "follower_area_um2"
+        if gate_um2 is not None:
+            stated, missing = missing, stated
+        hint = "Or give offset_fpn in place of both."
+        raise invalid(f"{source}{stated}", f"no {missing} beside it", "both of them", hint)
+
     if process_well.mean_ff is None:
-        kind = (
-            "a data sheet"
-            if technology.name == NO_TECHNOLOGY
-            else f"the pinned photodiode of {technology.name}"
-        )
+        device = f"the pinned photodiode of {technology.name}"
+        if technology.name == NO_TECHNOLOGY:
+            device = "a data sheet"
+        got = f"{device}, whose node capacitance is unknown"
         hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
-        raise invalid(
-            f"{source}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint
-        )
-    share = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff) / process_well.full_well_e
-    return share
+        raise invalid(f"{source}a_vt_mv_um", got, "a 3T pixel", hint)
+
+    offset_e = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff)
+    return offset_e / process_well.full_well_e
 
 
 def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
@@ -1022,35 +1033,20 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
     Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
     """
     names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
-    stated = [getattr(pixel, name) for name in names]
+    stated = [name for name in names if getattr(pixel, name) is not None]
     fraction, median, spread = (number_of(pixel, technology, name) for name in names)
     if fraction and median == 1 and not spread:
-        name = (
-            f"hot_pixel_fraction of {technology.name}"
-            if stated[0] is None
-            else "pixel.hot_pixel_fraction"
-        )
-        got, allowed = (
-            f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0",
-            "hot pixels that differ from the others",
-        )
-        raise invalid(
-            name,
-            got,
-            allowed,
-            "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.",
-        )
-    if (
-        stated[0] is None
-        and not fraction
-        and (tail := [name for name, value in zip(names, stated, strict=True) if value is not None])
-    ):
-        raise invalid(
-            f"pixel.{tail[0]}",
-            "no hot_pixel_fraction beside it",
-            "both",
-            "Give hot_pixel_fraction, as 0.001.",
-        )
+        name = f"hot_pixel_fraction of {technology.name}"
+        if "hot_pixel_fraction" in stated:
+            name = "pixel.hot_pixel_fraction"
+        got = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0"
+        allowed = "hot pixels that differ from the others"
+        hint = "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out."
+        raise invalid(name, got, allowed, hint)
+
+    if stated and "hot_pixel_fraction" not in stated and not fraction:
+        got = "no hot_pixel_fraction beside it"
+        raise invalid(f"pixel.{stated[0]}", got, "both", "Give hot_pixel_fraction, as 0.001.")
     return fraction, median, spread
 
 
@@ -1064,11 +1060,13 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     values = technology.stack.model_dump(exclude_none=True, exclude={"enabled"})
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
-    stated = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
+
+    stated: dict[str, Any] = {}
+    if pixel.stack:
+        stated = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"})
     restated = restated_by(StackOptions, stated)
-    options = StackOptions(
-        **{name: value for name, value in values.items() if name not in restated} | stated
-    )
+    process_values = {name: value for name, value in values.items() if name not in restated}
+    options = StackOptions(**process_values | stated)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
         got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(stated)}" if stated else "")
@@ -1111,24 +1109,26 @@ def _stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) ->
 
     Raises PixsimError as `Stack` does, with the name of the setting.
     """
-    height_um, pitch_um = options.height_um, pixel.pitch_um
+    height_um = options.height_um
+    pitch_um = pixel.pitch_um
     assert height_um is not None
     assert options.index is not None
-    if options.microlens == "square" and (pixel.stack is None or pixel.stack.height_um is None):
+    has_lens = options.microlens == "square"
+    if has_lens and (pixel.stack is None or pixel.stack.height_um is None):
         height_um = max(height_um, MIN_LENS_HEIGHT * pitch_um)
     shift: tuple[float, float] | Literal["optimal"] = options.shift_um or (0.0, 0.0)
     if options.shift == "optimal":
         shift = "optimal"
-    lens, refraction = options.microlens == "square", options.refraction or "exact"
+
     try:
         return Stack(
-            pitch_um,
-            min(photodiode_side_um, pitch_um),
-            height_um,
-            options.index,
-            lens,
-            shift,
-            refraction,
+            pitch_um=pitch_um,
+            photodiode_side_um=min(photodiode_side_um, pitch_um),
+            height_um=height_um,
+            index=options.index,
+            microlens=has_lens,
+            shift_um=shift,
+            refraction=options.refraction or "exact",
         )
     except PixsimError as error:
         raise PixsimError(f"pixel.stack.{error}") from None
@@ -1144,16 +1144,81 @@ def _check_colour(pixel: Pixel, technology: Technology) -> None:
     for letter in channels_of(colour.cell):
         channel_efficiency(colour, letter, np.array([]), np.array([]))
     if colour.binning and technology.junction is not None:
-        got, allowed = (
-            f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode",
-            "4T pixels and data sheets",
-        )
-        raise invalid(
-            "pixel.colour.binning",
-            got,
-            allowed,
-            "Take pixel.technology = '4t-bsi', or leave binning out.",
-        )
+        got = f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode"
+        hint = "Take pixel.technology = '4t-bsi', or leave binning out."
+        raise invalid("pixel.colour.binning", got, "4T pixels and data sheets", hint)
+
+
+def _or_default(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _process_dark_e_per_s(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+    """Return the dark current of a square photodiode by the densities of its process: that of its
+    area, and that of its perimeter.
+    """
+    above_k = pixel.temperature_k - _REFERENCE_TEMPERATURE_K
+    temperature_factor = 2 ** (above_k / technology.dark_doubling_k)
+    reference_e_per_s = dark_current_of_geometry_e_per_s(
+        area_na_per_cm2=technology.dark_current_na_per_cm2,
+        perimeter_na_per_cm=_NA_PER_PA * technology.dark_current_perimeter_pa_per_cm,
+        area_um2=area_um2,
+        perimeter_um=4 * math.sqrt(area_um2),
+    )
+    return reference_e_per_s * temperature_factor
+
+
+def _offset_spreads_e(
+    pixel: Pixel, technology: Technology, full_well_e: float, process_well: Well
+) -> tuple[float, float]:
+    """Return the spread of the offsets of pixels and of columns, in electrons; DSNU1288 is that of
+    all offsets.
+    """
+    if pixel.dsnu_e is not None:
+        return pixel.dsnu_e, 0.0
+    pixel_share = _offset_share(pixel, technology, process_well)
+    column_share = _or_default(pixel.column_fpn, technology.column_fpn)
+    return pixel_share * full_well_e, column_share * full_well_e
+
+
+def _measured_well_e(
+    pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float | None
+) -> float | None:
+    """Return the full well of the measured pixel: as stated, or such that it has the stated
+    saturation capacity; None if neither is stated.
+
+    area_um2 : of the photodiode of the measured pixel
+    dark_current_e_per_s : of the measured pixel; None: that of the process
+    """
+    capacity_e = pixel.saturation_capacity_e
+    if capacity_e is None:
+        return pixel.full_well_e
+
+    gain_e_per_dn = pixel.stated_gain_e_per_dn
+    adc_range_e = (
+        pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
+    )
+    process_dark_e_per_s = _process_dark_e_per_s(pixel, technology, area_um2)
+    dark_e_per_s = _or_default(dark_current_e_per_s, process_dark_e_per_s)
+    process_well = well(pixel, technology, area_um2, dark_e_per_s)
+    prnu = _prnu_of(pixel, technology, area_um2)
+    read_noise_e = math.hypot(*read_noises_e(pixel, technology))
+    reset_factor = number_of(pixel, technology, "reset_noise_factor")
+    row_noises_e = [
+        number_of(pixel, technology, name)
+        for name in STANDS_FOR["temporal_dark_noise_e"]
+        if name not in _PIXEL_NOISES
+    ]
+
+    # Reset noise and offsets of a process scale with the full well, so that it is solved again.
+    full_well_e = capacity_e
+    for _ in range(_WELL_ROUNDS):
+        reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
+        reset_e = reset_noise_e(reset_ff, pixel.temperature_k, reset_factor)
+        noise_e = math.hypot(reset_e, read_noise_e, *row_noises_e)
+        offset_e = math.hypot(*_offset_spreads_e(pixel, technology, full_well_e, process_well))
+        full_well_e = full_well_for_e(capacity_e, adc_range_e, noise_e, prnu, offset_e)
+    return full_well_e
 
 
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
@@ -1168,113 +1233,68 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     Raises PixsimError for an unknown technology, for a pitch at or below the smallest one, which
     the message states, and as `absorbed_efficiency`.
 
-    >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)  # 30 % in Chen et al. (2000)
+    Chen et al. (2000) have a fill factor of 30 % at 6.5 µm:
+
+    >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)
     0.31
     """
-    technology = with_fill_factor_law(
-        technology or load_technology(pixel.technology), pixel.fill_factor_law
-    )
-
-    def given(value: float | None, technology_default: float) -> float:
-        return technology_default if value is None else value
-
+    technology = technology or load_technology(pixel.technology)
+    technology = with_fill_factor_law(technology, pixel.fill_factor_law)
     fill_factor = _fill_factor_at(pixel.pitch_um, pixel, technology, "pixel.pitch_um")
     area_um2 = fill_factor * pixel.pitch_um**2
-    factor = number_of(pixel, technology, "reset_noise_factor")
-    named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
-    others_e = [
-        number_of(pixel, technology, name)
-        for name in STANDS_FOR["temporal_dark_noise_e"]
-        if name not in named
-    ]
+
+    # What the data sheet measured, at its own pitch; full well and dark current grow with the area.
     measured_dark_e_per_s = _dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
-
-    def process_dark_e_per_s(area_um2: float) -> float:
-        """Dark current of a square photodiode: that of its area, and that of its perimeter."""
-        temperature_factor = 2 ** (
-            (pixel.temperature_k - _REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k
-        )
-        perimeter_na_per_cm = _NA_PER_PA * technology.dark_current_perimeter_pa_per_cm
-        densities = technology.dark_current_na_per_cm2, perimeter_na_per_cm
-        return (
-            dark_current_of_geometry_e_per_s(*densities, area_um2, 4 * math.sqrt(area_um2))
-            * temperature_factor
-        )
-
-    def offsets_e(full_well_e: float, process_well: Well) -> tuple[float, float]:
-        """Spread of the offsets of pixels and of columns; DSNU1288 is that of all offsets."""
-        if pixel.dsnu_e is not None:
-            return pixel.dsnu_e, 0.0
-        shares = (
-            _offset_share(pixel, technology, process_well),
-            given(pixel.column_fpn, technology.column_fpn),
-        )
-        return shares[0] * full_well_e, shares[1] * full_well_e
-
-    def measured_well_e(growth: float) -> float | None:
-        """The full well of the measured pixel: as given, or as its saturation capacity needs it."""
-        if pixel.saturation_capacity_e is None:
-            return pixel.full_well_e
-        gain_e_per_dn = pixel.stated_gain_e_per_dn
-        adc_range_e = (
-            pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
-        )
-        own_um2 = area_um2 / growth
-        process_well = well(
-            pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2))
-        )
-        prnu = _prnu_of(pixel, technology, own_um2)
-        full_well_e = pixel.saturation_capacity_e
-        for _ in range(_WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
-            reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
-            reset_e = reset_noise_e(reset_ff, pixel.temperature_k, factor)
-            noise_e = math.hypot(reset_e, math.hypot(*read_noises_e(pixel, technology)), *others_e)
-            offset_e = math.hypot(*offsets_e(full_well_e, process_well))
-            full_well_e = full_well_for_e(
-                pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e
-            )
-        return full_well_e
-
-    measured_e = measured_well_e(growth_from_data_sheet(pixel, technology, area_um2))
+    measured_um2 = area_um2 / growth_from_data_sheet(pixel, technology, area_um2)
+    measured_e = _measured_well_e(pixel, technology, measured_um2, measured_dark_e_per_s)
     growth = growth_from_data_sheet(pixel, technology, area_um2, measured_e)
-    dark_e_per_s = (
-        process_dark_e_per_s(area_um2)
-        if measured_dark_e_per_s is None
-        else growth * measured_dark_e_per_s
-    )
+
+    if measured_dark_e_per_s is None:
+        dark_e_per_s = _process_dark_e_per_s(pixel, technology, area_um2)
+    else:
+        dark_e_per_s = growth * measured_dark_e_per_s
+
+    # A stated full well scales the capacitance at the swing of the process.
     process_well = well(pixel, technology, area_um2, dark_e_per_s)
     full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
-    scale = (
-        full_well_e / process_well.full_well_e
-    )  # a given full well scales the capacitance at the same swing
-    offset_e, column_e = offsets_e(full_well_e, process_well)
+    scale = full_well_e / process_well.full_well_e
+    capacitance_ff = None if process_well.mean_ff is None else process_well.mean_ff * scale
+    diode = None if process_well.diode is None else process_well.diode.scaled(scale)
+
+    reset_ff = (process_well.reset_ff or 0.0) * scale
+    reset_factor = number_of(pixel, technology, "reset_noise_factor")
+    offset_e, column_e = _offset_spreads_e(pixel, technology, full_well_e, process_well)
     hot_fraction, hot_median, hot_spread = _hot_pixels(pixel, technology)
+
     _check_colour(pixel, technology)
-    charge = stack_options(pixel, technology)
+    options = stack_options(pixel, technology)
+    stack: Stack | None = None
+    charge: Charge | None = None
+    if options is not None:
+        stack = _stack_of(options, pixel, math.sqrt(area_um2))
+        charge = Charge(options, pixel.temperature_k)
+
     physics = PixelPhysics(
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
-        capacitance_ff=None if process_well.mean_ff is None else process_well.mean_ff * scale,
+        capacitance_ff=capacitance_ff,
         full_well_e=full_well_e,
         dark_current_e_per_s=dark_e_per_s,
-        reset_noise_e=reset_noise_e(
-            (process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor
-        ),
+        reset_noise_e=reset_noise_e(reset_ff, pixel.temperature_k, reset_factor),
         prnu=_prnu_of(pixel, technology, area_um2),
-        dsnu=given(pixel.dsnu, technology.dsnu),
+        dsnu=_or_default(pixel.dsnu, technology.dsnu),
         offset_fpn_e=offset_e,
         column_fpn_e=column_e,
-        diode=None if process_well.diode is None else process_well.diode.scaled(scale),
+        diode=diode,
         growth=growth,
         hot_pixel_fraction=hot_fraction,
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
-        stack=None if charge is None else _stack_of(charge, pixel, math.sqrt(area_um2)),
-        charge=None if charge is None else Charge(charge, pixel.temperature_k),
+        stack=stack,
+        charge=charge,
     )
     if pixel.quantum_efficiency_nm is not None:
-        physics.quantum_efficiency(
-            pixel.quantum_efficiency_nm
-        )  # refuses a value that the depth cannot have
+        # Refuses a quantum efficiency that silicon of the stated depth cannot have.
+        physics.quantum_efficiency(pixel.quantum_efficiency_nm)
     return physics

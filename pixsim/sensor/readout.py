@@ -397,6 +397,7 @@ def _expose(
     full_e = saturation_level_e(integration_s, p)
     top_dn = p.adc.top_code_dn
 
+    columns = sensor.shape[1]
     generated_e = np.empty(mean_e.shape)
     dn = np.empty(mean_e.shape, np.int32)
     saturated = np.empty(mean_e.shape, bool)
@@ -405,10 +406,11 @@ def _expose(
     def expose(block: slice, rng: np.random.Generator) -> None:
         parts = [
             slice(block.start + rows.start, block.start + rows.stop)
-            for rows in strips(block.stop - block.start, dn.shape[1])
+            for rows in strips(block.stop - block.start, columns)
         ]
         largest = max(rows.stop - rows.start for rows in parts)
-        work, dark_work = np.empty((2, largest, dn.shape[1]))
+        work = np.empty((largest, columns))
+        dark_work = np.empty((largest, columns))
 
         for rows in parts:
             count = rows.stop - rows.start
@@ -486,12 +488,13 @@ def _expose_burst(
     time_s = integration_s / count
     row_sigma_e = constant_e(p, is_temporal=True, along="row")
 
+    columns = sensor.shape[1]
     dn = np.empty(mean_e.shape, np.int32)
     saturated = np.zeros(mean_e.shape, bool)
     saturated_counts: list[int] = []
 
     def expose(block: slice, rng: np.random.Generator) -> None:
-        for part in strips(block.stop - block.start, dn.shape[1]):
+        for part in strips(block.stop - block.start, columns):
             rows = slice(block.start + part.start, block.start + part.stop)
             charges_e = _subexposure_charges_e(mean_e, time_s, sensor, rows, subexposures_e)
             offset_e = np.zeros(charges_e[0].shape)
