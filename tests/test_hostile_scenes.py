@@ -35,9 +35,9 @@ from pixsim.scene.contents import asset_files
 from pixsim.scene.guard import child, inspector
 from pixsim.scene.guard.assets import metals
 from pixsim.scene.guard.child import ChildTracer, end_child
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.guard.loaded import BYTES_PER_BYTE, MIN_BYTES, check_files
-from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.guard.plugins import PLUGINS
 from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.mitsuba import parse, speaking_mitsuba

@@ -285,11 +285,11 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
         request.measured[0],
         request.settings,
     )
-    per_dot = samples_per_dot(width, smallest, plan.film.chart)
+    dot_samples = samples_per_dot(width, smallest, plan.film.chart)
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * request.camera.die_mm / width
     errors = {
-        "film_share": film_error(0.0, 0.0, 1.0, per_dot),
+        "film_share": film_error(0.0, 0.0, 1.0, dot_samples),
         "rays_a_pixel": 0.0 if plan.samples.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }

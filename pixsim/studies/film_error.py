@@ -2,16 +2,13 @@
 more samples.
 
 * Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples.
-* Detail as wide as a sample escapes them: none of the samples cuts through it. So there are finer
-  films, too, of one and a half
-  times and of twice the samples across, for detail and pixels may be in step with one of them. They
-  show a chart as it is. Of
-  other pictures they show an edge within each old sample, the sharpest that it and its neighbours
-  may hide.
-* A film with hardly a sample for each dot, or less, aliases what it has no samples for. No finer
-  film that is made from its picture
-  can show that, other than of a chart. The change from a film of half the samples does: it counts
-  the more, the fewer a dot has.
+* Coarser films miss detail as wide as a sample, since none of the samples cuts through it. So there
+  are finer films, too, of one and a half times and of twice the samples across: two, because detail
+  and pixels may be in step with one of them. They show a chart as it is. Of other pictures they
+  show an edge within each old sample, the sharpest that it and its neighbours may hide.
+* A film with about one sample for each dot, or less, aliases what it has no samples for. No finer
+  film that is made from its picture can show that, other than of a chart. The change from a film of
+  half the samples does: it counts the more, the fewer samples a dot has.
 
 All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large
 picture 16 parts are measured, spread evenly over it, and smaller ones on the finer films. The
@@ -55,75 +52,75 @@ from pixsim.viewer.score import FrameScore, LightError, noise_error_and_limit
 from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
-MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = (
-    16,
-    16,
-    8,
-)  # across a part; the cells are those of the coarsest film
-FINER = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
-_MEASURED_FINER = MEASURED // 16  # of the film itself: with the finer ones about half of `MEASURED`
-_MOST_FINER = (
-    4 * _MEASURED_FINER
-)  # cells, where pixels or dots are so large that the parts are, too
+# Across a part; its cells are those of the coarsest film.
+MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8
+FINER_FILMS = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
+# Cells of the film itself that are measured on finer films: with theirs about half of `MEASURED`.
+_MEASURED_FINER_CELLS = MEASURED // 16
+# More of them where pixels or dots are so large that the parts are, too.
+_MAX_FINER_CELLS = 4 * _MEASURED_FINER_CELLS
 _SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
-_STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
-MIN_ORDER, MAX_ORDER = (
-    1.0,
-    2.0,
-)  # of convergence of cell means: at edges, and where the picture is smooth
-NEAR, FAR, ROUGH = (
-    0.2,
-    0.06,
-    2.5,
-)  # of the changes on the coarser films, at least, and of the larger change on the finer films
-# of the nearer change, over the square of the samples across a dot: where these are less than 2.7
+_STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from the picture's mean
+# Orders of convergence of cell means: at edges, and where the picture is smooth.
+_MIN_ORDER, _MAX_ORDER = 1.0, 2.0
+# Factors of the changes on the two coarser films, and of the larger change on the finer films.
+_NEAR_FACTOR, _FAR_FACTOR, _FINER_FACTOR = 0.2, 0.06, 2.5
+# Factor of the nearer change over the square of the samples across a dot, where it is the larger:
+# with less than 2.7 samples.
 _ALIASED = 1.5
-_UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
-TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
-MAX_FINER_RATIO = max(repeated / averaged for repeated, averaged in FINER)
+_UNSEEN = 0.2  # of mean ΔE, for each missing sample of a dot, over the samples that it has
+_TOLERATED_DELTA_E, _TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
+_MAX_FINER_RATIO = max(repeated / averaged for repeated, averaged in FINER_FILMS)
+
+Region = tuple[slice, slice]  # rows and columns of a picture
 
 
 def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
     """Return the samples of a film across each dot of the display, or across each detail of a chart
-    that has fewer of these.
+    that has fewer details than the display has dots.
+
+    width : samples across the film
     """
-    chart_details = chart.details if chart else None
     camera, display, pitch_um = imaging.camera, imaging.display, imaging.pixel.pitch_um
+    chart_details = chart.details if chart else None
     details, _ = details_across(
         camera, imaging.physics.aperture_side_um, display, pitch_um, chart_details
     )
-    return width / min(dots_across(camera, display, pitch_um), details)
+    dots = dots_across(camera, display, pitch_um)
+
+    return width / min(dots, details)
 
 
 def film_error(
     near: float,
     far: float,
     mean_delta_e: float = 0.0,
-    per_dot: float = math.inf,
+    dot_samples: float = math.inf,
     finer: float = 0.0,
     *,
     is_chart: bool = False,
 ) -> float:
     """Return an upper limit of a film's error from its own picture.
 
-    It is the largest of the change on the finer films with a factor, and of parts of the changes on
-    the coarser ones, as each may be small by chance. With less than about two samples for each dot
+    It is the largest of the changes on the finer and on the coarser films, each with its factor:
+    any of them may be small by chance. With less than about two samples for each dot
     the film may alias, so that its finer films show too little: the nearer change then counts
-    `_ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
-    size, such as a zone plate, the changes grow like that from film to film. With less than one
+    `_ALIASED` times for each dot that a sample covers. In a picture with detail down to the size of
+    a dot, such as a zone plate, the changes grow at that rate from film to film. With less than one
     sample for each dot detail may be gone altogether, so a part of mean ΔE is added. The numbers
     are fitted to pictures with edges and textures, and others judge them
     (`tests/studies/test_film_error.py`).
 
     near, far : changes of mean ΔE (or another result) with half of the samples across, and from
         there to a quarter
-    per_dot : samples across a dot, of `samples_per_dot`
-    finer : the largest change with more samples across, of the films `FINER`
-    is_chart : whether these show what the film's samples hide, as of a chart that is known
+    dot_samples : samples across a dot, of `samples_per_dot`
+    finer : the largest change with more samples across, of the films `FINER_FILMS`
+    is_chart : whether the finer films show what the film's samples hide, since the chart is known
     """
-    near_factor = NEAR if is_chart else max(NEAR, _ALIASED / per_dot**2)
-    unseen_delta_e = _UNSEEN * max(1 / per_dot - 1, 0.0) * mean_delta_e
-    return max(near_factor * near, FAR * far, ROUGH * finer) + unseen_delta_e
+    aliased_factor = 0.0 if is_chart else _ALIASED / dot_samples**2
+    near_factor = max(_NEAR_FACTOR, aliased_factor)
+    unseen_delta_e = _UNSEEN * max(1 / dot_samples - 1, 0.0) * mean_delta_e
+    return max(near_factor * near, _FAR_FACTOR * far, _FINER_FACTOR * finer) + unseen_delta_e
 
 
 def _step_size(fine: Array, coarse: Array) -> float:
@@ -131,11 +128,13 @@ def _step_size(fine: Array, coarse: Array) -> float:
     values in parts of a picture.
     """
     change = coarse - fine
-    spread = float(change.std(ddof=1)) / math.sqrt(change.size) if change.size > 1 else 0.0
-    return abs(float(change.mean())) + _STANDARD_ERRORS * spread
+    standard_error = 0.0
+    if change.size > 1:
+        standard_error = float(change.std(ddof=1)) / math.sqrt(change.size)
+    return abs(float(change.mean())) + _STANDARD_ERRORS * standard_error
 
 
-def merges(shape: tuple[int, int], factor: int) -> bool:
+def has_whole_blocks(shape: tuple[int, int], factor: int) -> bool:
     """Return whether blocks of factor × factor cells tile a film and leave enough of them for a
     picture.
     """
@@ -146,7 +145,7 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     """Return the image averaged over `factor` × `factor` samples, as a coarser film would hold
     it.
     """
-    if not merges(image.shape, factor):
+    if not has_whole_blocks(image.shape, factor):
         raise invalid(
             "film",
             f"{image.shape} samples",
@@ -165,37 +164,45 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
 
 
-def measured_places(
+def measured_regions(
     image: SpectralImage, pitch_um: float, display: Display, max_count: int | None = None
-) -> list[Place]:
+) -> list[Region]:
     """Return the rows and columns of the parts of a picture that are measured, whole blocks; none
     if it is measured whole.
 
-    max_count : of its cells, its pixels, or a quarter of the display's dots that are measured; None
-        means `MEASURED`
+    max_count : largest number of cells, pixels, or quarters of the display's dots that are
+        measured; None means `MEASURED`
     """
     height, width = image.shape
     pixels = height * width * (image.pitch_um / pitch_um) ** 2
     dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
-    thinner = math.sqrt(max(height * width, pixels, 4 * dots) / (max_count or MEASURED))
-    shortest = min(height, width) / PARTS
-    fewest = max(
+
+    # The side of a part is that of a PARTS-th of the picture over `reduction`.
+    reduction = math.sqrt(max(height * width, pixels, 4 * dots) / (max_count or MEASURED))
+    min_cells = max(
         BLOCK * MIN_PART_CELLS,
         MIN_PIXELS * pitch_um / image.pitch_um,
         MIN_DOTS * width / display.dots,
     )
-    thinner = min(thinner, shortest / fewest)
-    if thinner <= 1:
+    shortest_cells = min(height, width) / PARTS
+    reduction = min(reduction, shortest_cells / min_cells)
+    if reduction <= 1:
         return []
+
     down, across = (
-        spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape
+        spread_parts(count, int(count / PARTS / reduction) // BLOCK * BLOCK)
+        for count in image.shape
     )
-    if LENS_HEADER in image.header:  # a blur has its place on coarser films, too
-        down, across = (
-            [slice(*(end // BLOCK * BLOCK for end in (part.start, part.stop))) for part in side]
-            for side in (down, across)
-        )
+    if LENS_HEADER in image.header:
+        # The blur of a part is that of its middle, which has to be the same on coarser films.
+        down = [_on_whole_blocks(side) for side in down]
+        across = [_on_whole_blocks(side) for side in across]
     return list(product(down, across))
+
+
+def _on_whole_blocks(side: slice) -> slice:
+    """Return a slice whose ends are moved down to multiples of a block."""
+    return slice(side.start // BLOCK * BLOCK, side.stop // BLOCK * BLOCK)
 
 
 def parts_of(
@@ -205,14 +212,15 @@ def parts_of(
     them at the same scale.
     """
     width = image.shape[1]
-    if not (places := measured_places(image, pitch_um, display, max_count)):
+    regions = measured_regions(image, pitch_um, display, max_count)
+    if not regions:
         yield _whole_blocks(image), display
         return
-    for rows, columns in places:
-        yield image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width)
-
-
-Place = tuple[slice, slice]
+    for rows, columns in regions:
+        yield (
+            image.with_planes(image.planes[:, rows, columns]),
+            display_of_columns(display, columns, width),
+        )
 
 
 @dataclass(frozen=True)
@@ -220,18 +228,19 @@ class _PicturePart:
     """Some rows and columns of a picture, without light from beyond them, and a display that shows
     them at the picture's scale.
 
-    chart : that the whole picture shows, whose means over other samples are known; None for other
+    region : the rows and columns
+    chart : shown by the whole picture, if its means over other samples are known; None for other
         pictures
     """
 
     image: SpectralImage
     display: Display
-    place: Place
+    region: Region
     chart: Chart | None
 
     def finer(self, repeated: int, averaged: int = 1) -> SpectralImage:
-        """Return the part on repeated/averaged times as many samples across: of a chart its means,
-        else `_with_edges`.
+        """Return the part on repeated/averaged times as many samples across: the means of a chart,
+        or `_with_edges` of another picture.
         """
         if repeated == 1:
             return self.image
@@ -240,18 +249,16 @@ class _PicturePart:
             planes = _with_edges(_with_edges(planes, repeated, axis=1), repeated, axis=2)
         else:
             planes = planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
-            (height, width), (down, across), (rows, columns) = (
-                self.chart.shape,
-                self.chart.texels_per_sample,
-                self.place,
-            )
-            more = replace(
+            height, width = self.chart.shape
+            down, across = self.chart.texels_per_sample
+            finer_chart = replace(
                 self.chart,
                 shape=(height * repeated, width * repeated),
                 texels_per_sample=(down / repeated, across / repeated),
             )
-            new = more.picture((_times(rows, repeated), _times(columns, repeated)))
-            old = self.chart.picture(self.place).repeat(repeated, axis=0).repeat(repeated, axis=1)
+            rows, columns = self.region
+            new = finer_chart.picture((_times(rows, repeated), _times(columns, repeated)))
+            old = self.chart.picture(self.region).repeat(repeated, axis=0).repeat(repeated, axis=1)
             planes *= np.divide(new, old, out=np.ones_like(new), where=old > 0)
         image = self.image.with_planes(planes, pitch_um=self.image.pitch_um / repeated)
         return image if averaged == 1 else coarser(image, averaged)
@@ -263,7 +270,7 @@ def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[
 
     A sample between its neighbours holds a step from the light of one to that of the other, where
     the mean puts it (subcell resolution: Harten, J. Comput. Phys. 83 (1989) 148). One that is
-    brighter or darker than both is even.
+    brighter or darker than both is uniform.
     """
     samples = np.moveaxis(planes, axis, -1)
     padded = np.pad(samples, [(0, 0)] * (samples.ndim - 1) + [(1, 1)], mode="edge")
@@ -283,90 +290,88 @@ def _times(side: slice, factor: int) -> slice:
     return slice(side.start * factor, side.stop * factor)
 
 
-def _shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
+def _chart_with_known_means(image: SpectralImage, chart: Chart | None) -> Chart | None:
     """Return a chart if its means over finer samples of a film are known; else None."""
-    return (
-        chart
-        if chart is not None and chart.beyond is not None and chart.shape == image.shape
-        else None
-    )
+    if chart is None or chart.beyond is None or chart.shape != image.shape:
+        return None
+    return chart
 
 
 def finer_parts(
     image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None
 ) -> list[_PicturePart]:
-    """Return the parts of a picture that are measured on the films `FINER`.
+    """Return the parts of a picture that are measured on the films `FINER_FILMS`.
 
     There are fewer where pixels or dots are large, and none where they have tens of samples across,
     which show nothing of them.
 
     chart : that the picture shows, if nothing else
     """
-    shown_chart = _shown_chart(image, chart)
-    (height, width), places = (
-        image.shape,
-        measured_places(image, pitch_um, display, _MEASURED_FINER),
-    )
-    whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
+    known_chart = _chart_with_known_means(image, chart)
+    height, width = image.shape
+    whole = [(_on_whole_blocks(slice(0, height)), _on_whole_blocks(slice(0, width)))]
+    regions = measured_regions(image, pitch_um, display, _MEASURED_FINER_CELLS) or whole
     parts = [
         _PicturePart(
-            image.with_planes(image.planes[:, rows, columns]),
-            display_of(display, columns, width),
-            (rows, columns),
-            shown_chart,
+            image=image.with_planes(image.planes[:, rows, columns]),
+            display=display_of_columns(display, columns, width),
+            region=(rows, columns),
+            chart=known_chart,
         )
-        for rows, columns in places or whole
+        for rows, columns in regions
     ]
+
     for step in _SPREAD_STEPS:
-        if sum(math.prod(part.image.shape) for part in parts[::step]) <= _MOST_FINER:
+        if sum(math.prod(part.image.shape) for part in parts[::step]) <= _MAX_FINER_CELLS:
             return parts[::step]
     return []
 
 
 def reflected(side: slice, halo: int, first: int, last: int) -> NDArray[np.intp]:
-    """Return the rows or columns of a slice and `halo` more at each side; beyond first … last - 1
-    they are those of a mirror.
+    """Return the rows or columns of a slice and `halo` more at each side, mirrored beyond
+    first … last - 1.
     """
     count = last - first
-    place = (np.arange(side.start - halo, side.stop + halo) - first) % (2 * count)
-    return np.asarray(first + np.where(place < count, place, 2 * count - 1 - place))
+    index = (np.arange(side.start - halo, side.stop + halo) - first) % (2 * count)
+    return np.asarray(first + np.where(index < count, index, 2 * count - 1 - index))
 
 
-def _surrounded(image: SpectralImage, place: Place, halo: int) -> SpectralImage:
-    """Return the rows and columns of a place with `halo` more cells at each side: the margin's, and
-    a mirror's beyond it.
+def _with_halo(image: SpectralImage, region: Region, halo: int) -> SpectralImage:
+    """Return the rows and columns of a region with `halo` more cells at each side: of the
+    margin, and mirrored beyond it.
     """
-    whole, margin = image.whole, image.margin
+    margin = image.margin
     rows, columns = (
         margin + reflected(side, halo, -margin, count + margin)
-        for side, count in zip(place, image.shape, strict=True)
+        for side, count in zip(region, image.shape, strict=True)
     )
-    return image.with_planes(np.stack([plane[np.ix_(rows, columns)] for plane in whole.planes]))
+    cells = np.ix_(rows, columns)
+    return image.with_planes(np.stack([plane[cells] for plane in image.whole.planes]))
 
 
-def patches_of(image: SpectralImage) -> list[Place]:
+def patches_of(image: SpectralImage) -> list[Region]:
     """Return rows and columns that divide the whole blocks of a picture into at most `PARTS` ×
-    `PARTS` places.
+    `PARTS` regions.
     """
-    down, across = (
-        [
-            slice(*ends)
-            for ends in pairwise(
-                dict.fromkeys((np.linspace(0, n // BLOCK, PARTS + 1).astype(int) * BLOCK).tolist())
-            )
-        ]
-        for n in image.shape
-    )
+    down, across = (_divisions(count) for count in image.shape)
     return list(product(down, across))
 
 
-def display_of(display: Display, columns: slice, width: int) -> Display:
-    """Return the display that shows some columns of a picture as wide as that of the whole picture
-    does.
+def _divisions(count: int) -> list[slice]:
+    """Return slices that divide the whole blocks of `count` samples into at most `PARTS` parts."""
+    ends = np.linspace(0, count // BLOCK, PARTS + 1).astype(int) * BLOCK
+    different_ends = dict.fromkeys(ends.tolist())
+    return [slice(*pair) for pair in pairwise(different_ends)]
+
+
+def display_of_columns(display: Display, columns: slice, width: int) -> Display:
+    """Return the display that shows some columns of a picture at the scale of the whole picture.
+
+    display : of the whole picture
+    width : columns of the whole picture
     """
-    return display.model_copy(
-        update={"dots": round(display.dots * (columns.stop - columns.start) / width)}
-    )
+    dots = round(display.dots * (columns.stop - columns.start) / width)
+    return display.model_copy(update={"dots": dots})
 
 
 def _whole_blocks(image: SpectralImage) -> SpectralImage:
@@ -374,10 +379,9 @@ def _whole_blocks(image: SpectralImage) -> SpectralImage:
     rows, columns = (count // BLOCK * BLOCK for count in image.shape)
     if (rows, columns) == image.shape:
         return image
-    more = 2 * image.margin
-    return image.with_planes(
-        image.whole.planes[:, : rows + more, : columns + more], margin=image.margin
-    )
+    margins = 2 * image.margin
+    planes = image.whole.planes[:, : rows + margins, : columns + margins]
+    return image.with_planes(planes, margin=image.margin)
 
 
 @dataclass(frozen=True)
@@ -409,11 +413,14 @@ class FilmError:
 
     @property
     def largest_delta_e(self) -> float:
+        """The largest error of the pixels; NaN if one of them is unknown."""
         return max(self.delta_e, key=lambda error: math.inf if math.isnan(error) else error)
 
     def error_at(self, pitch_um: Array) -> Array:
-        """Return the error at other pitches, interpolated between those measured; infinite where it
+        """Return the error at other pitches, interpolated in the measured ones; infinite where it
         is unknown.
+
+        pitch_um : any shape
         """
         delta_e = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
         if not np.isfinite(delta_e).all():
@@ -421,8 +428,8 @@ class FilmError:
         return np.interp(np.log(pitch_um), np.log(self.pitch_um), delta_e)
 
     def at(self, pitch_um: float) -> FilmError:
-        """Return the error and what is tolerated at one pitch, interpolated between those
-        measured.
+        """Return the error and what is tolerated at one pitch, interpolated in the measured
+        ones.
         """
         error = float(self.error_at(np.array(pitch_um)))
         tolerated = float(
@@ -434,27 +441,24 @@ class FilmError:
         )
 
     def predicted_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
-        """Return the errors at the pitches that are to be expected on a wider film; NaN where they
+        """Return the errors that are to be expected at each pitch on a wider film; NaN where they
         are unknown.
 
-        The order of convergence is that seen between two films, within its bounds. Where there is
-        one film alone, it is the largest that there can be.
+        The order of convergence is measured between two films, within its bounds. With one film
+        alone it is the largest possible order.
 
         across : samples of the wider film
         before : the error of a film of fewer samples
         """
-        orders = [MAX_ORDER] * len(self.delta_e)
+        orders = [_MAX_ORDER] * len(self.delta_e)
         if before is not None:
-            finer = math.log(self.shape[1] / before.shape[1])
-            orders = [
-                min(max(math.log(error / current_error) / finer, MIN_ORDER), MAX_ORDER)
-                if error > 0 and current_error > 0
-                else MAX_ORDER
-                for error, current_error in zip(before.delta_e, self.delta_e, strict=True)
-            ]
-        wider = self.shape[1] / across
+            pairs = zip(before.delta_e, self.delta_e, strict=True)
+            width_ratio = self.shape[1] / before.shape[1]
+            orders = [_order_of_convergence(*errors, width_ratio) for errors in pairs]
+
+        width_ratio = self.shape[1] / across
         return tuple(
-            error * wider**order for error, order in zip(self.delta_e, orders, strict=True)
+            error * width_ratio**order for error, order in zip(self.delta_e, orders, strict=True)
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -476,6 +480,17 @@ class FilmError:
         }
 
 
+def _order_of_convergence(coarse_error: float, fine_error: float, width_ratio: float) -> float:
+    """Return the order with which an error falls from one film to another, within its bounds.
+
+    width_ratio : samples across the finer film over those across the coarser film
+    """
+    if not (coarse_error > 0 and fine_error > 0):
+        return _MAX_ORDER
+    order = math.log(coarse_error / fine_error) / math.log(width_ratio)
+    return min(max(order, _MIN_ORDER), _MAX_ORDER)
+
+
 def light_error_and_limit(
     header: Mapping[str, Any], film: FilmError | None
 ) -> tuple[LightError, LightError]:
@@ -483,14 +498,13 @@ def light_error_and_limit(
     is tolerated of them.
 
     header : of the irradiance
-    film : None if its error was not measured
+    film : error of its film; None if it was not measured
     """
     error, limit = noise_error_and_limit(header)
-    if film is None:
-        return error, limit
-    return replace(error, film_delta_e=film.largest_delta_e), replace(
-        limit, film_delta_e=min(film.tolerated_delta_e)
-    )
+    if film is not None:
+        error = replace(error, film_delta_e=film.largest_delta_e)
+        limit = replace(limit, film_delta_e=min(film.tolerated_delta_e))
+    return error, limit
 
 
 def measure_film(
@@ -499,7 +513,7 @@ def measure_film(
     *,
     chart: Chart | None = None,
     tolerance_delta_e: float | None = None,
-    keep: bool = False,
+    use_cache: bool = False,
     progress: Progress | None = None,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
@@ -507,10 +521,10 @@ def measure_film(
     measured : the pixels, with one camera and display
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
-    keep : use the cache, for the picture of a render (`cached_film_steps`)
+    use_cache : use the cache, for the picture of a render (`cached_film_steps`)
 
-    Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is
-    left.
+    Pixels whose channels cannot be told apart are left out. Raises AlikeChannelsError if no pixel
+    is left.
     """
     with suppressed_warnings():  # the run itself warns of the white
         white = white_header(
@@ -525,21 +539,21 @@ def measure_film(
     means: list[float] = []
     for number, imaging in enumerate(measured):
         part = share_of(progress, number / len(measured), (number + 1) / len(measured))
+        measure = cached_film_steps if use_cache else film_steps
         try:
-            steps = (cached_film_steps if keep else film_steps)(
-                image_with_white, imaging, chart, progress=part
-            )
+            steps = measure(image_with_white, imaging, chart, progress=part)
         except AlikeChannelsError:
             if number == len(measured) - 1 and not pitches_um:
                 raise
             continue
+
         mean_delta_e, error_delta_e = steps.error()
         pitches_um.append(imaging.pixel.pitch_um)
         means.append(mean_delta_e)
         errors.append(error_delta_e)
 
     if tolerance_delta_e is None:
-        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
+        tolerated = [max(_TOLERATED_DELTA_E, _TOLERATED_SHARE * mean) for mean in means]
     else:
         tolerated = [tolerance_delta_e] * len(means)
     return FilmError(
@@ -560,34 +574,31 @@ class FilmSteps:
 
     delta_e : (films, parts), the film itself first, each next one of half the samples across; no
         films if it is too small to tell
-    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no
+    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER_FILMS`; no
         films if they would be too large
-    per_dot : samples across a dot, of `samples_per_dot`
+    dot_samples : samples across a dot, of `samples_per_dot`
     blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur
         than the picture; or 0
-    is_chart : whether the finer films are those of a chart (`_shown_chart`)
+    is_chart : whether the finer films are those of a chart (`_chart_with_known_means`)
     """
 
     delta_e: Array
     finer_delta_e: Array
-    per_dot: float
+    dot_samples: float
     blur_error: float = 0.0
     is_chart: bool = False
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> FilmSteps:
         """Return the steps of `as_dict`."""
-        delta_e, finer_delta_e = (
-            np.array(table["delta_e"], float),
-            np.array(table["finer_delta_e"], float),
-        )
-        return cls(delta_e, finer_delta_e, table["per_dot"], table["blur_error"], table["is_chart"])
+        arrays = {name: np.array(table[name], float) for name in ("delta_e", "finer_delta_e")}
+        return cls(**table | arrays)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the steps for JSON."""
         arrays = {"delta_e": self.delta_e.tolist(), "finer_delta_e": self.finer_delta_e.tolist()}
         return arrays | {
-            "per_dot": self.per_dot,
+            "dot_samples": self.dot_samples,
             "blur_error": self.blur_error,
             "is_chart": self.is_chart,
         }
@@ -597,13 +608,12 @@ class FilmSteps:
         if not self.delta_e.size:
             return math.nan, math.nan
         mean = float(self.delta_e[0].mean())
-        return mean, self._error_of(
-            self.delta_e, self.finer_delta_e, mean, self.per_dot
-        ) + _BLUR_ERROR * self.blur_error * mean
+        sampling_error = self._error_of(self.delta_e, self.finer_delta_e, mean, self.dot_samples)
+        return mean, sampling_error + _BLUR_ERROR * self.blur_error * mean
 
     def error_of_difference(self, other: FilmSteps) -> float:
-        """Return the error of the difference to another sensor's mean ΔE, with the same parts of
-        the same film; NaN if unknown.
+        """Return the error of the difference between two sensors' mean ΔE, measured in the same
+        parts of the same film; NaN if unknown.
 
         It is measured on the difference itself, since most of a film's error is common to both.
         Equal sensors have no error.
@@ -613,47 +623,55 @@ class FilmSteps:
             return math.nan
         if all(np.array_equal(first, second) for first, second in pairs):
             return 0.0
-        (mean, _), (other_mean, _) = self.error(), other.error()
+        mean, _ = self.error()
+        other_mean, _ = other.error()
         steps, finer_steps = (second - first for first, second in pairs)
-        blur_delta_e = _BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
-        return (
-            self._error_of(
-                steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)
-            )
-            + blur_delta_e
+        sampling_error = self._error_of(
+            steps,
+            finer_steps,
+            mean_delta_e=max(mean, other_mean),
+            dot_samples=min(self.dot_samples, other.dot_samples),
         )
+        blur_delta_e = _BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
+        return sampling_error + blur_delta_e
 
     def _error_of(
-        self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float
+        self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, dot_samples: float
     ) -> float:
         """Return `film_error` of the changes from film to film, (films, parts)."""
         near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
-        finest = max(
-            (_step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0
+        steps = [_step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]]
+        return film_error(
+            near,
+            far,
+            mean_delta_e,
+            dot_samples,
+            finer=max(steps, default=0.0),
+            is_chart=self.is_chart,
         )
-        return film_error(near, far, mean_delta_e, per_dot, finest, is_chart=self.is_chart)
 
 
 def cached_film_steps(
     image: SpectralImage,
     imaging: Imaging,
     chart: Chart | None,
-    largest_um: float | None = None,
+    part_pitch_um: float | None = None,
     progress: Progress | None = None,
 ) -> FilmSteps:
-    """Return `film_steps` of the picture of a render, from the cache if it has those of the same
+    """Return `film_steps` of the picture of a render, from the cache if it has the steps of these
     parts.
 
     Its header states everything that the picture depends on.
     """
-    imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.read_pitch_um
-    places = [
-        measured_places(image, size_um, imaging.display, max_count)
-        for max_count in (None, _MEASURED_FINER)
+    imaging = _with_linear_denoising(imaging)
+    size_um = part_pitch_um or imaging.physics.read_pitch_um
+    regions = [
+        measured_regions(image, size_um, imaging.display, max_count)
+        for max_count in (None, _MEASURED_FINER_CELLS)
     ]
     part_ends = [
-        [(rows.start, rows.stop, columns.start, columns.stop) for rows, columns in film_places]
-        for film_places in places
+        [(rows.start, rows.stop, columns.start, columns.stop) for rows, columns in film_regions]
+        for film_regions in regions
     ]
     records = (
         imaging.pixel,
@@ -669,28 +687,29 @@ def cached_film_steps(
         "film",
         content_hash([image.header, image.shape, *sensed, part_ends, versions]),
         FilmSteps.from_dict,
-        lambda: film_steps(image, imaging, chart, largest_um, progress),
+        lambda: film_steps(image, imaging, chart, part_pitch_um, progress),
         FilmSteps.as_dict,
     )
 
 
-def _of_parts(imaging: Imaging) -> Imaging:
+def _with_linear_denoising(imaging: Imaging) -> Imaging:
     """Return the settings for parts of a picture: with the linear bound in place of a denoiser that
     adapts.
 
-    It leaves as little noise to hide an error of the film, and takes parts that are smaller than a
-    filter's window.
+    It leaves as little noise to hide an error of the film, and works on parts that are smaller than
+    a filter's window.
     """
     if not imaging.develop.adapts:
         return imaging
-    return imaging.changed(develop=imaging.develop.model_copy(update={"denoise": "wiener_bound"}))
+    develop = imaging.develop.model_copy(update={"denoise": "wiener_bound"})
+    return imaging.changed(develop=develop)
 
 
 def film_steps(
     image: SpectralImage,
     imaging: Imaging,
     chart: Chart | None,
-    largest_um: float | None = None,
+    part_pitch_um: float | None = None,
     progress: Progress | None = None,
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and
@@ -699,30 +718,40 @@ def film_steps(
     Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each
     by the PSF of its middle, which is the same on all films.
 
-    largest_um : pitch that sets the size of the parts; None means that of the pixel
+    part_pitch_um : pitch that sets the size of the parts; None means the pixel's pitch
     """
-    imaging = _of_parts(imaging)
-    size_um, display = largest_um or imaging.physics.read_pitch_um, imaging.display
+    imaging = _with_linear_denoising(imaging)
+    display = imaging.display
+    size_um = part_pitch_um or imaging.physics.read_pitch_um
     image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
-    per_dot = samples_per_dot(image.shape[1], imaging, chart)
-    is_chart = _shown_chart(image, chart) is not None
+    dot_samples = samples_per_dot(image.shape[1], imaging, chart)
+    is_chart = _chart_with_known_means(image, chart) is not None
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
-        return FilmSteps(np.empty(0), np.empty(0), per_dot, is_chart=is_chart)
-    lens = BehindLens.of(image, imaging)
+        return FilmSteps(np.empty(0), np.empty(0), dot_samples, is_chart=is_chart)
+
+    # The film itself, and coarser ones until a cell is a block.
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
         films.append([(coarser(part, 2), part_display) for part, part_display in films[-1]])
-    places = measured_places(image, size_um, display)
-    blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
+
+    # Behind a real lens the blur of the parts is made first, which takes 40 % of the work.
+    lens = BehindLens.of(image, imaging)
+    blur_share, score_share = (0.4, 0.7) if lens else (0.0, 0.6)
     lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(parts)] * len(films)
     if lens:
-        lights = lens.film_lights(places, len(films), share_of(progress, 0.0, blurred))
-    delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blurred, scored))
-    finer = _finer_delta_e(
-        finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0)
+        regions = measured_regions(image, size_um, display)
+        lights = lens.film_lights(regions, len(films), share_of(progress, 0.0, blur_share))
+    delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blur_share, score_share))
+
+    finer_delta_e = _finer_delta_e(
+        finer_parts(image, size_um, display, chart),
+        lens,
+        imaging,
+        share_of(progress, score_share, 1.0),
     )
-    return FilmSteps(delta_e, finer, per_dot, lens.tiling.error if lens else 0.0, is_chart)
+    blur_error = lens.tiling.error if lens else 0.0
+    return FilmSteps(delta_e, finer_delta_e, dot_samples, blur_error, is_chart)
 
 
 @dataclass(frozen=True)
@@ -730,7 +759,7 @@ class BehindLens:
     """Parts of a picture behind a real lens, on films of more and of fewer samples.
 
     halo : film cells around a part, whole blocks, as wide as the lens's PSF
-    seen : mean spectrum of the picture, (B,)
+    mean_spectrum : of the picture, (B,)
     illuminations : of the pixel's channels, in the picture
     """
 
@@ -738,13 +767,14 @@ class BehindLens:
     imaging: Imaging
     tiling: Tiling
     halo: int
-    seen: Array
+    mean_spectrum: Array
     illuminations: Sequence[Illumination]
 
     @classmethod
     def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
-        """Return it for a real lens; None for a thin one."""
-        if (tiling := tiling_of(image, imaging.camera)) is None:
+        """Return the parts of a picture behind a real lens; None behind a thin lens."""
+        tiling = tiling_of(image, imaging.camera)
+        if tiling is None:
             return None
         halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
         illuminations = [
@@ -753,40 +783,46 @@ class BehindLens:
         return cls(image, imaging, tiling, halo, image.mean_spectrum(), illuminations)
 
     def _lights(
-        self, films: Sequence[tuple[SpectralImage, int]], place: Place, more: float = 1.0
+        self, films: Sequence[tuple[SpectralImage, int]], region: Region, width_ratio: float = 1.0
     ) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on some films.
 
-        films : as of `PartBehindLens`
-        more : times as many samples across as the picture's has the film whose PSFs are taken
+        films : pictures with their halos, for `PartBehindLens`
+        width_ratio : samples across the film on which the PSFs are sampled, over those of the
+            picture
         """
-        height, width = (math.ceil(more * count) for count in self.image.shape)
-        psf_film = (height, width), self.image.pitch_um / more
-        middle = (
-            (side.start + side.stop - n) / 2 * self.image.pitch_um
-            for side, n in zip(place, self.image.shape, strict=True)
+        height, width = (math.ceil(width_ratio * count) for count in self.image.shape)
+        psf_film = (height, width), self.image.pitch_um / width_ratio
+
+        # The middle of the part, from the middle of the picture.
+        y_um, x_um = (
+            (side.start + side.stop - count) / 2 * self.image.pitch_um
+            for side, count in zip(region, self.image.shape, strict=True)
         )
-        y_um, x_um = middle
-        part = PartBehindLens(films, (y_um, x_um), self.seen, psf_film)
+        part = PartBehindLens(films, (y_um, x_um), self.mean_spectrum, psf_film)
         return part.lights(
             self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations
         )
 
     def film_lights(
-        self, places: Sequence[Place], films: int, progress: Progress | None = None
+        self, regions: Sequence[Region], films: int, progress: Progress | None = None
     ) -> list[list[tuple[ChannelLight, ...]]]:
-        """Return the light of parts on the film and on coarser ones; one light of the whole picture
-        where there are no places.
+        """Return the light of parts on the film and on coarser ones: (films)(parts)(channels).
 
-        That is made of patches with a blur each, where its detail is measured, not its blur.
+        Without regions it is one light of the whole picture, joined from patches with a blur each:
+        the picture's detail is measured, not its blur.
+
+        films : number of films
         """
-        patches = places or patches_of(self.image)
+        patches = regions or patches_of(self.image)
 
         def on_films(number: int) -> list[tuple[ChannelLight, ...]]:
-            around = [(_surrounded(self.image, patches[number], self.halo), self.halo)]
+            picture = _with_halo(self.image, patches[number], self.halo)
+            pictures = [(picture, self.halo)]
             for _ in range(1, films):
-                around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
-            return self._lights(around, patches[number])
+                finer, halo = pictures[-1]
+                pictures.append((coarser(finer, 2), halo // 2))
+            return self._lights(pictures, patches[number])
 
         patch_lights = list(
             zip(
@@ -796,7 +832,7 @@ class BehindLens:
                 strict=True,
             )
         )
-        if places:
+        if regions:
             return [list(lights) for lights in patch_lights]
         across = len({columns.start for _, columns in patches})
         return [[_joined(lights, across)] for lights in patch_lights]
@@ -809,21 +845,23 @@ class BehindLens:
         """
         films = []
         for image in fine:
-            halo, (rows, columns) = (
-                round(self.halo * self.image.pitch_um / image.pitch_um),
-                image.shape,
-            )
-            films.append((_surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
-        return self._lights(films, part.place, MAX_FINER_RATIO)
+            rows, columns = image.shape
+            halo = round(self.halo * self.image.pitch_um / image.pitch_um)
+            picture = _with_halo(image, (slice(0, rows), slice(0, columns)), halo)
+            films.append((picture, halo))
+        return self._lights(films, part.region, _MAX_FINER_RATIO)
 
 
 def _mapped_in_threads(
     function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None
 ) -> list[Item]:
-    """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the
-    others by `in_threads`.
+    """Return the results of a function for 0 … count - 1: the first computed alone, for what all
+    share, and the others by `in_threads`.
+
+    size : of all calls, for `in_threads`
     """
-    results, step_done = {}, steps_of(progress, count)
+    results: dict[int, Item] = {}
+    step_done = steps_of(progress, count)
 
     def compute(number: int) -> None:
         results[number] = function(number)
@@ -850,17 +888,21 @@ def _finer_delta_e(
     imaging: Imaging,
     progress: Progress | None = None,
 ) -> Array:
-    """Return `FilmSteps.finer_delta_e`."""
+    """Return the mean ΔE of parts on the film itself and on the films `FINER_FILMS`, (films,
+    parts).
+    """
     if not parts:
         return np.empty(0)
 
     def on_films(
         number: int,
     ) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
-        fine = [parts[number].finer(*film) for film in FINER]
-        return fine, lens.part_lights(parts[number], fine) if lens else [None] * len(FINER)
+        fine = [parts[number].finer(*film) for film in FINER_FILMS]
+        if lens is None:
+            return fine, [None] * len(FINER_FILMS)
+        return fine, lens.part_lights(parts[number], fine)
 
-    cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
+    cells = len(FINER_FILMS) * sum(math.prod(part.image.shape) for part in parts)
     images, lights = zip(*_mapped_in_threads(on_films, len(parts), cells), strict=True)
     films = [
         [(image, part.display) for image, part in zip(film, parts, strict=True)]
@@ -870,8 +912,8 @@ def _finer_delta_e(
 
 
 def _cells_at_once(image: SpectralImage) -> int:
-    """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a
-    larger one.
+    """Return the number of cells of a picture; 0 if several evaluations of it do not fit into
+    memory at once.
     """
     cells = math.prod(image.shape)
     return cells if cells <= MEASURED else 0
@@ -896,12 +938,16 @@ def delta_e_on_films(
     step_done = steps_of(progress, len(films))
     divisions = PARTS if len(films[0]) == 1 else 1
     delta_e = np.empty((len(films), len(films[0]) * divisions**2))
+
+    # The frames of the first film are exposed first: all films have their noise.
     first = chains_of_film(films[0], lights[0], imaging)
     noise = [standard_noise_of(chain, imaging, number) for number, chain in enumerate(first)]
 
     def measure(step: int) -> None:
         chains = chains_of_film(films[step], lights[step], imaging) if step else first
-        maps = [score_with(chain, noise[number]).delta_e for number, chain in enumerate(chains)]
+        maps = [
+            score_with_noise(chain, noise[number]).delta_e for number, chain in enumerate(chains)
+        ]
         delta_e[step] = np.concatenate(
             [_means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
         )
@@ -941,9 +987,8 @@ def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Arr
     sensor_rng, correction_rng = stream(*key, "sensor"), stream(*key, "correction")
     frame = chain.capture_with(sensor_rng, sensor_rng, correction_rng)
     mean = noiseless_frame(chain, frame.integration_s)
-    return np.asarray(
-        (frame.estimate_e - mean.estimate_e) / _deviation_e(chain, frame.integration_s)
-    )
+    noise_e = frame.estimate_e - mean.estimate_e
+    return np.asarray(noise_e / _deviation_e(chain, frame.integration_s))
 
 
 def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
@@ -951,20 +996,20 @@ def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
     closed form.
     """
     signal_e = chain.signal_e_per_s * integration_s
-    return np.asarray(
-        np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.readout)) / chain.readout.dn_per_e
-    )
+    variance_dn2 = frame_variance_dn2(signal_e, integration_s, chain.readout)
+    return np.asarray(np.sqrt(variance_dn2) / chain.readout.dn_per_e)
 
 
 def _means_over_rectangles(picture: Array, divisions: int) -> Array:
     """Return the means over divisions × divisions rectangles of a picture (H, W), row by row."""
-    rows = np.array_split(picture, divisions, axis=0)
-    return np.array(
-        [part.mean(dtype=float) for row in rows for part in np.array_split(row, divisions, axis=1)]
-    )
+    means = []
+    for row in np.array_split(picture, divisions, axis=0):
+        for rectangle in np.array_split(row, divisions, axis=1):
+            means.append(rectangle.mean(dtype=float))
+    return np.array(means)
 
 
-def score_with(chain: ImagingChain, standard_noise: Array) -> FrameScore:
+def score_with_noise(chain: ImagingChain, standard_noise: Array) -> FrameScore:
     """Return the score of a frame with a noise that is known but for its standard deviation.
 
     Drawn anew for each film, the noise would hide changes of mean ΔE of less than 1e-3.

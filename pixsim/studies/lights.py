@@ -43,7 +43,7 @@ from pixsim.studies.design import (
     study_pitches_um,
 )
 from pixsim.studies.engine import Workers, results_of, workers_here
-from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
+from pixsim.studies.film_error import FilmError, display_of_columns, measure_film, measured_regions
 from pixsim.studies.settings import Study
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -122,11 +122,11 @@ class LightRequest:
         return self.first.film_shape(self.camera, self.first.for_camera(self.camera))
 
     def render(
-        self, scene: Scene, plan: Plan, *, keep: bool = True, progress: Progress | None = None
+        self, scene: Scene, plan: Plan, *, use_cache: bool = True, progress: Progress | None = None
     ) -> tuple[SpectralImage, RenderNoise]:
         """Return the picture of a film, and its noise, within the limits of the settings.
 
-        keep : use the cache of renders
+        use_cache : use the cache of renders
         """
         return render_until(
             scene,
@@ -135,7 +135,7 @@ class LightRequest:
             [self.pixel],
             self.measured[0].exposure,
             self.settings.seed,
-            keep=keep,
+            keep=use_cache,
             render_noise=self.settings.render_noise,
             max_seconds=self.settings.max_seconds,
             tolerance_delta_e=self.settings.tolerance_delta_e,
@@ -165,7 +165,7 @@ class LightRequest:
             self.measured,
             chart=plan.film.chart,
             tolerance_delta_e=self.settings.tolerance_delta_e,
-            keep=True,
+            use_cache=True,
             progress=progress,
         )
 
@@ -177,17 +177,19 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
     with suppressed_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
-    places = measured_places(image, imaging.physics.read_pitch_um, imaging.display)
+    regions = measured_regions(image, imaging.physics.read_pitch_um, imaging.display)
     whole = slice(0, image.shape[0]), slice(0, image.shape[1])
     delta_e = []
 
-    for place in places or [whole]:
+    for region in regions or [whole]:
         pictures, exposure = [], None
         for light in (image, other):
-            planes = light.planes[:, place[0], place[1]]
+            planes = light.planes[:, region[0], region[1]]
             part = light.with_planes(planes, header=light.header | white)
             display = (
-                display_of(imaging.display, place[1], image.shape[1]) if places else imaging.display
+                display_of_columns(imaging.display, region[1], image.shape[1])
+                if regions
+                else imaging.display
             )
             on_part = imaging.changed(display=display)
             chain = make_chain(on_part, prepare_scene(on_part, SceneLight(part)))

@@ -25,7 +25,7 @@ from pixsim.studies.film_error import (
     chains_of_film,
     light_error_and_limit,
     measure_film,
-    score_with,
+    score_with_noise,
     standard_noise_of,
 )
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
@@ -306,12 +306,12 @@ def _measure(
     plan = request.plan_of(scene)
     start = time.perf_counter()
     with suppressed_warnings():  # the default render gives them
-        image, _ = noisier_request.render(scene, plan, keep=False)
+        image, _ = noisier_request.render(scene, plan, use_cache=False)
         image.header |= white_header([(imaging, image)])
         (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
         if noise is None or noise.shape != chain.signal_e_per_s.shape:
             noise = standard_noise_of(chain, imaging, 0)
-        mean_delta_e = score_with(chain, noise).mean_delta_e
+        mean_delta_e = score_with_noise(chain, noise).mean_delta_e
         seconds = time.perf_counter() - start
         film = measure_film(image, [imaging], chart=plan.film.chart)
     light, limit = light_error_and_limit(image.header, film)

@@ -31,14 +31,14 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.film_error import (
-    FINER,
+    FINER_FILMS,
     FilmSteps,
     coarser,
     film_error,
     film_steps,
     finer_parts,
+    has_whole_blocks,
     measure_film,
-    merges,
     parts_of,
 )
 from pixsim.viewer.display_options import Display
@@ -242,18 +242,20 @@ def test_film_error_limits() -> None:
     assert film_error(0.01, 0.005, finer=0.1) == pytest.approx(
         0.25
     )  # all coarser films are alike by chance
-    assert film_error(0.01, 0.005, per_dot=3.0) == film_error(
+    assert film_error(0.01, 0.005, dot_samples=3.0) == film_error(
         0.01, 0.005
     )  # 2.7 samples a dot, or more
-    assert film_error(0.01, 0.005, per_dot=1.0) == pytest.approx(
+    assert film_error(0.01, 0.005, dot_samples=1.0) == pytest.approx(
         0.015
     )  # a sample may hide as much again
-    assert film_error(0.01, 0.005, per_dot=0.5) == pytest.approx(0.06)
-    assert film_error(0.01, 0.005, per_dot=0.5, is_chart=True) == film_error(
+    assert film_error(0.01, 0.005, dot_samples=0.5) == pytest.approx(0.06)
+    assert film_error(0.01, 0.005, dot_samples=0.5, is_chart=True) == film_error(
         0.01, 0.005
     )  # its finer films do not alias
-    assert film_error(0.0, 0.0, 2.0, per_dot=1.0) == 0
-    assert film_error(0.0, 0.0, 2.0, per_dot=0.5) == pytest.approx(0.2 * 2.0)  # all detail is gone
+    assert film_error(0.0, 0.0, 2.0, dot_samples=1.0) == 0
+    assert film_error(0.0, 0.0, 2.0, dot_samples=0.5) == pytest.approx(
+        0.2 * 2.0
+    )  # all detail is gone
 
 
 # --- Finer films ---
@@ -266,7 +268,7 @@ def test_finer_film_shows_an_edge_within_samples_where_their_means_put_it() -> N
     for turned in (fine, fine.T):
         film = turned.reshape(32, 6, 32, 6).mean(axis=(1, 3))
         (part,) = finer_parts(light(film), 1.0, Display(dots=8), None)
-        for repeated, averaged in FINER:
+        for repeated, averaged in FINER_FILMS:
             cells = 32 * repeated // averaged
             means = turned.reshape(cells, 192 // cells, cells, 192 // cells).mean(axis=(1, 3))
             np.testing.assert_allclose(
@@ -277,7 +279,7 @@ def test_finer_film_shows_an_edge_within_samples_where_their_means_put_it() -> N
 def test_finer_film_keeps_the_means_of_samples() -> None:
     picture = np.random.default_rng(5).random((32, 32)).astype(np.float32)
     (part,) = finer_parts(light(picture), 1.0, Display(dots=8), None)
-    same, half_more, twice = (part.finer(*film).factors[1][0] for film in FINER)
+    same, half_more, twice = (part.finer(*film).factors[1][0] for film in FINER_FILMS)
     np.testing.assert_array_equal(same, picture)
     np.testing.assert_allclose(twice.reshape(32, 2, 32, 2).mean(axis=(1, 3)), picture, atol=1e-6)
     pairs = picture.reshape(16, 2, 16, 2).mean(axis=(1, 3))
@@ -322,7 +324,7 @@ def test_finer_film_of_chart_shows_the_chart(shape: tuple[int, int]) -> None:
     )
     assert len(parts) == (16 if shape[0] == 512 else 1)
     for part in parts:
-        rows, columns = (slice(2 * side.start, 2 * side.stop) for side in part.place)
+        rows, columns = (slice(2 * side.start, 2 * side.stop) for side in part.region)
         np.testing.assert_allclose(
             part.finer(2).planes[0], fine.planes[0][rows, columns], rtol=0.006
         )  # the light's fall-off
@@ -419,8 +421,8 @@ def test_coarser_film_conserves_light(factored: bool) -> None:
 
 
 def test_coarser_film_has_whole_blocks() -> None:
-    assert merges((16, 24), 4)
-    assert not merges((16, 26), 4)  # a cut picture would be another one
-    assert not merges((8, 24), 4)
+    assert has_whole_blocks((16, 24), 4)
+    assert not has_whole_blocks((16, 26), 4)  # a cut picture would be another one
+    assert not has_whole_blocks((8, 24), 4)
     with pytest.raises(PixsimError, match="got \\(16, 26\\)"):
         coarser(small_image(True, 16, 26), 4)

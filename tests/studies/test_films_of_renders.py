@@ -33,7 +33,7 @@ from pixsim.studies.film_error import (
     FilmError,
     film_steps,
     measure_film,
-    measured_places,
+    measured_regions,
 )
 from pixsim.studies.lights import render_on_film
 from pixsim.viewer.develop_options import Develop
@@ -71,7 +71,7 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(most: int | None)
     Over a part the blur of this lens changes by up to 9 % of the contrast.
     """
     image, imaging = behind_a_lens(2.0)
-    places = measured_places(image, 12.5, imaging.display, most)
+    places = measured_regions(image, 12.5, imaging.display, most)
     films = BehindLens.of(image, imaging).film_lights(places, 3)
     right = lights_of(image, imaging.camera, imaging.physics)[0].rate_e_per_s_um2
     for factor, lights in zip((1, 2, 4), films, strict=True):
@@ -90,7 +90,7 @@ def test_films_of_a_part_behind_a_real_lens_have_one_psf() -> None:
     """A smooth picture loses nothing on a coarser film: no PSF ends elsewhere there."""
     image, imaging = behind_a_lens(6.0)
     films = BehindLens.of(image, imaging).film_lights(
-        measured_places(image, 12.5, imaging.display, 1), 2
+        measured_regions(image, 12.5, imaging.display, 1), 2
     )
     fine, coarse = (lights[5][0].rate_e_per_s_um2 for lights in films)
     means = fine.reshape(coarse.shape[0], 2, coarse.shape[1], 2).mean(axis=(1, 3))
