@@ -4,12 +4,12 @@ The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (
 smooth curve, a residual that the sensors of a pitch share, and the noise of each sensor (its
 registration with dots and detail, fixed pattern, temporal noise); z and e are standard normal. The
 noise follows from the scatter of the sensors. All pitches have the same registrations, and one
-relative noise, but for those whose scatter is significantly larger (`_loud_pitches`). f is a quintic
-smoothing spline in the logarithm u of the photodiode's width: as a Gaussian process, a quadratic of
-unknown coefficients plus a twice integrated Wiener process of stiffness k (G. Wahba, J. R. Stat.
-Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine
-Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode
-vanishes; against its width it does not.
+relative noise, but for those whose scatter is significantly larger (`_loud_pitches`). f is a
+quintic smoothing spline in the logarithm u of the photodiode's width: as a Gaussian process, a
+quadratic of unknown coefficients plus a twice integrated Wiener process of stiffness k (G. Wahba,
+J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
+Machine Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the
+photodiode vanishes; against its width it does not.
 
 Where the mean ΔE of the sizes spans more than a factor `STEEP`, all this is said of its logarithm,
 whose noise is the relative noise s: of a curve that is steep at one end and flat at the minimum,
@@ -74,8 +74,8 @@ RESIDUALS = (0.0, 0.1, 0.25, 0.5)
 _RIPPLES = (0.0, 5e-4, 1.5e-3, 3e-3)
 RIPPLE_LENGTH = 0.035
 _NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each of the others
-# Half the shortest interval, in units of the best size: the sweeps behind `_RIPPLES` have steps of 3
-# %, and show no shorter ripples.
+# Half the shortest interval, in units of the best size: the sweeps behind `_RIPPLES` have steps
+# of 3 %, and show no shorter ripples.
 _SHORTEST_HALF = 0.0075
 _LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
 _NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
@@ -242,16 +242,17 @@ class Posterior:
     def __init__(
         self, design: Design, stiffness: float, residual: float, y: Array, ripple: float = 0.0
     ) -> None:
-        self.design, self.u, self.stiffness, self.residual, self.ripple = (
-            design,
-            design.u,
-            stiffness,
-            residual,
-            ripple,
-        )
+        self.design = design
+        self.u = design.u
+        self.stiffness = stiffness
+        self.residual = residual
+        self.ripple = ripple
+
+        # Generalised least squares: whiten the data and the quadratic, then solve for the latter.
         self._whitener = _inverse_factor(design.covariance(stiffness, residual, ripple))
-        both = self._whitener @ np.column_stack([y, quadratic(design.u)])
-        self._y, self._basis = both[:, 0], both[:, 1:]
+        whitened = self._whitener @ np.column_stack([y, quadratic(design.u)])
+        self._y = whitened[:, 0]
+        self._basis = whitened[:, 1:]
         self._basis_whitener = _inverse_factor(self._basis.T @ self._basis)
         self._beta = self._basis_whitener @ (self._basis.T @ self._y)
         self._coefficients = self._basis_whitener.T @ self._beta
@@ -261,17 +262,16 @@ class Posterior:
     def log_likelihood(self) -> float:
         """Log-likelihood of the data, marginalised over the quadratic, up to a constant."""
         misfit = self._y @ self._y - self._beta @ self._beta
-        return float(
-            sum(np.log(np.diag(factor)).sum() for factor in (self._whitener, self._basis_whitener))
-            - misfit / 2
-        )
+        factors = self._whitener, self._basis_whitener
+        log_determinants = sum(np.log(np.diag(factor)).sum() for factor in factors)
+        return float(log_determinants - misfit / 2)
 
     def mean(self, places: Array) -> Array:
         """Return the posterior mean at places, (n,)."""
-        process = _curve_covariance(places, self.u, self.stiffness, self.ripple)
-        return multiplied(process, self._weights) + multiplied(
-            quadratic(places), self._coefficients
-        )
+        covariance = _curve_covariance(places, self.u, self.stiffness, self.ripple)
+        process = multiplied(covariance, self._weights)
+        trend = multiplied(quadratic(places), self._coefficients)
+        return process + trend
 
     def covariance(self, places: Array) -> Array:
         """Return the posterior covariance between places, (n, n)."""
@@ -285,8 +285,10 @@ def _curve_covariance(places: Array, other_places: Array, stiffness: float, ripp
     """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a
     ripple.
     """
-    smooth = stiffness**2 * wiener_covariance(places, other_places)
-    return smooth + ripple**2 * ripple_covariance(places, other_places) if ripple else smooth
+    covariance = stiffness**2 * wiener_covariance(places, other_places)
+    if ripple:
+        covariance = covariance + ripple**2 * ripple_covariance(places, other_places)
+    return covariance
 
 
 Covariance = Callable[[Array, Array], Array]
@@ -328,7 +330,8 @@ def wiener_covariance(a: Array, b: Array) -> Array:
 
     It is ∫ (a - w)² (b - w)²/4 dw, from 0 to min(a, b).
     """
-    smaller, distance = np.minimum(a, b), np.abs(a - b)
+    smaller = np.minimum(a, b)
+    distance = np.abs(a - b)
     return np.asarray(smaller**3 * (smaller**2 / 5 + distance * smaller / 2 + distance**2 / 3) / 4)
 
 
@@ -355,16 +358,16 @@ def _lower_factor(covariance: Array) -> Array:
     """
     added = 0.0
     while True:
-        factor, failed = dpotrf(
-            covariance + added * np.eye(len(covariance)) if added else covariance, lower=1
-        )
-        if not failed:
+        matrix = covariance + added * np.eye(len(covariance)) if added else covariance
+        factor, failed_order = dpotrf(matrix, lower=1)
+        if not failed_order:
             return np.asarray(factor)
+
+        # The limit exceeds any eigenvalue. It is not met either where a value is not a number.
         size = float(np.abs(covariance).max())
-        if (
-            not added <= len(covariance) * size
-        ):  # which is more than any eigenvalue, unless one is not a number
-            raise LinAlgError(f"the leading minor of order {failed} is not positive definite")
+        limit = len(covariance) * size
+        if not added <= limit:
+            raise LinAlgError(f"the leading minor of order {failed_order} is not positive definite")
         added = 10 * added or float(np.finfo(float).eps) * size
 
 
@@ -376,12 +379,10 @@ def multiplied(matrix: Array, vectors: Array) -> Array:
 
 
 def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
-    """Return the logarithms of the photodiode widths of pitches over that of the first one,
-    (n,).
-    """
-    return np.asarray(
-        np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0])
-    )
+    """Return the logarithms of the photodiode widths of pitches over the first one's, (n,)."""
+    widths_um = width_um(np.asarray(pitch_um, float))
+    first_width_um = width_um(np.array([first_um]))[0]
+    return np.asarray(np.log(widths_um / first_width_um))
 
 
 def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
@@ -394,122 +395,237 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
-    first_um, width_um = float(pitch_um[0]), width_um or np.asarray
-    data = measured(places_of(pitch_um, first_um, width_um), delta_e)
-    u, mean, scale = data.design.u, data.mean, data.scale
+    width_um = width_um or np.asarray
+    data = measured(places_of(pitch_um, float(pitch_um[0]), width_um), delta_e)
     fits, weights = posteriors(data)
 
+    drawn = _drawn_fit(data, fits, weights, pitch_um, width_um)
+    low, high = drawn.pointwise_interval
+    optimum, look_interval_um = _optimum(drawn, fits, weights)
+
+    # The noise of one sensor relative to its mean ΔE is equal at all pitches but the loud ones.
+    likeliest = fits[0]
+    scales = data.noise_scale
+    relative = np.zeros(data.mean.shape)
+    np.divide(likeliest.design.noise, scales, out=relative, where=scales != 0)
+    loud_um = pitch_um[data.loud].tolist()
+    loud = dict(zip(loud_um, relative[data.loud].tolist(), strict=True))
+
+    return FittedCurve(
+        pitch_um=drawn.fine_um,
+        delta_e=drawn.curve,
+        low=low,
+        high=high,
+        optimum=optimum,
+        likeliest=likeliest,
+        noise=float(np.median(relative[~data.loud])),
+        loud=loud,
+        scale=data.scale,
+        logarithmic=data.logarithmic,
+        look_interval_um=look_interval_um,
+        width_um=width_um,
+    )
+
+
+@dataclass(frozen=True)
+class _DrawnFit:
+    """Posterior mean of a curve at fine steps, and curves drawn from its posterior at coarse ones.
+
+    data : mean ΔE of the pitches tried
+    pitch_um : (P,) pitches tried
+    fine_um, fine : (n,) pitches of the fitted curve, and their coordinates u
+    centre : (n,) posterior mean there, in units of the design
+    places : (`PLACES`,) coordinates u of the drawn curves
+    draws : (`DRAWS`, `PLACES`) drawn curves, in units of the design
+    """
+
+    data: Measured
+    pitch_um: Array
+    fine_um: Array
+    fine: Array
+    centre: Array
+    places: Array
+    draws: Array
+
+    @cached_property
+    def curve(self) -> Array:
+        """Mean ΔE of the fitted curve, (n,)."""
+        return self.data.delta_e_of(self.centre)
+
+    @cached_property
+    def curves(self) -> Array:
+        """Mean ΔE of the drawn curves, (`DRAWS`, `PLACES`)."""
+        return self.data.delta_e_of(self.draws)
+
+    @cached_property
+    def minima_um(self) -> Array:
+        """Pitch of the minimum of each drawn curve, (`DRAWS`,)."""
+        return self.pitches_at(minima(self.places, self.curves))
+
+    @cached_property
+    def least_values(self) -> Array:
+        """Least mean ΔE of each drawn curve, (`DRAWS`,)."""
+        return np.asarray(self.curves.min(axis=1))
+
+    @cached_property
+    def has_minimum(self) -> bool:
+        """Whether mean ΔE differs between pitches; else there is no minimum."""
+        return bool(np.ptp(self.data.mean) > ROUNDING * self.data.scale)
+
+    @cached_property
+    def best(self) -> int:
+        """Index of the least value of the fitted curve."""
+        return int(np.argmin(self.curve)) if self.has_minimum else 0
+
+    @property
+    def inside(self) -> bool:
+        """Whether the minimum lies between the smallest and the largest pitch tried."""
+        return self.has_minimum and 0 < self.best < self.fine_um.size - 1
+
+    @cached_property
+    def best_um(self) -> float:
+        """Pitch of the minimum of the fitted curve, interpolated between its steps."""
+        if not self.inside:
+            return float(self.fine_um[self.best])
+        return float(np.exp(minima(np.log(self.fine_um), self.curve[None])[0]))
+
+    @cached_property
+    def pointwise_interval(self) -> tuple[Array, Array]:
+        """Ends of the 95 % interval of mean ΔE at each step, (n,) both."""
+        quantiles = np.quantile(self.draws, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0)
+        low, high = quantiles - self.draws.mean(axis=0)
+        return self._offset_curve(low), self._offset_curve(high)
+
+    def _offset_curve(self, offset: Array) -> Array:
+        """Return mean ΔE of the fitted curve plus an offset (`PLACES`,) in units of the design."""
+        return self.data.delta_e_of(self.centre + np.interp(self.fine, self.places, offset))
+
+    def pitches_at(self, places: Array | list[float]) -> Array:
+        """Return the pitches in µm at coordinates u, (m,)."""
+        return np.asarray(np.exp(np.interp(places, self.fine, np.log(self.fine_um))))
+
+    def places_at(self, pitches_um: list[float]) -> Array:
+        """Return the coordinates u of pitches, (m,)."""
+        return np.interp(pitches_um, self.fine_um, self.fine)
+
+
+def _drawn_fit(
+    data: Measured, fits: list[Posterior], weights: list[float], pitch_um: Array, width_um: Widths
+) -> _DrawnFit:
+    """Return the weighted mean of posteriors, and curves drawn from them."""
     fine_um = np.geomspace(pitch_um[0], pitch_um[-1], _FINE_PLACES)
     fine_um[[0, -1]] = pitch_um[[0, -1]]  # exact, without rounding errors
-    fine = places_of(fine_um, first_um, width_um)
+    fine = places_of(fine_um, float(pitch_um[0]), width_um)
+
     centre = np.zeros(fine.size)
     for fit, weight in zip(fits, weights, strict=True):
         centre += weight * fit.mean(fine)
-    curve = data.delta_e_of(centre)
-    places = np.linspace(0.0, u[-1], PLACES)
-    drawn = drawn_curves(fits, weights, places)
-    curves = data.delta_e_of(drawn)
-    minima_um = np.exp(np.interp(minima(places, curves), fine, np.log(fine_um)))
 
-    slopes = bool(np.ptp(mean) > ROUNDING * scale)  # else there is no minimum
-    best = int(np.argmin(curve)) if slopes else 0
-    inside = slopes and 0 < best < fine_um.size - 1
-    offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(
-        axis=0
-    )
-    low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
-    best_um = (
-        float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
-    )
-    least_low, least_high = float(low[best]), float(high[best])
+    places = np.linspace(0.0, data.design.u[-1], PLACES)
+    draws = drawn_curves(fits, weights, places)
+    return _DrawnFit(data, pitch_um, fine_um, fine, centre, places, draws)
+
+
+@dataclass(frozen=True)
+class _SharpMinimum:
+    """Where a curve that may not be smooth may be least: any convex curve through the sizes tried.
+
+    range_um : (low, high) of such places, within the sizes tried
+    may_be_beyond : (low, high) whether the minimum may lie beyond the smallest or largest size
+    """
+
+    range_um: Array
+    may_be_beyond: tuple[bool, bool]
+
+
+def _sharp_minimum(drawn: _DrawnFit) -> _SharpMinimum | None:
+    """Return where the minimum of a curve may lie that may not be smooth, or None for a smooth one.
+
+    The sizes tried show it: by a steep rise next to the best one, by a fit that dips below it, or
+    by a fit that is least where no convex curve is.
+    """
+    if not drawn.has_minimum:
+        return None
+    data, u = drawn.data, drawn.data.design.u
+
+    # Of ΔE itself: the logarithm of a convex curve need not be convex.
+    low, high = convex_range(u, data.mean, data.ci95)
+    range_um = drawn.pitches_at([low or 0.0, u[-1] if high is None else high])
+
+    tried = int(np.argmin(data.mean))
+    least_tried = data.mean[tried]
+    has_flank = data.mean[max(0, tried - 1) : tried + 2].max() > FLANK * least_tried
+    dips = drawn.curve[drawn.best] < (1 - _DIP) * least_tried
+    is_convex = range_um[0] <= drawn.fine_um[drawn.best] <= range_um[1]
+    if not has_flank and not dips and is_convex:
+        return None
+    return _SharpMinimum(range_um, (low is None, high is None))
+
+
+def _least_interval(drawn: _DrawnFit, sharp: _SharpMinimum | None) -> tuple[float, float]:
+    """Return the 95 % interval of the least expected ΔE."""
+    data = drawn.data
+    low, high = (float(end[drawn.best]) for end in drawn.pointwise_interval)
     if data.logarithmic:
         # The least value of a fit is too low: about as much as the least value of a curve drawn
         # from it is below its own.
-        least_high += max(0.0, float(curve[best]) - float(np.median(curves.min(axis=1))))
-    tried = int(np.argmin(mean))
-    # Of ΔE itself: the logarithm of a convex curve need not be convex.
-    places_low, places_high = convex_range(u, mean, data.ci95)
-    may_be_beyond = places_low is None, places_high is None
-    sharpest = np.exp(
-        np.interp(
-            [places_low or 0.0, u[-1] if places_high is None else places_high],
-            fine,
-            np.log(fine_um),
-        )
-    )
-    has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
-    is_sharp = slopes and (
-        has_flank
-        or curve[best] < (1 - _DIP) * mean[tried]
-        or not sharpest[0] <= fine_um[best] <= sharpest[1]
-    )
-    if is_sharp:
-        least_high = max(
-            least_high, float(mean[tried] + data.ci95[tried])
-        )  # no least value is above that of a size tried
-    at_an_end = [
-        float(np.mean(lowest <= curves.min(axis=1))) for lowest in (curves[:, 0], curves[:, -1])
-    ]
+        bias = float(drawn.curve[drawn.best]) - float(np.median(drawn.least_values))
+        high += max(0.0, bias)
+    if sharp is not None:
+        # No least value is above the mean of a size tried.
+        tried = int(np.argmin(data.mean))
+        high = max(high, float(data.mean[tried] + data.ci95[tried]))
+    return low, high
+
+
+def _optimum(
+    drawn: _DrawnFit, fits: list[Posterior], weights: list[float]
+) -> tuple[Optimum, tuple[float | None, float | None]]:
+    """Return the optimum of a fit, and its interval of `CONFIDENCE` at this look alone."""
+    sharp = _sharp_minimum(drawn)
+    first_um, last_um = drawn.pitch_um[0], drawn.pitch_um[-1]
+
+    # Share of the drawn curves that are least at the smallest size, and at the largest.
+    share_at_first = float(np.mean(drawn.curves[:, 0] <= drawn.least_values))
+    share_at_last = float(np.mean(drawn.curves[:, -1] <= drawn.least_values))
+    may_be_beyond = (False, False) if sharp is None else sharp.may_be_beyond
     is_open = [
-        not slopes or share > (1 - CONFIDENCE) / 2 or (is_sharp and beyond)
-        for share, beyond in zip(at_an_end, may_be_beyond, strict=True)
+        not drawn.has_minimum or share > (1 - CONFIDENCE) / 2 or is_beyond
+        for share, is_beyond in zip((share_at_first, share_at_last), may_be_beyond, strict=True)
     ]
 
-    def interval_of(level: float) -> tuple[float | None, float | None]:
-        """Interval of the minimum's pitch at a confidence."""
-        quantiles_um = np.quantile(minima_um, ((1 - level) / 2, (1 + level) / 2))
-        low_um = min(quantiles_um[0], best_um * (1 - _SHORTEST_HALF))
-        high_um = max(quantiles_um[1], best_um * (1 + _SHORTEST_HALF))
-        if is_sharp:
-            low_um, high_um = min(low_um, sharpest[0]), max(high_um, sharpest[1])
-        low_um, high_um = np.clip(
-            (low_um, high_um), pitch_um[0], pitch_um[-1]
-        ).tolist()  # without rounding errors
+    def interval_um(confidence: float) -> tuple[float | None, float | None]:
+        """Return the interval of the minimum's pitch; None for an open end."""
+        levels = (1 - confidence) / 2, (1 + confidence) / 2
+        low_um, high_um = np.quantile(drawn.minima_um, levels)
+        low_um = min(low_um, drawn.best_um * (1 - _SHORTEST_HALF))
+        high_um = max(high_um, drawn.best_um * (1 + _SHORTEST_HALF))
+        if sharp is not None:
+            low_um = min(low_um, sharp.range_um[0])
+            high_um = max(high_um, sharp.range_um[1])
+        # within the sizes tried, without rounding errors
+        low_um, high_um = np.clip((low_um, high_um), first_um, last_um).tolist()
         return None if is_open[0] else low_um, None if is_open[1] else high_um
 
-    ends = interval_of(CONFIDENCE)
-    is_beside_an_end = max(at_an_end) > (1 - LOOK_CONFIDENCE) / 2
-    within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
-    low_um, high_um = (
-        limit if end is None else end
-        for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True)
-    )
+    look_interval_um = interval_um(CONFIDENCE)
+    low_um, high_um = look_interval_um
+    limits_um = [
+        first_um if low_um is None else low_um,
+        drawn.best_um,
+        last_um if high_um is None else high_um,
+    ]
+    is_beside_an_end = max(share_at_first, share_at_last) > (1 - LOOK_CONFIDENCE) / 2
     optimum = Optimum(
-        pitch_um=best_um,
-        interval_um=interval_of(LOOK_CONFIDENCE) if is_beside_an_end else ends,
-        mean_delta_e=float(curve[best]),
-        mean_delta_e_interval=(least_low, least_high),
-        inside=inside,
-        between_sizes_share=between_sizes_share(
-            fits, weights, np.interp([low_um, best_um, high_um], fine_um, fine)
-        ),
-        within_1_percent_um=within[0],
-        within_2_percent_um=within[1],
+        pitch_um=drawn.best_um,
+        interval_um=interval_um(LOOK_CONFIDENCE) if is_beside_an_end else look_interval_um,
+        mean_delta_e=float(drawn.curve[drawn.best]),
+        mean_delta_e_interval=_least_interval(drawn, sharp),
+        inside=drawn.inside,
+        between_sizes_share=between_sizes_share(fits, weights, drawn.places_at(limits_um)),
+        within_1_percent_um=close_to_least(drawn.fine_um, drawn.curve, 0.01),
+        within_2_percent_um=close_to_least(drawn.fine_um, drawn.curve, 0.02),
     )
-    likeliest = fits[0]
-    scales = data.noise_scale
-    relative = np.divide(
-        likeliest.design.noise, scales, out=np.zeros(mean.shape), where=scales != 0
-    )
-    noise = float(np.median(relative[~data.loud]))  # equal, but for rounding
-    loud = {
-        float(pitch): float(variance)
-        for pitch, variance in zip(pitch_um[data.loud], relative[data.loud], strict=True)
-    }
-    return FittedCurve(
-        fine_um,
-        curve,
-        low,
-        high,
-        optimum,
-        likeliest,
-        noise,
-        loud,
-        scale,
-        data.logarithmic,
-        ends,
-        width_um,
-    )
+    return optimum, look_interval_um
 
 
 @dataclass(frozen=True)
@@ -537,12 +653,9 @@ class Measured:
 
     @property
     def values(self) -> Array:
-        """What is fitted, (P,)."""
-        return (
-            np.asarray(np.log(self.mean / self.scale))
-            if self.logarithmic
-            else self.mean / self.scale
-        )
+        """Mean ΔE over its scale, or the logarithm of that: the values that are fitted, (P,)."""
+        relative_mean = self.mean / self.scale
+        return np.asarray(np.log(relative_mean)) if self.logarithmic else relative_mean
 
     @property
     def ci95(self) -> Array:
@@ -561,14 +674,16 @@ class Measured:
 
 
 def noise_scale(mean: Array, logarithmic: bool) -> Array:
-    """Return the variance of what is fitted over the relative variance of ΔE, of the mean ΔE in
-    units of the scale, (n,).
+    """Return the variance of the fitted values over the relative variance of ΔE, (n,).
+
+    mean : (n,) mean ΔE in units of the scale
+    logarithmic : whether the logarithm is fitted
     """
     return np.ones(mean.shape) if logarithmic else mean**2
 
 
 def measured(u: Array, delta_e: Array) -> Measured:
-    """Return what is fitted of the mean ΔE (P, R) of each sensor at the coordinates u (P,).
+    """Return the means, noise and design of the mean ΔE (P, R) of sensors at coordinates u (P,).
 
     The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over
     pitches; but where the scatter is significantly larger, as where all pixels have one
@@ -581,16 +696,17 @@ def measured(u: Array, delta_e: Array) -> Measured:
     squares = (np.where(valid, delta_e - mean[:, None], 0.0) ** 2).sum(axis=1)
     loud = _loud_pitches(squares, mean, sensors - 1)
 
-    def pooled(which: NDArray[np.bool_]) -> float:
-        expected = float(((sensors - 1) * mean**2)[which].sum())
-        return float(squares[which].sum()) / expected if expected else 0.0
+    def pooled_variance(is_pooled: NDArray[np.bool_]) -> float:
+        """Return the relative variance of one sensor, from the scatter at some pitches."""
+        expected = float(((sensors - 1) * mean**2)[is_pooled].sum())
+        return float(squares[is_pooled].sum()) / expected if expected else 0.0
 
-    relative, degrees = (
-        np.full(mean.shape, pooled(~loud)),
-        np.full(mean.shape, (sensors - 1)[~loud].sum()),
-    )
+    relative = np.full(mean.shape, pooled_variance(~loud))
+    degrees = np.full(mean.shape, (sensors - 1)[~loud].sum())
     for place in np.flatnonzero(loud):
-        relative[place], degrees[place] = pooled(np.arange(mean.size) == place), sensors[place] - 1
+        relative[place] = pooled_variance(np.arange(mean.size) == place)
+        degrees[place] = sensors[place] - 1
+
     logarithmic = bool(mean.max() > STEEP * mean.min() > 0)
     design = Design(u, relative * noise_scale(mean / scale, logarithmic), sensors)
     return Measured(mean, scale, relative, degrees, loud, design, logarithmic)
@@ -606,60 +722,65 @@ def _loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> ND
     squares : (P,) sums of squares about the mean of a pitch
     mean, degrees : (P,) mean ΔE; degrees of freedom of the squares
     """
-    scatter = np.divide(
-        squares, mean**2, out=np.zeros(mean.shape), where=mean != 0
-    )  # of relative deviations
+    # Sums of squares of relative deviations.
+    scatter = np.divide(squares, mean**2, out=np.zeros(mean.shape), where=mean != 0)
     loud = np.zeros(mean.shape, bool)
     while loud.sum() < mean.size // 2:
-        left = (~loud & (degrees > 0)).nonzero()[0]
-        others, others_degrees = (
-            scatter[left].sum() - scatter[left],
-            degrees[left].sum() - degrees[left],
-        )
-        if left.size < 2 or not others.any():
+        quiet = (~loud & (degrees > 0)).nonzero()[0]
+        others_scatter = scatter[quiet].sum() - scatter[quiet]
+        others_degrees = degrees[quiet].sum() - degrees[quiet]
+        if quiet.size < 2 or not others_scatter.any():
             break
+
         with np.errstate(divide="ignore"):
-            ratio = scatter[left] / degrees[left] / (others / others_degrees)
-        chance = fdtrc(degrees[left], others_degrees, ratio)
-        worst = int(np.argmin(chance))
-        if chance[worst] >= _LOUD / mean.size:
+            ratio = scatter[quiet] / degrees[quiet] / (others_scatter / others_degrees)
+        chance = fdtrc(degrees[quiet], others_degrees, ratio)
+        loudest = int(np.argmin(chance))
+        if chance[loudest] >= _LOUD / mean.size:
             break
-        loud[left[worst]] = True
+        loud[quiet[loudest]] = True
     return loud
 
 
 def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
-    """Return posteriors of all parameters that are likely, the likeliest first, and their weights,
-    of sum 1.
-    """
-    design, degrees = data.design, data.degrees.astype(float)
+    """Return posteriors of all likely parameters, the likeliest first, and their weights, sum 1."""
+    design = data.design
     noise = float(np.sqrt(np.median(design.noise)))
-    has_noise = bool(design.noise.any())
     ripples = [ripple for ripple in _RIPPLES if ripple == 0 or ripple > noise]
+    residuals = RESIDUALS if design.noise.any() else (0.0,)
     fits = []
-    for quantile in _NOISE_QUANTILES if has_noise else _NOISE_QUANTILES[:1]:
-        variance = (
-            degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))
-            if has_noise
-            else np.ones(design.u.size)
-        )  # degrees/χ²
-        scaled = Design(design.u, design.noise * variance, design.sensors)
-        for stiffness, residual, ripple in product(
-            STIFFNESS.tolist(), RESIDUALS if has_noise else (0.0,), ripples
-        ):
+    for scaled in _designs_of_likely_noise(data):
+        for stiffness, residual, ripple in product(STIFFNESS.tolist(), residuals, ripples):
             fits.append(Posterior(scaled, stiffness, residual, data.values, ripple))
 
+    # Likelihood times priors.
     stiffnesses = np.array([fit.stiffness for fit in fits])
-    logs = (
-        np.array([fit.log_likelihood for fit in fits])
-        - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
-    )
-    logs[[fit.ripple == 0 for fit in fits]] += np.log(_NO_RIPPLE_WEIGHT)
-    weights = np.exp(logs - logs.max())
+    log_likelihoods = np.array([fit.log_likelihood for fit in fits])
+    log_weights = log_likelihoods - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
+    log_weights[[fit.ripple == 0 for fit in fits]] += np.log(_NO_RIPPLE_WEIGHT)
+    weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
+
+    # The others weigh too little to draw from.
     order = np.argsort(-weights, kind="stable")
     used = order[: int(np.searchsorted(np.cumsum(weights[order]), _WEIGHT_USED)) + 1]
     return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
+
+
+def _designs_of_likely_noise(data: Measured) -> list[Design]:
+    """Return the design at quantiles of its noise, which a finite number of sensors leaves unsure.
+
+    The variance of a pitch is its estimate times degrees of freedom over χ².
+    """
+    design = data.design
+    if not design.noise.any():
+        return [design]
+    degrees = data.degrees.astype(float)
+    designs = []
+    for quantile in _NOISE_QUANTILES:
+        factor = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))
+        designs.append(replace(design, noise=design.noise * factor))
+    return designs
 
 
 def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array) -> float:
@@ -703,14 +824,13 @@ def drawn_curves(
     normal = _normal((DRAWS, places.size), seed)
     curves = np.empty_like(normal)
     for fit, first, last in zip(fits, [0, *ends[:-1]], ends, strict=True):
-        if last > first:
-            covariance = fit.covariance(places)
-            covariance.flat[:: places.size + 1] += ROUNDING**2 * max(
-                1.0, float(covariance.trace()) / places.size
-            )
-            curves[first:last] = fit.mean(places) + multiplied(
-                _lower_factor(covariance), normal[first:last]
-            )
+        if last == first:
+            continue
+        covariance = fit.covariance(places)
+        mean_variance = float(covariance.trace()) / places.size
+        covariance.flat[:: places.size + 1] += ROUNDING**2 * max(1.0, mean_variance)
+        deviations = multiplied(_lower_factor(covariance), normal[first:last])
+        curves[first:last] = fit.mean(places) + deviations
     return curves
 
 
@@ -732,10 +852,9 @@ def minima(places: Array, curves: Array) -> Array:
     )
     bend = np.maximum(left - 2 * middle + right, np.finfo(float).tiny)
     with np.errstate(over="ignore"):  # a straight line's vertex is infinitely far away
-        between = places[inner] + (places[1] - places[0]) * np.clip(
-            (left - right) / (2 * bend), -1, 1
-        )
-    return np.where(inner == lowest, between, places[lowest])
+        shift = np.clip((left - right) / (2 * bend), -1, 1)
+    vertex = places[inner] + (places[1] - places[0]) * shift
+    return np.where(inner == lowest, vertex, places[lowest])
 
 
 def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float | None]:
@@ -764,7 +883,8 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
         if not 0 <= far < x.size or y[far] <= y[near]:  # one point, or no convex curve
             return float(x[near])
         share = (y[near] - y[first]) / (y[far] - y[near])
-        return float(np.clip(x[near] + (x[near] - x[far]) * share, *sorted((x[near], x[first]))))
+        crossing = x[near] + (x[near] - x[far]) * share
+        return float(np.clip(crossing, *sorted((x[near], x[first]))))
 
     return end(int(lowest[0]), -1), end(int(lowest[-1]), 1)
 
@@ -772,15 +892,16 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
 def close_to_least(
     pitch_um: Array, curve: Array, share: float
 ) -> tuple[float | None, float | None]:
-    """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an
-    end of the curve.
+    """Return the range of pitches with mean ΔE within a relative share of the minimum.
+
+    An end that is an end of the curve is None.
     """
     minimum = float(curve.min())
     near = np.flatnonzero(curve <= minimum + share * abs(minimum))
     low, high = int(near[0]), int(near[-1])
-    return None if low == 0 else float(pitch_um[low]), (
-        None if high == pitch_um.size - 1 else float(pitch_um[high])
-    )
+    low_um = None if low == 0 else float(pitch_um[low])
+    high_um = None if high == pitch_um.size - 1 else float(pitch_um[high])
+    return low_um, high_um
 
 
 def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
@@ -831,17 +952,20 @@ def fittable_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
     fittable = np.isfinite(loss).any(axis=1) & ~dead
     if fittable.any() and dead.any():
         best = int(np.nanargmin(np.where(fittable, mean_of_sensors(loss), np.nan)))
-        at = np.flatnonzero(dead)
-        low, high = at[at < best].max(initial=-1), at[at > best].min(initial=len(values))
-        fittable &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
+        dead_places = np.flatnonzero(dead)
+        low = dead_places[dead_places < best].max(initial=-1)
+        high = dead_places[dead_places > best].min(initial=len(values))
+        places = np.arange(len(values))
+        fittable &= (places > low) & (places < high)
     return np.asarray(fittable)
 
 
 def fit_of_metric(
     metric: Metric, pitch_um: Array, values: Array, width_um: Widths
 ) -> FittedCurve | None:
-    """Return the fitted curve of a metric's loss at its `fittable_pitches`; None if it tells no best
-    size, or not of these values.
+    """Return the curve fitted to a metric's loss at its `fittable_pitches`.
+
+    Returns None for a metric without an optimum, and for values that do not determine one.
 
     values : (pitches, sensors)
     """

@@ -390,8 +390,8 @@ def prepare(
             {"": [UserSettings.from_setting(imaging, settings, picture=picture)]}
         )
     camera = whole.window(settings.window_mm)
-    of_sheet = settings.pixel.technology == NO_TECHNOLOGY
-    view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
+    is_data_sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(pitch_um, camera, settings.display, scene) if is_data_sheet else {}
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = light_source if scene is None else scene_with_view(scene, view)
     case = Case(
