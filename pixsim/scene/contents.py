@@ -70,6 +70,8 @@ def find_lamps(state: Tree, variant: str) -> list[Lamp]:
     """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the
     last group.
     """
+    # Pictures cannot be scaled, so emitters with pictures share a group only at the same power.
+    # Key of a group: key of the spectrum, and the power of its pictures; None without a picture.
     groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
@@ -77,27 +79,30 @@ def find_lamps(state: Tree, variant: str) -> list[Lamp]:
         emission = _emission(state, node)
         if emission is None:
             coloured[index] = name, 1.0
-        else:
-            key, scale, picture = emission
-            # Pictures cannot be scaled, so emitters with pictures share a group only at the same
-            # power.
-            groups.setdefault((key, None if picture is None else scale), []).append(
-                (index, name, scale, picture)
-            )
-    hosts: dict[tuple[Any, ...], tuple[Any, ...]] = {}  # spectrum -> the first group with pictures
-    for key, scale in groups:
-        if scale is not None:
-            hosts.setdefault(key, (key, scale))
-    for key, host in hosts.items():
-        groups[host] += groups.pop((key, None), [])  # emitters without a picture may have any power
+            continue
+        key, power, picture = emission
+        group = key, None if picture is None else power
+        groups.setdefault(group, []).append((index, name, power, picture))
+
+    # Emitters without a picture may have any power: they join the first group with pictures of
+    # their spectrum.
+    picture_groups: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+    for key, power in groups:
+        if power is not None:
+            picture_groups.setdefault(key, (key, power))
+    for key, group in picture_groups.items():
+        groups[group] += groups.pop((key, None), [])
+
     lamps = []
-    for (key, scale), parts in groups.items():
-        first = max(power for _, _, power, _ in parts) if scale is None else scale
-        pictures: dict[int, tuple[str, int | float]] = {
-            index: (name, picture if picture is not None else (power / first if first else 1.0))
-            for index, name, power, picture in parts
-        }
-        lamps.append(Lamp(evaluate(key, variant) * first, pictures))
+    for (key, picture_power), emitters in groups.items():
+        group_power = picture_power
+        if picture_power is None:
+            group_power = max(power for _, _, power, _ in emitters)
+        pictures: dict[int, tuple[str, int | float]] = {}
+        for index, name, power, picture in emitters:
+            relative_power = power / group_power if group_power else 1.0
+            pictures[index] = name, relative_power if picture is None else picture
+        lamps.append(Lamp(evaluate(key, variant) * group_power, pictures))
     return [*lamps, Lamp(None, coloured)] if coloured else lamps
 
 
@@ -108,60 +113,67 @@ def find_lamp(state: Tree, variant: str) -> Lamp | None:
 
 
 def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int | None] | None:
-    """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if
+    """Return an emitter's spectrum (a hashable key), power and neutral picture (a node); None if
     they cannot be separated.
     """
     name = EMISSION.get(emitter.plugin)
     if name is None:
         return None
     if name not in emitter:  # Mitsuba's default: a d65 of scale 1
-        return (("d65",), 1.0, None)
-    others = [index for key, index in children(emitter, state).items() if key != name]
-    if any(
-        not is_neutral(state.nodes[index])
-        for index in others
-        if state.nodes[index].kind == "Texture"
-    ):
-        return None  # the coloured texture of a spot
-    kind = emitter.kind_of(name)
-    if kind in ("Float", "Integer"):  # a plain number is a d65 of that scale
-        return (("d65",), float(emitter[name]), None)
-    if kind == "Color":
-        return (("rgb", emitter.text_of(name)), 1.0, None)
-    if kind == "Spectrum":
-        value = emitter[name]
-        if value.uniform:
-            return (("uniform",), float(value.values[0]), None)
-        return (
-            ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))),
-            1.0,
-            None,
-        )
-    if kind not in ("ResolvedReference", "Reference"):
-        return None
-    index = children(emitter, state)[name]
+        return ("d65",), 1.0, None
+
+    # The texture of a spot is beside its spectrum.
+    for key, index in children(emitter, state).items():
+        node = state.nodes[index]
+        if key != name and node.kind == "Texture" and not is_neutral(node):
+            return None
+
+    match emitter.kind_of(name):
+        case "Float" | "Integer":  # a plain number is a d65 of that scale
+            return ("d65",), float(emitter[name]), None
+        case "Color":
+            return ("rgb", emitter.text_of(name)), 1.0, None
+        case "Spectrum":
+            value = emitter[name]
+            if value.uniform:
+                return ("uniform",), float(value.values[0]), None
+            return _table_key(parsed_table(value)), 1.0, None
+        case "ResolvedReference" | "Reference":
+            return _texture_emission(state, children(emitter, state)[name])
+    return None
+
+
+def _texture_emission(state: Tree, index: int) -> tuple[tuple[Any, ...], float, int | None] | None:
+    """Return what `_emission` does, for light that a texture describes.
+
+    index : node of the texture
+    """
     node = state.nodes[index]
-    plugin = node.plugin
-    if plugin == "bitmap" and is_neutral(node):
-        return (("uniform",), 1.0, index)
+    if node.plugin == "bitmap" and is_neutral(node):
+        return ("uniform",), 1.0, index
+
+    # A spectrum may hold a neutral picture.
     nested = list(children(node, state).values())
     if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
         return None
     picture = nested[0] if nested else None
+
     values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
-    if plugin == "uniform":
-        return (("uniform",), float(values.get("value", 1.0)), picture)
-    if plugin == "d65":
-        return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node else None
-    if (table := _table_of(node)) is not None:
-        return (
-            ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())),
-            1.0,
-            picture,
-        )
-    if plugin == "blackbody":
-        return ((plugin, *sorted(values.items())), 1.0, picture)
+    table = _table_of(node)
+    if node.plugin == "uniform":
+        return ("uniform",), float(values.get("value", 1.0)), picture
+    if node.plugin == "d65" and "color" not in node:
+        return ("d65",), float(values.get("scale", 1.0)), picture
+    if table is not None:
+        return _table_key(table), 1.0, picture
+    if node.plugin == "blackbody":
+        return ("blackbody", *sorted(values.items())), 1.0, picture
     return None
+
+
+def _table_key(table: Spectrum) -> tuple[Any, ...]:
+    """Return the key of a spectrum that is a table, for `evaluate`."""
+    return "table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())
 
 
 def is_neutral(texture: Node) -> bool:
@@ -178,51 +190,54 @@ def _table_of(node: Node) -> Spectrum | None:
     """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else
     None.
     """
-    plugin = node.plugin
-    if plugin not in ("regular", "irregular"):
+    if node.plugin not in ("regular", "irregular"):
         return None
+
     with suppress(KeyError, ValueError):
         values = np.array(numbers(node["values"]))
-        if plugin == "irregular":
+        if node.plugin == "irregular":
             return Spectrum(np.array(numbers(node["wavelengths"])), values)
-        ends = (
-            (node["wavelength_min"], node["wavelength_max"])
-            if "wavelength_min" in node
-            else numbers(node["range"])
-        )
-        low, high = map(float, ends)
+        if "wavelength_min" in node:
+            low, high = float(node["wavelength_min"]), float(node["wavelength_max"])
+        else:
+            low, high = numbers(node["range"])
         return Spectrum(np.linspace(low, high, values.size), values)
     return None
 
 
 def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     """Return the spectrum of a key from `_emission`."""
-    if key[0] == "table":
+    plugin = key[0]
+    if plugin == "table":
         return Spectrum(np.array(key[1]), np.array(key[2]))
-    if key[0] == "uniform":
+    if plugin == "uniform":
         return tabulated(np.ones(grid_nm().size))
-    if key[0] == "rgb":  # an emitter multiplies it by D65
+    if plugin == "rgb":  # an emitter multiplies it by D65
         colour = {"type": "rgb", "value": numbers(key[1])}
         return tabulated(evaluate_spectrum({"type": "constant", "radiance": colour}, variant))
-    described = dict(key[1:])
-    values = evaluate_spectrum({"type": key[0], **described}, variant)
-    if key[0] != "blackbody" or "wavelength_max" in described or "wavelength_min" in described:
-        return tabulated(values)
-    # Mitsuba ends at 360 and 830 nm; what a sensor misses beyond them follows from Planck's law.
+
+    properties = dict(key[1:])
+    values = evaluate_spectrum({"type": plugin, **properties}, variant)
+    if plugin == "blackbody" and not {"wavelength_min", "wavelength_max"} & properties.keys():
+        return _extended_black_body(values, properties["temperature"])
+    return tabulated(values)
+
+
+def _extended_black_body(visible: Array, temperature_k: float) -> Spectrum:
+    """Return a black body's spectrum beyond 360-830 nm, where Mitsuba's ends: what a sensor misses
+    there follows from Planck's law.
+
+    visible : (G,) its spectrum on the grid of 360-830 nm, in any unit
+    """
     nm = np.arange(*_BLACK_BODY_NM)
-    whole = planck(nm, described["temperature"])
+    end_nm = np.array([LOW_NM, HIGH_NM])
+    nearest_end = np.where(nm < LOW_NM, 0, 1)
     with np.errstate(invalid="ignore"):  # 0/0 where it is too cold to shine
-        shape = (
-            whole
-            / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[
-                np.where(nm < LOW_NM, 0, 1)
-            ]
-        )
-    inside = (nm >= LOW_NM) & (nm <= HIGH_NM)
-    ends = np.where(nm < LOW_NM, values[0], values[-1])
-    extended = shape * ends
-    extended[inside] = values
-    return Spectrum(nm, extended)
+        shape = planck(nm, temperature_k) / planck(end_nm, temperature_k)[nearest_end]
+
+    values = shape * np.where(nm < LOW_NM, visible[0], visible[-1])
+    values[(nm >= LOW_NM) & (nm <= HIGH_NM)] = visible
+    return Spectrum(nm, values)
 
 
 def planck(wavelength_nm: Array, temperature_k: float) -> Array:
@@ -234,20 +249,19 @@ def planck(wavelength_nm: Array, temperature_k: float) -> Array:
 
 
 def warnings_of_skies(state: Tree, variant: str) -> list[str]:
-    """Return what Mitsuba warns of in the skies of a scene: that the sun is below the horizon, so
-    that they are dark.
+    """Return Mitsuba's warnings of the skies of a scene: that the sun is below the horizon, so that
+    they are dark.
     """
-    texts = []
+    warnings = []
     for _, node in nodes_of(state, "Emitter"):
-        if node.plugin == "sunsky":
-            simple = {
-                name: value for name, value in plain(node) if isinstance(value, int | float | list)
-            }
-            texts += [
-                f"{node.plugin}: {text}"
-                for text in warnings_of({"type": node.plugin} | simple, variant)
-            ]
-    return texts
+        if node.plugin != "sunsky":
+            continue
+        description: dict[str, Any] = {"type": node.plugin}
+        for name, value in plain(node):
+            if isinstance(value, int | float | list):
+                description[name] = value
+        warnings += [f"{node.plugin}: {text}" for text in warnings_of(description, variant)]
+    return warnings
 
 
 def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
@@ -279,33 +293,30 @@ def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spec
     if not names:
         lamp_spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
         return (lamp_spectra[0],) if len(lamps) == len(lamp_spectra) == 1 else ()
-    emitters = {
-        node.id: (index, EMISSION.get(node.plugin)) for index, node in nodes_of(state, "Emitter")
-    }
-    if unknown := [name for name in names if name not in emitters]:
+
+    emitters = {node.id: (index, node.plugin) for index, node in nodes_of(state, "Emitter")}
+    unknown = [name for name in names if name not in emitters]
+    if unknown:
         allowed = f"ids of emitters of the scene: {', '.join(emitters)}"
         raise invalid(WHITE_LAMPS, f"'{unknown[0]}'", allowed, did_you_mean(unknown[0], emitters))
-    units = dict.fromkeys(str(emitters[name][1]) for name in names)
-    if len(units) > 1:
-        raise invalid(
-            WHITE_LAMPS,
-            f"'{', '.join(names)}', whose spectra are {' and '.join(units)}",
-            "emitters with one unit",
-        )
+
+    quantities = dict.fromkeys(str(EMISSION.get(emitters[name][1])) for name in names)
+    quoted_names = f"'{', '.join(names)}'"
+    if len(quantities) > 1:
+        got = f"{quoted_names}, whose spectra are {' and '.join(quantities)}"
+        raise invalid(WHITE_LAMPS, got, "emitters with one unit")
+
     spectra = []
     for name in names:
         index = emitters[name][0]
         lamp = next(lamp for lamp in lamps if index in lamp.pictures)
         if lamp.spectrum is None:
-            raise invalid(
-                WHITE_LAMPS,
-                f"'{name}', whose spectrum varies over it",
-                "emitters with one spectrum each",
-            )
+            got = f"'{name}', whose spectrum varies over it"
+            raise invalid(WHITE_LAMPS, got, "emitters with one spectrum each")
         power = lamp.pictures[index][1]
         spectra.append(lamp.spectrum * (power if isinstance(power, float) else 1.0))
     if not sum(float(spectrum.values.max()) for spectrum in spectra) > 0:
-        raise invalid(WHITE_LAMPS, f"'{', '.join(names)}', which are dark", "emitters with light")
+        raise invalid(WHITE_LAMPS, f"{quoted_names}, which are dark", "emitters with light")
     return tuple(spectra)
 
 
@@ -345,8 +356,8 @@ class Surfaces:
         they are unknown
     unknown : why they are unknown
     span : range that is computed
-    beyond : what spectra that end within the range are there by the user's word; None if nobody
-        says
+    beyond : how the user continues spectra that end within the range; None if the user says
+        nothing
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
     ending : surfaces that do not say what they are in all of the range, in words
     held : (node, property) -> table in place of that of the scene, which goes on to the ends of the
@@ -370,48 +381,60 @@ class Surfaces:
         single = self.spectra
         if bounces == 1 or not len(single):
             return single
-        # Light after many interreflections, with a small or large probability a of each: ρ/(1 -
-        # aρ).
-        series = [
-            single / (1 - part * np.minimum(single, 1.0))
-            for part in (_TO_AND_FRO if bounces < 0 else ())
-        ]
-        powers = [
-            single**power
-            for power in range(2, MAX_POWER + 1 if bounces < 0 else min(bounces, MAX_POWER) + 1)
-        ]
+
+        max_power = MAX_POWER if bounces < 0 else min(bounces, MAX_POWER)
+        powers = [single**power for power in range(2, max_power + 1)]
+
+        # Light after many interreflections, with a small or large probability a of each:
+        # ρ/(1 - aρ).
+        shares = _TO_AND_FRO if bounces < 0 else ()
+        series = [single / (1 - share * np.minimum(single, 1.0)) for share in shares]
+
         pairs = [
             single[i] * single[j]
             for i, j in combinations_with_replacement(range(len(single)), 2)
             if i != j
         ]
         spread = np.linspace(0, len(pairs) - 1, min(len(pairs), _MAX_PRODUCTS)).astype(int)
-        return np.vstack(
-            [single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])]
-        )
+        spread_pairs = [pairs[index] for index in spread]
+        return np.vstack([single, *powers, *series, *(spread_pairs or [single[:0]])])
 
     def on_grid(self, table: Spectrum, index: int, name: str, words: str) -> Array:
-        """Return a spectrum of a node's property on the grid of the range.
+        """Return a spectrum of a node's property on the grid of the range, (G,).
 
         words : for the surface, in messages
         """
         low, high = float(table.nodes_nm[0]), float(table.nodes_nm[-1])
-        before = bool(low > self.span.low_nm and table.values[0] > 0)
-        after = bool(high < self.span.high_nm and table.values[-1] > 0)
-        if self.beyond == "hold" and (before or after):
-            nodes = [*[self.span.low_nm] * before, *table.nodes_nm, *[self.span.high_nm] * after]
-            values = [*[table.values[0]] * before, *table.values, *[table.values[-1]] * after]
-            table = self.held[index, name] = Spectrum(np.array(nodes), np.array(values))
-        elif self.beyond == "zero" and (
-            before or after
-        ):  # Mitsuba's colours go on beyond their ends
-            self.held[index, name] = table
-        elif self.beyond is None:
-            if (low > LOW_NM and table.values[0] > 0) or (high < HIGH_NM and table.values[-1] > 0):
+        ends_before = bool(low > self.span.low_nm and table.values[0] > 0)
+        ends_after = bool(high < self.span.high_nm and table.values[-1] > 0)
+
+        if self.beyond is None:
+            begins_visibly = low > LOW_NM and table.values[0] > 0
+            ends_visibly = high < HIGH_NM and table.values[-1] > 0
+            if begins_visibly or ends_visibly:
                 self.short.add(f"{low:g}-{high:g} nm")
-            if (before and self.span.low_nm < LOW_NM) or (after and self.span.high_nm > HIGH_NM):
+            is_unknown_before = ends_before and self.span.low_nm < LOW_NM
+            is_unknown_after = ends_after and self.span.high_nm > HIGH_NM
+            if is_unknown_before or is_unknown_after:
                 self.ending.append(f"{words}, {low:g}-{high:g} nm")
+        elif ends_before or ends_after:
+            if self.beyond == "hold":
+                table = self._held_to_ends(table, ends_before, ends_after)
+            # Mitsuba's colours go on beyond their ends, so zeros too are stated.
+            self.held[index, name] = table
         return table.at(grid_nm(span=self.span))
+
+    def _held_to_ends(self, table: Spectrum, ends_before: bool, ends_after: bool) -> Spectrum:
+        """Return a table that goes on with its first or last value to the ends of the range."""
+        nodes_nm = list(table.nodes_nm)
+        values = list(table.values)
+        if ends_before:
+            nodes_nm.insert(0, self.span.low_nm)
+            values.insert(0, values[0])
+        if ends_after:
+            nodes_nm.append(self.span.high_nm)
+            values.append(values[-1])
+        return Spectrum(np.array(nodes_nm), np.array(values))
 
 
 class _UnknownError(Exception):
@@ -424,8 +447,8 @@ def find_surfaces(
     """Return the spectra that BSDFs multiply light with, from the parsed tree.
 
     span : range that is computed
-    beyond : what a spectrum that ends within the range is there: its last value, or 0; None: nobody
-        says
+    beyond : whether spectra that end within the range hold their last value or are zero there; None
+        if the user says nothing
     """
     surfaces = Surfaces(span=span, beyond=beyond)
     try:
@@ -435,6 +458,7 @@ def find_surfaces(
         if span != VISIBLE:
             surfaces.ending.append(surfaces.unknown)
         return surfaces
+
     coloured = [rho for rho in spectra if np.ptp(rho) > _NEUTRAL_SPREAD * max(rho.max(), 1.0)]
     unique = {rho.round(9).tobytes(): rho for rho in coloured}
     surfaces.spectra = np.array(list(unique.values())).reshape(-1, grid_nm(span=span).size)
@@ -445,6 +469,7 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
     """Return the spectra of all BSDFs, neutral ones too. Raises _UnknownError."""
     if nodes_of(state, "Medium"):
         raise _UnknownError("a medium of unknown spectra")
+
     spectra: list[Array] = []
     for index, node in nodes_of(state, "BSDF"):
         plugin = node.plugin
@@ -453,37 +478,36 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
         if plugin not in SPECTRA:
             raise _UnknownError(f"a BSDF '{plugin}' of unknown spectra")
 
-        metal: list[Array] = []
+        fresnel: list[Array] = []
         if plugin in _METALS:
             try:
-                metal = _metal(state, node, variant, surfaces.span)
-            except (
-                PixsimError
-            ) as error:  # of a description that pixsim makes, in which Mitsuba names no element
+                fresnel = _metal_reflectances(state, node, variant, surfaces.span)
+            except PixsimError as error:
+                # Mitsuba names no element in a description that pixsim makes.
                 raise PixsimError(f"the index of {words_of(node)}: {error}") from None
             if surfaces.span != VISIBLE:
                 surfaces.ending.append(f"the metal of {words_of(node)}")
-        spectra += metal
+        spectra += fresnel
 
         for name in SPECTRA[plugin]:
-            if name in node:
-                colours = _property(
-                    state, index, name, variant, surfaces, f"{name} of {words_of(node)}"
-                )
-                spectra += colours
-                if plugin in INSIDE:
-                    spectra += [rho / (1 - _INTERNAL_REFLECTION * rho) for rho in colours]
-                spectra += [rho * fresnel for rho in colours for fresnel in metal]
+            if name not in node:
+                continue
+            words = f"{name} of {words_of(node)}"
+            colours = _property(state, index, name, variant, surfaces, words)
+            spectra += colours
+            if plugin in INSIDE:
+                spectra += [rho / (1 - _INTERNAL_REFLECTION * rho) for rho in colours]
+            spectra += [rho * metal for rho in colours for metal in fresnel]
     return spectra
 
 
 def _property(
-    state: Tree, at: int, name: str, variant: str, surfaces: Surfaces, words: str
+    state: Tree, index: int, name: str, variant: str, surfaces: Surfaces, words: str
 ) -> list[Array]:
     """Return the spectra that a property of a node may have; none if it is neutral. Raises
     _UnknownError.
     """
-    node = state.nodes[at]
+    node = state.nodes[index]
     kind = node.kind_of(name)
     if kind in ("Float", "Integer"):
         return []
@@ -492,49 +516,52 @@ def _property(
         if not np.ptp(value):
             return []
         colour = tabulated(evaluate_spectrum({"type": "rgb", "value": value}, variant))
-        return [surfaces.on_grid(colour, at, name, f"{words}, an RGB colour")]
+        return [surfaces.on_grid(colour, index, name, f"{words}, an RGB colour")]
     if kind == "Spectrum":
         value = node[name]
-        return [] if value.uniform else [surfaces.on_grid(parsed_table(value), at, name, words)]
+        return [] if value.uniform else [surfaces.on_grid(parsed_table(value), index, name, words)]
 
     child = children(node, state).get(name)
-    if child is not None:
-        texture = state.nodes[child]
-        if texture.plugin == "uniform" or is_neutral(texture):
-            return []
-        table = _table_of(texture)
-        if table is not None:
-            return [surfaces.on_grid(table, at, name, words)]
-        if texture.plugin == "checkerboard":
-            colours = [colour for colour in ("color0", "color1") if colour in texture]
-            parts = [
-                _property(state, child, colour, variant, surfaces, words) for colour in colours
-            ]
-            return [rho for part in parts for rho in part]
+    if child is None:
+        raise _UnknownError(f"an unknown texture in {words}")
+    texture = state.nodes[child]
+    if texture.plugin == "uniform" or is_neutral(texture):
+        return []
+    table = _table_of(texture)
+    if table is not None:
+        return [surfaces.on_grid(table, index, name, words)]
+    if texture.plugin == "checkerboard":
+        spectra: list[Array] = []
+        for colour_name in ("color0", "color1"):
+            if colour_name in texture:
+                spectra += _property(state, child, colour_name, variant, surfaces, words)
+        return spectra
     raise _UnknownError(f"an unknown texture in {words}")
 
 
-def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
+def _metal_reflectances(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
     """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba. Raises
     _UnknownError.
     """
-    described: dict[str, Any] = {"type": "conductor"}
+    description: dict[str, Any] = {"type": "conductor"}
     textures = children(node, state)
-    for key in ("material", "eta", "k"):
-        if key in textures:
-            texture = state.nodes[textures[key]]
+    for name in ("material", "eta", "k"):
+        if name in textures:
+            texture = state.nodes[textures[name]]
             if texture.plugin not in ("uniform", "regular", "irregular"):
                 raise _UnknownError(f"an unknown refractive index of {words_of(node)}")
-            described[key] = {"type": texture.plugin, **dict(plain(texture))}
-        elif key in node:
-            value = node[key]
-            if isinstance(value, SpectrumTable):
-                uniform = {"type": "uniform", "value": float(value.values[0])}
-                value = uniform if value.uniform else irregular(value.wavelengths, value.values)
-            described[key] = value
+            description[name] = {"type": texture.plugin, **dict(plain(texture))}
+        elif name in node:
+            value = node[name]
+            if isinstance(value, SpectrumTable) and value.uniform:
+                value = {"type": "uniform", "value": float(value.values[0])}
+            elif isinstance(value, SpectrumTable):
+                value = irregular(value.wavelengths, value.values)
+            description[name] = value
+
     # Beyond its tables, where a metal renders as a mirror, its reflectance along the normal is 0/0.
     return [
-        np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0)
+        np.nan_to_num(evaluate_reflection(description, cosine, variant, span), nan=1.0)
         for cosine in _METAL_COSINES
     ]
 
@@ -565,20 +592,25 @@ class Body:
     def in_view(self, camera: Camera, aspect: float) -> bool:
         """Return whether the shape may be in the picture, blur included: not all of it is beyond
         one side.
+
+        aspect : width of the film over its height
         """
         if self.corners is None:
             return True
+
         x, y, z = self.corners.T
-        tan_x = camera.die_mm / (2 * camera.image_distance_mm)
-        a = camera.aperture_radius_m
-        for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
+        focus_m = camera.object_distance_m
+        tangent_x = camera.die_mm / (2 * camera.image_distance_mm)
+        for coordinate, tangent in ((x, tangent_x), (y, tangent_x / aspect)):
             # The edge rays of the outermost sample start at the far rim of the lens and cross in
             # the plane in focus.
-            focus = tangent * camera.object_distance_m
-            edge_m = np.maximum(
-                *(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a))
-            )
-            if np.all(across > edge_m) or np.all(across < -edge_m):
+            half_field_m = tangent * focus_m
+            edges_m = [
+                np.abs(rim_m + (half_field_m - rim_m) * z / focus_m)
+                for rim_m in (camera.aperture_radius_m, -camera.aperture_radius_m)
+            ]
+            edge_m = np.maximum(*edges_m)
+            if np.all(coordinate > edge_m) or np.all(coordinate < -edge_m):
                 return False
         return bool(np.any(z > _IN_FRONT_M))
 
@@ -592,59 +624,59 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
     instances.
     """
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
-    groups = [
-        (index, node) for index, node in nodes_of(state, "Shape") if node.plugin == "shapegroup"
-    ]
-    members = {child: index for index, node in groups for child in children(node, state).values()}
+    shapes = nodes_of(state, "Shape")
+    group_of_member = {
+        member: index
+        for index, node in shapes
+        if node.plugin == "shapegroup"
+        for member in children(node, state).values()
+    }
+
     bodies = []
-    for index, node in nodes_of(state, "Shape"):
-        plugin = node.plugin
-        if index in members or plugin == "shapegroup":
+    for index, node in shapes:
+        if index in group_of_member or node.plugin == "shapegroup":
             continue
-        if plugin == "instance":
+        if node.plugin == "instance":
             group = next(iter(children(node, state).values()), None)
-            parts = [child for child, owner in members.items() if owner == group]
-            boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].kind == "Shape"]
-            stated = [box for box in boxes if box is not None]
-            place = to_camera @ matrix_of(node)
-            bodies.append(
-                Body(
-                    index,
-                    _moved(place, np.vstack(stated))
-                    if stated and len(stated) == len(boxes)
-                    else None,
-                    None,
-                )
-            )
+            members = [
+                state.nodes[member] for member, owner in group_of_member.items() if owner == group
+            ]
+            box = _group_box(members)
+            to_frame, normal = to_camera @ matrix_of(node), None
         else:
             box = _box(node)
-            bodies.append(
-                Body(
-                    index, None if box is None else _moved(to_camera, box), _facing(to_camera, node)
-                )
-            )
+            to_frame, normal = to_camera, _facing(to_camera, node)
+        corners = None if box is None else _transformed(to_frame, box)
+        bodies.append(Body(node=index, corners=corners, normal=normal))
     return bodies
+
+
+def _group_box(members: Sequence[Node]) -> Array | None:
+    """Return the corners of the bounding boxes of a shape group, or None if one is unknown."""
+    boxes = [_box(member) for member in members if member.kind == "Shape"]
+    stated_boxes = [box for box in boxes if box is not None]
+    if not boxes or len(stated_boxes) < len(boxes):
+        return None
+    return np.vstack(stated_boxes)
 
 
 def _box(node: Node) -> Array | None:
     """Return the corners of a bounding box of a stock shape in world coordinates, or None."""
-    plugin = node.plugin
-    if plugin in FLAT:
-        unit = np.array([[x, y, 0.0] for x, y in product((-1.0, 1.0), repeat=2)])
-    elif plugin == "cube":
-        unit = np.array(list(product((-1.0, 1.0), repeat=3)))
-    elif plugin == "sphere":
+    cube = np.array(list(product((-1.0, 1.0), repeat=3)))
+    if node.plugin in FLAT:
+        corners = np.array([[x, y, 0.0] for x, y in product((-1.0, 1.0), repeat=2)])
+    elif node.plugin == "cube":
+        corners = cube
+    elif node.plugin == "sphere":
         centre = np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel()
-        unit = centre + float(node.get("radius", 1.0)) * np.array(
-            list(product((-1.0, 1.0), repeat=3))
-        )
-    elif plugin == "cylinder":
+        corners = centre + float(node.get("radius", 1.0)) * cube
+    elif node.plugin == "cylinder":
+        radius = float(node.get("radius", 1.0))
         ends = [np.array(node.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
-        radius = float(node.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
-        unit = np.vstack([end + radius for end in ends])
+        corners = np.vstack([end + radius * cube for end in ends])
     else:
         return None
-    return _moved(matrix_of(node), unit)
+    return _transformed(matrix_of(node), corners)
 
 
 def _facing(to_camera: Array, node: Node) -> Array | None:
@@ -658,9 +690,9 @@ def _facing(to_camera: Array, node: Node) -> Array | None:
     return np.asarray(normal / np.linalg.norm(normal))
 
 
-def _moved(matrix: Array, points: Array) -> Array:
-    moved = np.c_[points, np.ones(len(points))] @ matrix.T
-    return np.asarray(moved[:, :3] / moved[:, 3:])
+def _transformed(matrix: Array, points: Array) -> Array:
+    homogeneous = np.c_[points, np.ones(len(points))] @ matrix.T
+    return np.asarray(homogeneous[:, :3] / homogeneous[:, 3:])
 
 
 def blur_um(camera: Camera, depth_m: float) -> float:
@@ -669,23 +701,17 @@ def blur_um(camera: Camera, depth_m: float) -> float:
     """
     if depth_m <= 0:
         return np.inf
-    u = camera.object_distance_m
+
     # The disc is 2a |d - u|/d in the plane in focus, times the magnification of that plane.
-    return float(
-        2
-        * camera.aperture_radius_m
-        * abs(depth_m - u)
-        / depth_m
-        * camera.image_distance_mm
-        * 1e3
-        / u
-    )
+    focus_m = camera.object_distance_m
+    disc_m = 2 * camera.aperture_radius_m * abs(depth_m - focus_m) / depth_m
+    return float(disc_m * camera.image_distance_mm * 1e3 / focus_m)
 
 
 def greatest_blur_um(camera: Camera, body: Body) -> float:
-    return (
-        np.inf if body.corners is None else max(blur_um(camera, depth) for depth in body.depths_m)
-    )
+    if body.corners is None:
+        return np.inf
+    return max(blur_um(camera, depth_m) for depth_m in body.depths_m)
 
 
 def face_one_way(bodies: list[Body]) -> bool:
@@ -730,33 +756,31 @@ def _file_of(node: Node) -> Path:
 def asset_files(state: Tree) -> tuple[AssetFile, ...]:
     """Return the files of all nodes, with what they must be for what they are used."""
     maps: set[int] = set()
-    others: set[int] = set()
+    light_textures: set[int] = set()
     shares: dict[int, str] = {}
     for node in state.nodes:
         for name, index in children(node, state).items():
-            (maps if _takes_map(node, name) else others).add(index)
+            (maps if _takes_map(node, name) else light_textures).add(index)
             if _is_share(node, name):
-                for part in (
-                    index,
-                    *children(state.nodes[index], state).values(),
-                ):  # of a checkerboard
-                    shares[part] = f"{node.plugin}.{name}"
+                # The texture, and those within a checkerboard.
+                for texture in (index, *children(state.nodes[index], state).values()):
+                    shares[texture] = f"{node.plugin}.{name}"
+
     files = []
     for index, node in enumerate(state.nodes):
-        if "filename" in node:
-            path = _file_of(node)
-            has_light = node.kind != "Shape" and index not in maps - others
-            shape_index = int(node.get("shape_index", 0))
-            files.append(
-                AssetFile(
-                    str(path),
-                    digest_of(path),
-                    node.plugin,
-                    shape_index,
-                    has_light,
-                    shares.get(index, ""),
-                )
+        if "filename" not in node:
+            continue
+        path = _file_of(node)
+        files.append(
+            AssetFile(
+                path=str(path),
+                digest=digest_of(path),
+                plugin=node.plugin,
+                shape_index=int(node.get("shape_index", 0)),
+                has_light=node.kind != "Shape" and index not in maps - light_textures,
+                share=shares.get(index, ""),
             )
+        )
     return tuple(files)
 
 
@@ -779,14 +803,16 @@ def check_shares(state: Tree) -> None:
 
 
 def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
-    """Return the numbers of a property, also of a texture in it and of those within that."""
+    """Return the numbers of a property, and those of the textures within it."""
     index = children(node, state).get(name)
     if index is not None:
         texture = state.nodes[index]
-        parts = [
-            _numbers_of(state, texture, part) for part in _NUMBERS_OF_TEXTURES if part in texture
-        ]
-        return [number for part in parts for number in part]
+        values: list[float] = []
+        for texture_name in _NUMBERS_OF_TEXTURES:
+            if texture_name in texture:
+                values += _numbers_of(state, texture, texture_name)
+        return values
+
     match node.kind_of(name):
         case "Spectrum":
             return list(node[name].values)
@@ -812,18 +838,16 @@ def _takes_map(node: Node, name: str) -> bool:
 
 @lru_cache(maxsize=1)
 def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
-    """Return the texels of a neutral EXR, not to be changed: a render asks several times. `digest`
-    is that of the file.
+    """Return the texels of a neutral EXR, not to be changed: a render needs them several times.
+
+    digest : of the file, so that a changed file is read anew
 
     Raises PixsimError if it has several channels, or texels that are no light.
     """
     channels = read_channels(path)[0]
     if len(channels) > 1:
-        raise invalid(
-            f"texture '{path}'",
-            f"channels {', '.join(names_in(channels))} with raw = true",
-            "one channel, Y",
-        )
+        got = f"channels {', '.join(names_in(channels))} with raw = true"
+        raise invalid(f"texture '{path}'", got, "one channel, Y")
     texels = next(iter(channels.values()))
     check_texels(path, texels)
     return texels
@@ -838,36 +862,36 @@ def check_textures(state: Tree) -> None:
     """
     for node in state.nodes:
         for name, index in children(node, state).items():
-            texture = state.nodes[index]
-            is_bitmap, is_raw = texture.plugin == "bitmap", is_neutral(texture)
-            if is_bitmap and not is_raw and node.plugin == "normalmap":
-                what = f"normalmap '{_file_of(texture).name}'"
-                raise invalid(
-                    what, "a picture without raw = true", "numbers as they are in the file", RAW
-                )
-            if (
-                node.plugin in _METALS
-                and name in ("eta", "k")
-                and (texture.plugin == "srgb" or (is_bitmap and not is_raw))
-            ):
-                allowed = "a number, a spectrum, or a bitmap with raw = true"
-                raise invalid(
-                    f"{node.plugin}.{name}",
-                    f"a colour, of a texture {texture.plugin}",
-                    allowed,
-                    METAL_BY_NAME,
-                )
-            if (
-                is_raw
-                and not _takes_map(node, name)
-                and _file_of(texture).suffix.lower() in EIGHT_BIT
-            ):
-                allowed = "a linear float32 EXR of one channel, as written by pixsim chart"
-                raise invalid(
-                    f"texture '{_file_of(texture)}'",
-                    f"{_file_of(texture).suffix} with raw = true",
-                    allowed,
-                )
+            _check_texture(node, name, state.nodes[index])
+
+
+def _check_texture(node: Node, name: str, texture: Node) -> None:
+    """Raise PixsimError for a texture of the wrong kind in a property of a node."""
+    is_raw = is_neutral(texture)
+    is_colour_bitmap = texture.plugin == "bitmap" and not is_raw
+    if is_colour_bitmap and node.plugin == "normalmap":
+        raise invalid(
+            f"normalmap '{_file_of(texture).name}'",
+            "a picture without raw = true",
+            "numbers as they are in the file",
+            RAW,
+        )
+
+    is_index = node.plugin in _METALS and name in ("eta", "k")
+    if is_index and (texture.plugin == "srgb" or is_colour_bitmap):
+        raise invalid(
+            f"{node.plugin}.{name}",
+            f"a colour, of a texture {texture.plugin}",
+            "a number, a spectrum, or a bitmap with raw = true",
+            METAL_BY_NAME,
+        )
+
+    if is_raw and not _takes_map(node, name) and _file_of(texture).suffix.lower() in EIGHT_BIT:
+        raise invalid(
+            f"texture '{_file_of(texture)}'",
+            f"{_file_of(texture).suffix} with raw = true",
+            "a linear float32 EXR of one channel, as written by pixsim chart",
+        )
 
 
 BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {
@@ -887,7 +911,7 @@ class _EmittedPicture:
     beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not
         known how they are interpolated
     source : hash of its file
-    nearest : whether each texel is even, not interpolated linearly
+    nearest : whether each texel is uniform, not interpolated linearly
     """
 
     texels: Array = field(repr=False)
@@ -903,8 +927,8 @@ def emitted_picture(state: Tree, emitter: Node) -> _EmittedPicture | None:
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.
     """
-    name = EMISSION.get(emitter.plugin, "")
-    texture = children(emitter, state).get(name)
+    # The picture may lie within a spectrum.
+    texture = children(emitter, state).get(EMISSION.get(emitter.plugin, ""))
     while texture is not None and not is_neutral(state.nodes[texture]):
         nested = list(children(state.nodes[texture], state).values())
         if not nested and state.nodes[texture].plugin not in _PLAIN_SPECTRA:
@@ -912,22 +936,27 @@ def emitted_picture(state: Tree, emitter: Node) -> _EmittedPicture | None:
         texture = nested[0] if nested else None
     if texture is None:
         return _EmittedPicture(np.ones((1, 1)))
+
     node = state.nodes[texture]
-    to_uv = matrix_of(node, "to_uv")
     if "filename" not in node:
         return None
     path = _file_of(node)
-    whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(
-        to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5
-    )
-    if path.suffix.lower() != ".exr" or not whole:
+    to_uv = matrix_of(node, "to_uv")
+    is_upright = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2))
+    is_centred = np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
+    if path.suffix.lower() != ".exr" or not is_upright or not is_centred:
         return None
-    nearest = node.get("filter_type", "bilinear") == "nearest"
-    beyond = (
-        BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= _KNOWN_OF_BITMAPS else None
-    )
+
+    # Other properties could change how Mitsuba continues the texels.
+    beyond = None
+    if set(node) <= _KNOWN_OF_BITMAPS:
+        beyond = BEYOND.get(str(node.get("wrap_mode", "repeat")))
     source = digest_of(path)
-    texels = _texels_of(path, source).astype(float)
     return _EmittedPicture(
-        texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest
+        texels=_texels_of(path, source).astype(float),
+        along_u=float(np.sign(to_uv[0, 0])),
+        along_v=float(np.sign(to_uv[1, 1])),
+        beyond=beyond,
+        source=source,
+        nearest=node.get("filter_type", "bilinear") == "nearest",
     )
