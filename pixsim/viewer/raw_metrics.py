@@ -38,19 +38,25 @@ from pixsim.viewer.metric_options import NO_CONTRAST, Detectability
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
 
-_MIN_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
-MAX_D_PRIME = 1e12  # of d′, and of the factor of a contrast that none makes visible
-RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
-_CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
-_START_POINTS = 4097  # signals up to the end of the well, among which a table begins
-MAX_WELLS, _TABLE_GROWTH = (
-    64.0,
-    1.25,
-)  # largest signal of a table; by what it is made longer until pixels are full for sure
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(
-    24
-)  # of a panel of up to 12 deviations: errors of 1e-7
-_MIN_DEVIATION_DN = 1e-9  # of deviations, in DN
+# Below it quantisation is no noise, and no observer is linear in it.
+_MIN_SIGMA_DN = 0.5
+# Of d′, and of the factor of a contrast that none makes visible.
+MAX_D_PRIME = 1e12
+# Of the mean signal: less light than none by so much is noise of a render.
+RENDER_NOISE = 0.01
+
+# Points of a table of codes: a slope between two of them errs by 3e-3 of its change.
+_CODE_POINTS = 1025
+# Signals up to the end of the well, among which a table begins.
+_START_POINTS = 4097
+# A table is made longer by this factor until pixels are full for sure, up to so many wells.
+_TABLE_GROWTH = 1.25
+_MAX_WELLS = 64.0
+# Of a panel of up to 12 deviations: errors of 1e-7.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+# In place of a deviation of 0, in DN or electrons.
+_MIN_DEVIATION = 1e-9
+
 POINTS = 65  # frequencies on an axis of the Nyquist square
 _ORDERS = 2  # of aliases
 LENSES = ("lens", "real lens")
@@ -63,20 +69,22 @@ def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: flo
     """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in
     the shape of the signal.
     """
-    p = readout
-    dark_e = p.dark_current_e_per_s * time_s
-    alone = variance_e2(p, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel")
-    return np.asarray(alone + p.rounding_variance_dn2 / p.dn_per_e**2)
+    dark_e = readout.dark_current_e_per_s * time_s
+    alone_e2 = variance_e2(
+        readout, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel"
+    )
+    return np.asarray(alone_e2 + readout.rounding_variance_dn2 / readout.dn_per_e**2)
 
 
 def full_e(readout: Readout, time_s: float) -> float:
     """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark
     charge alone does it.
     """
-    p = readout
-    dark_e = p.dark_current_e_per_s * time_s
-    top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
-    return max(min(saturation_level_e(time_s, p) - dark_e, top_e), 0.0)
+    dark_e = readout.dark_current_e_per_s * time_s
+    # Up to the top code `frame_mean_dn` is linear.
+    top_e = (readout.top_code_dn - readout.black_level_dn) / readout.dn_per_e - dark_e
+    well_e = saturation_level_e(time_s, readout) - dark_e
+    return max(min(well_e, top_e), 0.0)
 
 
 def clips(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
@@ -124,26 +132,26 @@ class _ClippedExposure:
     """
 
     def __init__(self, readout: Readout, time_s: float) -> None:
-        p = readout.burst(1)
-        is_soft = p.physics.diode is not None and p.physics.pixel.well_limit != "swing"
+        single = readout.burst(1)
         self.count = readout.exposures
         self.time_s = time_s / self.count
-        self.readout = p
-        if not responds_linearly(
-            p.physics
-        ):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
-            self.readout = p.with_physics(
-                pixel=p.physics.pixel.model_copy(update={"conversion": "linear"})
-            )
-        self.dark_e = p.dark_current_e_per_s * self.time_s
-        self.black_e = p.black_level_dn / p.dn_per_e
-        self.top_e = p.top_code_dn / p.dn_per_e - self.black_e  # charge at the top code
-        self.well_e = saturation_level_e(self.time_s, p)
-        self.clip_e = (
-            math.inf if is_soft else p.full_well_e
-        )  # charge above which all charge is lost
-        self.offset_fpn_e2 = constant_e(p, is_temporal=False, along="pixel") ** 2
-        self.read_e2 = constant_e(p, is_temporal=True, along="pixel") ** 2 + self.offset_fpn_e2
+        self.readout = single
+        if not responds_linearly(single.physics):
+            # Frames are taken to respond linearly up to the well, as by `frame_mean_dn`.
+            linear = single.physics.pixel.model_copy(update={"conversion": "linear"})
+            self.readout = single.with_physics(pixel=linear)
+
+        self.dark_e = single.dark_current_e_per_s * self.time_s
+        self.black_e = single.black_level_dn / single.dn_per_e
+        self.top_e = single.top_code_dn / single.dn_per_e - self.black_e  # charge at the top code
+        self.well_e = saturation_level_e(self.time_s, single)
+        # Above this charge all charge is lost.
+        is_soft = single.physics.diode is not None and single.physics.pixel.well_limit != "swing"
+        self.clip_e = math.inf if is_soft else single.full_well_e
+
+        self.offset_fpn_e2 = constant_e(single, is_temporal=False, along="pixel") ** 2
+        temporal_e2 = constant_e(single, is_temporal=True, along="pixel") ** 2
+        self.read_e2 = temporal_e2 + self.offset_fpn_e2
 
     def gains_e2(self, signal_e: Array | float) -> Array:
         """Return the variance of the charge by PRNU and DSNU, which all exposures share."""
@@ -163,21 +171,19 @@ class _ClippedExposure:
 
     def reaches_top(self, signal_e: Array | float) -> NDArray[np.bool_]:
         """Return whether the well or the top code cuts off noise."""
-        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
+        charge_e = signal_e + self.dark_e
+        charge_e2 = self.charge_e2(signal_e)
         reaches_well = charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2) >= self.well_e
-        return np.asarray(
-            reaches_well
-            | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e)
-        )
+        read_e = np.sqrt(charge_e2 + self.read_e2)
+        return np.asarray(reaches_well | (charge_e + FARTHEST_SIGMAS * read_e >= self.top_e))
 
     def is_certain(self, signal_e: float) -> bool:
         """Return whether the well, or the ADC, is full for sure."""
-        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
-        is_well_full = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
-        return (
-            is_well_full
-            or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
-        )
+        charge_e = signal_e + self.dark_e
+        charge_e2 = self.charge_e2(signal_e)
+        if charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e:
+            return True
+        return charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
 
     def moments(
         self, signal_e: Array, *, with_gains: bool = True
@@ -187,25 +193,27 @@ class _ClippedExposure:
 
         with_gains : whether PRNU and DSNU are among the noise
         """
-        p = self.readout
+        readout = self.readout
         charge_e = signal_e + self.dark_e
         charge_e2 = self.charge_e2(signal_e) if with_gains else charge_e
-        is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
-        if is_filled and self.well_e < self.top_e + FARTHEST_SIGMAS * math.sqrt(self.read_e2):
-            mean_dn, variance_dn2, signal_slope, slope = self._moments_of_well(
+        fills_well = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
+        is_well_below_top = self.well_e < self.top_e + FARTHEST_SIGMAS * math.sqrt(self.read_e2)
+        if fills_well and is_well_below_top:
+            mean_dn, variance_dn2, signal_slope, offset_slope = self._moments_of_well(
                 charge_e, np.sqrt(charge_e2)
             )
         else:
-            sigma_dn = np.maximum(p.dn_per_e * np.sqrt(charge_e2 + self.read_e2), _MIN_DEVIATION_DN)
-            level_dn = p.dn_per_e * (self.black_e + charge_e)
-            mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn, p.top_code_dn)
-            signal_slope = slope
-        return (
-            mean_dn / p.dn_per_e - self.black_e,
-            variance_dn2 / p.dn_per_e**2,
-            signal_slope,
-            slope,
-        )
+            # Only the codes end: one normal law of all noise.
+            sigma_dn = readout.dn_per_e * np.sqrt(charge_e2 + self.read_e2)
+            level_dn = readout.dn_per_e * (self.black_e + charge_e)
+            mean_dn, variance_dn2, offset_slope = moments_of_codes(
+                level_dn, np.maximum(sigma_dn, _MIN_DEVIATION), readout.top_code_dn
+            )
+            signal_slope = offset_slope
+
+        mean_e = mean_dn / readout.dn_per_e - self.black_e
+        variance_e2 = variance_dn2 / readout.dn_per_e**2
+        return mean_e, variance_e2, signal_slope, offset_slope
 
     def _moments_of_well(
         self, charge_e: Array, sigma_e: Array
@@ -216,8 +224,11 @@ class _ClippedExposure:
         Full wells have one charge. Below it, panels end where the read noise begins to reach the
         top code.
         """
-        p, read_e = self.readout, math.sqrt(self.read_e2)
-        sigma_e = np.maximum(sigma_e, _MIN_DEVIATION_DN)  # of no charge, too
+        readout = self.readout
+        read_e = math.sqrt(self.read_e2)
+        sigma_e = np.maximum(sigma_e, _MIN_DEVIATION)  # of no charge, too
+
+        # Ends of the panels, in deviations of the charge, (panels + 1, n).
         full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
         ends_e = np.array(
             [self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e]
@@ -226,45 +237,48 @@ class _ClippedExposure:
         inner = np.clip((ends_e[:, None] - charge_e) / sigma_e, -FARTHEST_SIGMAS, full_at)
         edges = np.stack([np.full(charge_e.shape, -FARTHEST_SIGMAS), *inner, full_at])
 
+        # Gauss-Legendre nodes in each panel, weighted by the normal law, (panels, n, nodes).
         half = np.diff(edges, axis=0)[..., None] / 2
-        z = edges[:-1, :, None] + half * (1 + NODES)
-        weight = half * WEIGHTS * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+        z = edges[:-1, :, None] + half * (1 + _NODES)
+        weight = half * _WEIGHTS * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
         generated_e = np.maximum(charge_e[:, None] + sigma_e[:, None] * z, 0.0)
-        mean, variance, slope = self._read(
-            stored_signal_e(generated_e, self.time_s, p).ravel(), coarse_dn=0.0
-        )
-        mean, variance, slope = (values.reshape(z.shape) for values in (mean, variance, slope))
+        stored_e = stored_signal_e(generated_e, self.time_s, readout)
+        moments = self._read(stored_e.ravel(), coarse_dn=0.0)
+        mean, variance, slope = (values.reshape(z.shape) for values in moments)
 
+        def integral(values: Array) -> Array:
+            """Return the integral over the charge of wells that are not full, (n,)."""
+            return np.asarray((weight * values).sum(axis=(0, 2)))
+
+        # Full wells: their probability, and the moments of their one charge.
         full = np.zeros(charge_e.shape) if math.isinf(self.clip_e) else ndtr(-full_at)
         full_mean, full_variance, full_slope = self._read(
-            np.array([min(self.clip_e, p.full_well_e)]), coarse_dn=COARSE_DN
+            np.array([min(self.clip_e, readout.full_well_e)]), coarse_dn=COARSE_DN
         )
+
         total = weight.sum(axis=(0, 2)) + full
-        mean_dn = ((weight * mean).sum(axis=(0, 2)) + full * full_mean) / total
+        mean_dn = (integral(mean) + full * full_mean) / total
         mean, full_mean = mean - mean_dn[:, None], full_mean - mean_dn
-        variance_dn2 = (
-            (weight * (variance + mean**2)).sum(axis=(0, 2)) + full * (full_variance + full_mean**2)
-        ) / total
-        offset_slope = ((weight * slope).sum(axis=(0, 2)) + full * full_slope) / total
+        full_square = full_variance + full_mean**2
+        variance_dn2 = (integral(variance + mean**2) + full * full_square) / total
+        offset_slope = (integral(slope) + full * full_slope) / total
+
         # d/dµ of ∫ f(n) φ((n - µ)/σ) dn is ∫ f z φ dz / σ, and σ φ(z) of the full wells.
-        full_density_dn = (
-            np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi) * full_mean * (full > 0)
-        )
-        signal_slope = (
-            ((weight * z * mean).sum(axis=(0, 2)) + full_density_dn)
-            / total
-            / (p.dn_per_e * sigma_e)
-        )
+        density = np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi)
+        full_wells = density * full_mean * (full > 0)
+        below = (weight * z * mean).sum(axis=(0, 2))
+        signal_slope = (below + full_wells) / total / (readout.dn_per_e * sigma_e)
         return mean_dn, variance_dn2, np.maximum(signal_slope, 0.0), offset_slope
 
     def _read(self, stored_e: Array, coarse_dn: float) -> tuple[Array, Array, Array]:
         """Return `moments_of_codes` of stored charges, (n,)."""
-        p = self.readout
-        sigma_dn = np.full(
-            stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), _MIN_DEVIATION_DN)
-        )
+        readout = self.readout
+        sigma_dn = max(readout.dn_per_e * math.sqrt(self.read_e2), _MIN_DEVIATION)
         return moments_of_codes(
-            p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn
+            readout.dn_per_e * (self.black_e + stored_e),
+            np.full(stored_e.shape, sigma_dn),
+            readout.top_code_dn,
+            coarse_dn=coarse_dn,
         )
 
     def shared_e2(self, signal_e: Array, offset_slope: Array) -> Array:
@@ -273,18 +287,22 @@ class _ClippedExposure:
 
         Offset FPN counts to first order.
         """
+        # A table of mean codes against the signal, beyond both ends of the signals asked for.
         spread_e = np.sqrt(self.gains_e2(signal_e))
         steps = np.linspace(-FARTHEST_SIGMAS, 0.0, 64, endpoint=False)
-        shifted_e = np.concatenate([
-            np.maximum(signal_e[0] + spread_e[0] * steps, 0.0), signal_e, signal_e[-1] - spread_e[-1] * steps[::-1]
-        ])  # fmt: skip
-        mean_e = self.moments(shifted_e, with_gains=False)[0]
-        at_e = signal_e[:, None] + spread_e[:, None] * FARTHEST_SIGMAS * NODES
-        weight = WEIGHTS * np.exp(-((FARTHEST_SIGMAS * NODES) ** 2) / 2)
+        below_e = np.maximum(signal_e[0] + spread_e[0] * steps, 0.0)
+        above_e = signal_e[-1] - spread_e[-1] * steps[::-1]
+        table_e = np.concatenate([below_e, signal_e, above_e])
+        mean_e = self.moments(table_e, with_gains=False)[0]
+
+        # The variance of the mean over pixels whose gains are normal.
+        pixel_e = signal_e[:, None] + spread_e[:, None] * FARTHEST_SIGMAS * _NODES
+        weight = _WEIGHTS * np.exp(-((FARTHEST_SIGMAS * _NODES) ** 2) / 2)
         weight /= weight.sum()
-        means_e = np.interp(at_e, shifted_e, mean_e)
-        away_e = means_e - (weight * means_e).sum(axis=1, keepdims=True)
-        return np.asarray((weight * away_e**2).sum(axis=1) + offset_slope**2 * self.offset_fpn_e2)
+        means_e = np.interp(pixel_e, table_e, mean_e)
+        difference_e = means_e - (weight * means_e).sum(axis=1, keepdims=True)
+        gains_e2 = (weight * difference_e**2).sum(axis=1)
+        return np.asarray(gains_e2 + offset_slope**2 * self.offset_fpn_e2)
 
     def table(self, signal_e: Array, low_e: float, high_e: float) -> _CodeTable:
         """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to
@@ -293,16 +311,14 @@ class _ClippedExposure:
         mean_e, alone_e2, signal_slope, offset_slope = self.moments(signal_e)
         count = self.count
         shared_e2 = self.shared_e2(signal_e, offset_slope) if count > 1 else 0.0
-        variance_e2 = count * (alone_e2 + (count - 1) * shared_e2)
-        mean_e = count * (mean_e - self.dark_e)
         return _CodeTable(
-            count * signal_e,
-            mean_e,
-            variance_e2,
-            signal_slope,
-            offset_slope,
-            count * low_e,
-            count * high_e,
+            signal_e=count * signal_e,
+            mean_e=count * (mean_e - self.dark_e),
+            variance_e2=count * (alone_e2 + (count - 1) * shared_e2),
+            signal_slope=signal_slope,
+            offset_slope=offset_slope,
+            low_e=count * low_e,
+            high_e=count * high_e,
         )
 
 
@@ -341,13 +357,19 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
         return None
 
     def compute() -> _CodeTable:
-        full_e = max(min(exposure.well_e, exposure.top_e) - exposure.dark_e, 0.0)
+        # It begins at the last signal whose noise reaches neither end.
+        limit_e = min(exposure.well_e, exposure.top_e)
+        full_e = max(limit_e - exposure.dark_e, 0.0)
         below_e = np.linspace(0.0, full_e, _START_POINTS)
-        start_e = float(below_e[max(int(np.argmax(exposure.reaches_top(below_e))) - 1, 0)])
+        first = int(np.argmax(exposure.reaches_top(below_e)))
+        start_e = float(below_e[max(first - 1, 0)])
+
+        # It ends where pixels are full for sure.
         width_e = max(full_e - start_e, 1.0)
-        max_width_e = MAX_WELLS * max(min(exposure.well_e, exposure.top_e), 1.0)
+        max_width_e = _MAX_WELLS * max(limit_e, 1.0)
         while not exposure.is_certain(full_e + width_e) and width_e < max_width_e:
             width_e *= _TABLE_GROWTH
+
         half = _CODE_POINTS // 2
         beyond_e = full_e + width_e * np.linspace(0.0, 1.0, half + 1) ** 2  # denser near the end
         signal_e = np.concatenate([np.linspace(start_e, full_e, half, endpoint=False), beyond_e])
@@ -382,12 +404,11 @@ def code_moments(
         np.ones(signal_e.shape),
     ]
     for table in tables:
-        holds = (signal_e >= table.low_e) & (signal_e < table.high_e)
+        is_inside = (signal_e >= table.low_e) & (signal_e < table.high_e)
         columns = table.mean_e, table.variance_e2, table.signal_slope, table.offset_slope
-        moments = [
-            np.where(holds, np.interp(signal_e, table.signal_e, column), values)
-            for column, values in zip(columns, moments, strict=True)
-        ]
+        for index, column in enumerate(columns):
+            interpolated = np.interp(signal_e, table.signal_e, column)
+            moments[index] = np.where(is_inside, interpolated, moments[index])
     return _CodeMoments(*moments)
 
 
@@ -404,53 +425,55 @@ def _d_prime(frame: ExpectedFrame) -> float:
     pixels clip.
     """
     assert frame.background_e is not None
-    p, with_e, without_e = frame.readout, frame.signal_e, frame.background_e
-    difference = with_e - without_e
-    # The mean variance of both: that of the mean signal, and of what grows with the square of it
-    # half of the difference squared.
-    spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(
-        np.mean(variance_e2(p, along="pixel"))
-    )
-    variance = variance_of_pixels_e2(p, (with_e + without_e) / 2, frame.integration_s)
-    variance += spread / 4 * difference**2
-    unrounded_dn2 = p.dn_per_e**2 * float(variance.min()) - p.rounding_variance_dn2
-    sigma_dn = math.sqrt(
-        max(unrounded_dn2, 0.0) / p.exposures
-    )  # of an exposure, before it is rounded
-    if sigma_dn < _MIN_SIGMA_DN:
-        got = (
-            f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC"
-            " rounds away"
-        )
-        hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
-        allowed = f"at least {_MIN_SIGMA_DN:g} DN, so that rounding is noise"
-        raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
-    column_variance, row_variance = (
-        float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")
-    )
-    tables = code_tables(frame, with_e, without_e)
-    if not tables:
-        return detectability(
-            difference, variance, column_variance=column_variance, row_variance=row_variance
-        )
+    readout = frame.readout
+    target_e, background_e = frame.signal_e, frame.background_e
+    difference_e = target_e - background_e
 
-    with_target, background = (
-        code_moments(tables, signal_e, variance) for signal_e in (with_e, without_e)
-    )
+    # The mean variance of both: the variance of the mean signal, and of what grows with the square
+    # of the signal half of the difference squared.
+    lit_e2 = float(np.mean(variance_e2(readout, light_e=1.0, along="pixel")))
+    quadratic = lit_e2 - float(np.mean(variance_e2(readout, along="pixel")))
+    pixel_e2 = variance_of_pixels_e2(readout, (target_e + background_e) / 2, frame.integration_s)
+    pixel_e2 += quadratic / 4 * difference_e**2
+    _check_rounding(readout, float(pixel_e2.min()))
+
+    column_e2 = float(np.mean(variance_e2(readout, along="column")))
+    row_e2 = float(np.mean(variance_e2(readout, along="row")))
+    tables = code_tables(frame, target_e, background_e)
+    if not tables:
+        return detectability(difference_e, pixel_e2, column_variance=column_e2, row_variance=row_e2)
+
+    target = code_moments(tables, target_e, pixel_e2)
+    background = code_moments(tables, background_e, pixel_e2)
     # A pixel with the same certain code in both pictures has no difference and no slope: it counts
     # nothing.
-    variance = np.maximum(
-        (with_target.variance_e2 + background.variance_e2) / 2,
-        (_MIN_DEVIATION_DN / p.dn_per_e) ** 2,
-    )
+    min_e2 = (_MIN_DEVIATION / readout.dn_per_e) ** 2
     d_prime = detectability(
-        with_target.mean_e - background.mean_e,
-        variance,
-        column_variance=column_variance,
-        row_variance=row_variance,
-        offset_slopes=np.stack([with_target.offset_slope, background.offset_slope]),
+        target.mean_e - background.mean_e,
+        np.maximum((target.variance_e2 + background.variance_e2) / 2, min_e2),
+        column_variance=column_e2,
+        row_variance=row_e2,
+        offset_slopes=np.stack([target.offset_slope, background.offset_slope]),
     )
     return min(d_prime, MAX_D_PRIME)
+
+
+def _check_rounding(readout: Readout, variance_e2: float) -> None:
+    """Raise NoNumberError if the ADC rounds away the noise of a pixel.
+
+    variance_e2 : the smallest of the frame's pixels, with the rounding
+    """
+    unrounded_dn2 = readout.dn_per_e**2 * variance_e2 - readout.rounding_variance_dn2
+    sigma_dn = math.sqrt(max(unrounded_dn2, 0.0) / readout.exposures)
+    if sigma_dn >= _MIN_SIGMA_DN:
+        return
+    got = (
+        f"noise of {sigma_dn:.2g} DN in pixels of {readout.physics.pitch_um:g} µm, which the ADC"
+        " rounds away"
+    )
+    hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
+    allowed = f"at least {_MIN_SIGMA_DN:g} DN, so that rounding is noise"
+    raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
 
 
 def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
@@ -461,11 +484,8 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     `MAX_D_PRIME`; with one the reason is empty.
     """
     assert frame.background_e is not None
-    options, readout, time_s = (
-        frame.imaging.metrics.options.detectability,
-        frame.readout,
-        frame.integration_s,
-    )
+    readout, time_s = frame.readout, frame.integration_s
+    options = frame.imaging.metrics.options.detectability
     background_e = frame.background_e
     difference_e = frame.signal_e - background_e
     if not difference_e.any():
@@ -480,11 +500,10 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
         return MAX_D_PRIME, "a target cannot be darker than black"
 
     # A target that is full now has a d′ from which no factor follows.
-    if clips(readout, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
-        return (
-            MAX_D_PRIME,
-            f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}",
-        )
+    brightest_e = (background_e + max(factor, 1.0) * difference_e).max()
+    if clips(readout, brightest_e, time_s):
+        cause = "the target" if factor <= 1 else "that much contrast"
+        return MAX_D_PRIME, f"pixels are full with {cause}"
     return factor, ""
 
 
@@ -499,10 +518,8 @@ def _stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
 
 
 def _detectability(judged: FrameUnderTest) -> tuple[float, float, float]:
-    values = [
-        _d_prime(frame)
-        for frame in judged.registrations(judged.options.detectability.registrations)
-    ]
+    count = judged.options.detectability.registrations
+    values = [_d_prime(frame) for frame in judged.registrations(count)]
     mean = float(np.mean(values))
     factor, _ = contrast_factor(judged.expected, mean)
     return mean, min(values), factor
@@ -559,10 +576,8 @@ def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
     """
 
     def compute() -> tuple[Array, dict[str, Array]]:
-        readout = frame.readout
-        along = np.linspace(
-            0.0, _HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, _TABLE_POINTS
-        )
+        pixels_per_mm = 1e3 / frame.readout.physics.read_pitch_um
+        along = np.linspace(0.0, _HIGHEST_CY_PER_PX * pixels_per_mm, _TABLE_POINTS)
         return along, terms_to_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
     return frame.light.cached(("terms", *frame.imaging.pixel_key), compute)
@@ -580,18 +595,18 @@ def sensor_mtf(
 
     with_lens : whether the lens counts, and not the pixel alone
     """
-    along, terms = sensor_terms(frame)
     path_mm = 1e-3 * np.array(frame.moving.path_um)
-    mtf: Array = (
-        np.sinc(path_mm[0] * down + path_mm[1] * across)
-        if path_mm.any()
-        else np.ones(np.broadcast_shapes(across.shape, down.shape))
-    )
+    mtf: Array = np.ones(np.broadcast_shapes(across.shape, down.shape))
+    if path_mm.any():
+        mtf = np.sinc(path_mm[0] * down + path_mm[1] * across)
+
+    along, terms = sensor_terms(frame)
     for name, values in terms.items():
-        if not with_lens and name in LENSES:
+        if name in LENSES and not with_lens:
             continue
-        at = (np.hypot(across, down),) if name in _RADIAL else (np.abs(across), np.abs(down))
-        for frequency in at:
+        is_radial = name in _RADIAL
+        frequencies = (np.hypot(across, down),) if is_radial else (np.abs(across), np.abs(down))
+        for frequency in frequencies:
             mtf = mtf * np.interp(frequency, along, values, right=0.0)
     return mtf
 
@@ -602,38 +617,38 @@ def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
 
     Over the squared mean signal: the same for all frames.
     """
-
     options = frame.imaging.metrics.options.information
 
     def compute() -> tuple[Array, Array, Array]:
         pitch_um = frame.readout.physics.read_pitch_um
-        axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
-        corner = options.corner_cy_per_mm or 1 / frame.imaging.camera.die_mm
-        level = options.contrast**2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
+        nyquist_cy_per_mm = 500.0 / pitch_um
+        axis = np.linspace(-nyquist_cy_per_mm, nyquist_cy_per_mm, POINTS)
+        corner_cy_per_mm = options.corner_cy_per_mm or 1 / frame.imaging.camera.die_mm
+        # An octave of a natural scene has the variance 2π C ln 2.
+        level = options.contrast**2 / (2 * math.pi * math.log(2))
         is_scene = options.spectrum == "scene"
 
         def power(down: Array, across: Array) -> Array:
             radius = np.hypot(down, across)
+            if is_scene:
+                spectrum = np.interp(radius, *frame.light.spectrum, right=0.0)
+            else:
+                spectrum = natural_spectrum(radius, level, corner_cy_per_mm)
             # The scene's own picture is one behind the lens.
-            spectrum = (
-                np.interp(radius, *frame.light.spectrum, right=0.0)
-                if is_scene
-                else natural_spectrum(radius, level, corner)
-            )
-            return np.asarray(
-                spectrum * sensor_mtf(frame, across, down, with_lens=not is_scene) ** 2
-            )
+            mtf = sensor_mtf(frame, across, down, with_lens=not is_scene)
+            return np.asarray(spectrum * mtf**2)
 
-        return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, _ORDERS)
+        folded = folded_spectrum(power, axis, pitch_um, _ORDERS)
+        return axis, power(axis[:, None], axis), folded
 
     key = "power", options.content_hash, frame.moving.path_um, *frame.imaging.pixel_key
     return frame.light.cached(key, compute)
 
 
-class _Veiled(NamedTuple):
+class _Veil(NamedTuple):
     """What veiling glare makes of the light that pixels see: all of it, 1 and 0, without.
 
-    kept : share of the picture's own electrons that does not stray
+    direct : share of the picture's own electrons that does not stray
     stray : share of what strays in the mean of what pixels see
     """
 
@@ -641,20 +656,26 @@ class _Veiled(NamedTuple):
     stray: float
 
 
-def veiled(frame: ExpectedFrame) -> _Veiled:
+def veiled(frame: ExpectedFrame) -> _Veil:
     """Return what veiling glare makes of the light of a frame."""
     camera, physics, light = frame.imaging.camera, frame.readout.physics, frame.light.mean
+    without_glare = _Veil(direct=1.0, stray=0.0)
     if not camera.veiling_glare:
-        return _Veiled(1.0, 0.0)
+        return without_glare
 
-    def compute() -> _Veiled:
+    def compute() -> _Veil:
+        spectrum = light.mean_spectrum()
+
+        def rate(weight: Array) -> float:
+            return M2_PER_UM2 * float((weight * spectrum).sum())
+
         weight = electrons_per_joule(physics, light)
         (direct_weight,), (stray,) = split_by_veil(light, camera, [weight])
-        total, direct = (
-            M2_PER_UM2 * float((spectral_weight * light.mean_spectrum()).sum())
-            for spectral_weight in (weight, direct_weight)
-        )
-        return _Veiled(direct / total, stray / (direct + stray)) if total else _Veiled(1.0, 0.0)
+        total = rate(weight)
+        if not total:
+            return without_glare
+        direct = rate(direct_weight)
+        return _Veil(direct=direct / total, stray=stray / (direct + stray))
 
     return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
 
@@ -678,17 +699,17 @@ def _mean_level(frame: ExpectedFrame) -> _MeanLevel:
     of them are full.
     """
     signal_e = frame.signal_e
-    share, mean_e = 1.0, float(signal_e.ravel().mean())
+    share = 1.0
+    mean_e = float(signal_e.ravel().mean())
     top = top_table(frame, float(signal_e.max()))
     if top is not None:
         slope = code_moments([top], signal_e, 0.0).signal_slope
         total = float(slope.sum())
         if not total:
-            return _MeanLevel(0.0, 0.0, math.inf)
-        share, mean_e = (
-            total**2 / (slope.size * float((slope**2).sum())),
-            float((slope * signal_e).sum()) / total,
-        )
+            return _MeanLevel(share=0.0, signal_e=0.0, variance_e2=math.inf)
+        share = total**2 / (slope.size * float((slope**2).sum()))
+        mean_e = float((slope * signal_e).sum()) / total
+
     level_e = np.array(mean_e)
     variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
     tables = code_tables(frame, level_e)
@@ -706,15 +727,17 @@ def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
     of its contrast.
     """
     frame, options = judged.expected, judged.options.information
-    others = options.other_contrasts
-    axis, power, folded = _scene_power(frame)
+    other_contrasts = options.other_contrasts
     share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
-        nothing = math.nan if others is None else 0.0
-        return 0.0, 0.0, nothing, nothing
+        none = math.nan if other_contrasts is None else 0.0
+        return 0.0, 0.0, none, none
     if options.spectrum == "natural":  # the scene's own picture has its veil
         mean_e *= 1 - veiled(frame).stray
-    noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
+
+    axis, power, folded = _scene_power(frame)
+    pitch_mm = 1e-3 * frame.readout.physics.read_pitch_um
+    noise = variance_e2 * pitch_mm**2
 
     def bits_per_mm2(contrast: float) -> float:
         """Return the information of the whole sensor at a contrast of the scene."""
@@ -723,8 +746,11 @@ def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
         return share * information_bits_per_mm2(axis, level_e2 * power, noise, level_e2 * folded)
 
     bits = bits_per_mm2(options.contrast)
-    low, high = (math.nan, math.nan) if others is None else map(bits_per_mm2, others)
-    return bits, bits * (frame.imaging.camera.image_distance_mm * math.radians(1.0)) ** 2, low, high
+    mm_per_deg = frame.imaging.camera.image_distance_mm * math.radians(1.0)
+    low, high = math.nan, math.nan
+    if other_contrasts is not None:
+        low, high = map(bits_per_mm2, other_contrasts)
+    return bits, bits * mm_per_deg**2, low, high
 
 
 def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
@@ -734,14 +760,14 @@ def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
     Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN
     where all of them are.
     """
-    frequency = np.linspace(0.0, 500.0 / frame.readout.physics.read_pitch_um, POINTS)
+    pitch_um = frame.readout.physics.read_pitch_um
+    frequency = np.linspace(0.0, 500.0 / pitch_um, POINTS)
     share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
         return frequency, np.full(POINTS, np.nan)
-    noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
-    return frequency, neq(
-        np.abs(sensor_mtf(frame, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(frame).stray)
-    )
+    mtf = np.abs(sensor_mtf(frame, frequency, np.zeros(1)))
+    noise = variance_e2 * (1e-3 * pitch_um) ** 2
+    return frequency, neq(mtf, noise, mean_e * (1 - veiled(frame).stray))
 
 
 INFORMATION = Metric(
@@ -774,23 +800,22 @@ def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array,
     longer path of what moves.
     """
     along = sensor_terms(frame)[0] if along is None else along
-    down, across = map(abs, frame.moving.path_um)
-    return along, np.abs(
-        sensor_mtf(frame, along, np.zeros(1))
-        if across >= down
-        else sensor_mtf(frame, np.zeros(1), along)
-    )
+    path_y_um, path_x_um = map(abs, frame.moving.path_um)
+    if path_x_um >= path_y_um:
+        mtf = sensor_mtf(frame, along, np.zeros(1))
+    else:
+        mtf = sensor_mtf(frame, np.zeros(1), along)
+    return along, np.abs(mtf)
 
 
 def _mtf50(judged: FrameUnderTest) -> tuple[float]:
     frame = judged.expected
     along, mtf = _mtf_along(frame)
-    if (
-        path_um := frame.moving.longest_um
-    ):  # before the first zero of a long path, which the table may leave out
-        along, mtf = _mtf_along(
-            frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), _TABLE_POINTS)
-        )
+    path_um = frame.moving.longest_um
+    if path_um:
+        # Before the first zero of a long path, which the table may leave out.
+        last = min(float(along[-1]), 1e3 / path_um)
+        along, mtf = _mtf_along(frame, np.linspace(0.0, last, _TABLE_POINTS))
     half = mtf50(along, mtf)
     return (float(along[-1]) if half is None else half,)
 
@@ -817,22 +842,20 @@ MTF50 = Metric(
 def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
     frame, options = judged.expected, judged.options.snr10_lx
     readout, development = frame.readout, frame.development
-    across = max(
-        1.0,
-        (development.screen.dot_um or readout.physics.read_pitch_um)
-        / readout.physics.read_pitch_um,
-    )
+    pitch_um = readout.physics.read_pitch_um
+    dot_um = development.screen.dot_um or pitch_um
+    pixels_across_dot = max(1.0, dot_um / pitch_um)
+
+    # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as
+    # pixels.
+    pixel_e2 = float(variance_of_pixels_e2(readout, 0.0, options.integration_s))
     illuminance_lx = snr10_lx(
         development.white_e_per_s * options.integration_s,
         white_cd_per_m2(frame.light.mean, development.screen.display),
         reflectance=options.reflectance,
-        dark_variance_e2=float(variance_of_pixels_e2(readout, 0.0, options.integration_s))
-        # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side,
-        # not as pixels.
-        + across
-        * sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")),
+        dark_variance_e2=pixel_e2 + pixels_across_dot * _line_variance_e2(readout),
         prnu=readout.prnu,
-        pixels_per_dot=across**2,
+        pixels_per_dot=pixels_across_dot**2,
         snr=options.snr,
         saturation_e=readout.saturation_e,
     )
@@ -843,6 +866,13 @@ def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
             str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr."))
         )
     return (illuminance_lx,)
+
+
+def _line_variance_e2(readout: Readout) -> float:
+    """Return the variance of the offsets of columns and of rows together."""
+    column_e2 = float(np.mean(variance_e2(readout, along="column")))
+    row_e2 = float(np.mean(variance_e2(readout, along="row")))
+    return column_e2 + row_e2
 
 
 SNR10_LX = Metric(
@@ -865,36 +895,39 @@ SNR10_LX = Metric(
 def _niirs(judged: FrameUnderTest) -> tuple[float]:
     frame, options, time_s = judged.expected, judged.options.niirs, judged.frame.integration_s
     readout, camera = frame.readout, frame.imaging.camera
+    pitch_um = readout.physics.read_pitch_um
     along, mtf = _mtf_along(frame)
-    rer = relative_edge_response(along * 1e-3 * readout.physics.read_pitch_um, mtf)
+    rer = relative_edge_response(along * 1e-3 * pitch_um, mtf)
+
+    # Two surfaces, with the veil over both.
     veil = veiled(frame)
     stray_e = veil.stray * float(frame.development.signal_e_per_s.mean()) * time_s
     white_e = veil.direct * frame.white_e
-    darker_e, brighter_e = (
-        white_e * reflectance + stray_e for reflectance in sorted(options.reflectances)
-    )
-    if brighter_e >= (saturation_e := full_e(readout, time_s)):
-        brighter, saturation = (rounded(electrons, 3) for electrons in (brighter_e, saturation_e))
+    darker, brighter = sorted(options.reflectances)
+    darker_e = white_e * darker + stray_e
+    brighter_e = white_e * brighter + stray_e
+    saturation_e = full_e(readout, time_s)
+    if brighter_e >= saturation_e:
         got = (
-            f"{brighter} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm,"
-            f" full at {saturation} e-"
+            f"{rounded(brighter_e, 3)} e- of the brighter surface in pixels of"
+            f" {readout.physics.pitch_um:g} µm, full at {rounded(saturation_e, 3)} e-"
         )
         allowed = "surfaces that the frame tells apart"
         raise NoNumberError(
             str(invalid("the metric niirs", got, allowed, "Expose it for less time."))
         )
+
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
-    noise_e2 += sum(
-        float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")
-    )
-    distance_m = options.ground_distance_m
-    reduction = (
-        1 / abs(camera.magnification)
-        if distance_m is None
-        else 1e3 * distance_m / camera.image_distance_mm
-    )
-    ground_m = 1e-6 * readout.physics.read_pitch_um * reduction
-    return (niirs(rer, ground_m, (brighter_e - darker_e) / math.sqrt(noise_e2)),)
+    noise_e2 += _line_variance_e2(readout)
+    snr = (brighter_e - darker_e) / math.sqrt(noise_e2)
+
+    # Lengths on the ground over those on the sensor.
+    if options.ground_distance_m is None:
+        reduction = 1 / abs(camera.magnification)
+    else:
+        reduction = 1e3 * options.ground_distance_m / camera.image_distance_mm
+    ground_m = 1e-6 * pitch_um * reduction
+    return (niirs(rer, ground_m, snr),)
 
 
 NIIRS = Metric(

@@ -652,7 +652,9 @@ def _is_of_lens(case: UserSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
     is_of_file = (
-        case.imaging.camera.lens is not None if table == "camera" else field_name not in ANY_LENS_FIELDS
+        case.imaging.camera.lens is not None
+        if table == "camera"
+        else field_name not in ANY_LENS_FIELDS
     )
     return is_of_file or None
 
