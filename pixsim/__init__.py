@@ -45,7 +45,11 @@ if TYPE_CHECKING:
     from pixsim.studies.study import study as study
     from pixsim.studies.sweep import sweep as sweep
     from pixsim.verification.ladder import accuracy as accuracy
-    from pixsim.viewer import display as display, judges as judges, scielab as scielab
+    from pixsim.viewer import (
+        display as display,
+        metric_kernels as metric_kernels,
+        scielab as scielab,
+    )
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
     from pixsim.viewer.develop_options import Develop as Develop
@@ -106,7 +110,7 @@ _MODULES = {
     "sensor": "sensor",
     "display": "viewer.display",
     "scielab": "viewer.scielab",
-    "metrics": "viewer.judges",
+    "metrics": "viewer.metric_kernels",
     "charts": "scene.charts",
     "spectral": "light.spectral",
 }

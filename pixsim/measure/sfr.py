@@ -46,7 +46,7 @@ from pixsim.sensor.raw import (
     read_picture,
     stated_number,
 )
-from pixsim.viewer.judges.sharpness import first_crossing
+from pixsim.viewer.metric_kernels.sharpness import first_crossing
 
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5

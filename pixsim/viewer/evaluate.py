@@ -142,11 +142,11 @@ def _evaluate_frame(
 
     Raises NoNumberError if no metric has a number.
     """
-    judged, metrics = (
+    under_test, metrics = (
         FrameUnderTest.of(chain, chain.capture(*key), stream=key),
         chain.imaging.metrics.chosen,
     )
-    score = with_numbers(judged.score, metrics, judged, missing)
+    score = with_numbers(under_test.score, metrics, under_test, missing)
     if missing and len(missing) == len(metrics):
         raise NoNumberError(next(iter(missing.values())))
     return score
@@ -155,16 +155,16 @@ def _evaluate_frame(
 def with_numbers(
     score: S,
     metrics: Sequence[Metric],
-    judged: FrameUnderTest | Score,
+    under_test: FrameUnderTest | Score,
     missing: dict[str, str] | None = None,
 ) -> S:
     """Return a score with the numbers of metrics.
 
-    judged : the frame of the score, or the score alone for metrics that need no frame
+    under_test : the frame of the score, or the score alone for metrics that need no frame
     missing : as for `_evaluate_frame`
     """
     others = [metric for metric in metrics if not metric.is_delta_e]  # a score has ΔE
-    numbers = numbers_of(others, judged, missing)
+    numbers = numbers_of(others, under_test, missing)
     numbers = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
     first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
     return replace(score, metrics=first, further=numbers)

@@ -92,7 +92,9 @@ class FrameUnderTest:
 
 
 def numbers_of(
-    metrics: Sequence[Metric], judged: FrameUnderTest | Score, missing: dict[str, str] | None = None
+    metrics: Sequence[Metric],
+    under_test: FrameUnderTest | Score,
+    missing: dict[str, str] | None = None,
 ) -> dict[str, float]:
     """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that
     need no frame.
@@ -103,10 +105,10 @@ def numbers_of(
     numbers: dict[str, float] = {}
     for metric in metrics:
         try:
-            if isinstance(judged, FrameUnderTest) and not metric.needs_frame:
-                numbers |= metric.values(judged.score)
+            if isinstance(under_test, FrameUnderTest) and not metric.needs_frame:
+                numbers |= metric.values(under_test.score)
             else:
-                numbers |= metric.values(judged)
+                numbers |= metric.values(under_test)
         except NoNumberError as error:
             if missing is None:
                 raise

@@ -145,12 +145,12 @@ class Metric:
         """Return whether a column's value is the NaN of a variant that means nothing."""
         return column in self.variants and math.isnan(value)
 
-    def values(self, judged: Any) -> dict[str, float]:
+    def values(self, under_test: Any) -> dict[str, float]:
         """Return the numbers by their columns. Raises PixsimError if one is outside the bounds.
 
-        judged : what `compute` takes, a frame under test or a score
+        under_test : what `compute` takes, a frame under test or a score
         """
-        numbers = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))
+        numbers = dict(zip(self.columns, map(float, self.compute(under_test)), strict=True))
         low, high = self.bounds
         for name, value in numbers.items():
             if not low <= value <= high and not self.may_lack(name, value):

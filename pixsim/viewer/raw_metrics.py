@@ -24,16 +24,16 @@ from pixsim.sensor.reading import Readout
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.frame_under_test import FrameUnderTest
-from pixsim.viewer.judges.information_density import (
+from pixsim.viewer.metric_kernels.information_density import (
     folded_spectrum,
     information_bits_per_mm2,
     natural_spectrum,
     neq,
 )
-from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
-from pixsim.viewer.judges.linear_observer import detectability
-from pixsim.viewer.judges.sharpness import mtf50
-from pixsim.viewer.judges.snr_illuminance import snr10_lx
+from pixsim.viewer.metric_kernels.interpretability import niirs, relative_edge_response
+from pixsim.viewer.metric_kernels.linear_observer import detectability
+from pixsim.viewer.metric_kernels.sharpness import mtf50
+from pixsim.viewer.metric_kernels.snr_illuminance import snr10_lx
 from pixsim.viewer.metric_options import NO_CONTRAST, Detectability
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
@@ -517,11 +517,11 @@ def _stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
     return float(stated)
 
 
-def _detectability(judged: FrameUnderTest) -> tuple[float, float, float]:
-    count = judged.options.detectability.registrations
-    values = [_d_prime(frame) for frame in judged.registrations(count)]
+def _detectability(under_test: FrameUnderTest) -> tuple[float, float, float]:
+    count = under_test.options.detectability.registrations
+    values = [_d_prime(frame) for frame in under_test.registrations(count)]
     mean = float(np.mean(values))
-    factor, _ = contrast_factor(judged.expected, mean)
+    factor, _ = contrast_factor(under_test.expected, mean)
     return mean, min(values), factor
 
 
@@ -719,14 +719,14 @@ def _mean_level(frame: ExpectedFrame) -> _MeanLevel:
     return _MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
-def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
+def _information(under_test: FrameUnderTest) -> tuple[float, float, float, float]:
     """Return the information in the mean level of the pixels that are not full, per mm² and deg²,
     and per mm² at other contrasts.
 
     It counts for their share of the sensor. The power of a natural spectrum grows with the square
     of its contrast.
     """
-    frame, options = judged.expected, judged.options.information
+    frame, options = under_test.expected, under_test.options.information
     other_contrasts = options.other_contrasts
     share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
@@ -808,8 +808,8 @@ def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array,
     return along, np.abs(mtf)
 
 
-def _mtf50(judged: FrameUnderTest) -> tuple[float]:
-    frame = judged.expected
+def _mtf50(under_test: FrameUnderTest) -> tuple[float]:
+    frame = under_test.expected
     along, mtf = _mtf_along(frame)
     path_um = frame.moving.longest_um
     if path_um:
@@ -839,8 +839,8 @@ MTF50 = Metric(
 )
 
 
-def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
-    frame, options = judged.expected, judged.options.snr10_lx
+def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
+    frame, options = under_test.expected, under_test.options.snr10_lx
     readout, development = frame.readout, frame.development
     pitch_um = readout.physics.read_pitch_um
     dot_um = development.screen.dot_um or pitch_um
@@ -892,8 +892,12 @@ SNR10_LX = Metric(
 )
 
 
-def _niirs(judged: FrameUnderTest) -> tuple[float]:
-    frame, options, time_s = judged.expected, judged.options.niirs, judged.frame.integration_s
+def _niirs(under_test: FrameUnderTest) -> tuple[float]:
+    frame, options, time_s = (
+        under_test.expected,
+        under_test.options.niirs,
+        under_test.frame.integration_s,
+    )
     readout, camera = frame.readout, frame.imaging.camera
     pitch_um = readout.physics.read_pitch_um
     along, mtf = _mtf_along(frame)

@@ -26,7 +26,7 @@ from pixsim.viewer.causes import lightness_range
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.judges.information_density import radial_spectrum
+from pixsim.viewer.metric_kernels.information_density import radial_spectrum
 from pixsim.viewer.screen import (
     HEADER_OF_WHITE,
     ROUNDING,

@@ -17,9 +17,9 @@ from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.develop_steps import noise_of_expected_e2
 from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
 from pixsim.viewer.frame_under_test import FrameUnderTest
-from pixsim.viewer.judges.non_prewhitening import npwe
-from pixsim.viewer.judges.sharpness import acutance
-from pixsim.viewer.judges.visible_noise import visual_noise
+from pixsim.viewer.metric_kernels.non_prewhitening import npwe
+from pixsim.viewer.metric_kernels.sharpness import acutance
+from pixsim.viewer.metric_kernels.visible_noise import visual_noise
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms
 from pixsim.viewer.raw_metrics import (
@@ -40,8 +40,8 @@ POINTS = 257
 _FLIP_PACKAGE = "flip_evaluator"
 
 
-def _acutance(judged: FrameUnderTest) -> tuple[float]:
-    frame, imaging, development = judged.expected, judged.imaging, judged.development
+def _acutance(under_test: FrameUnderTest) -> tuple[float]:
+    frame, imaging, development = under_test.expected, under_test.imaging, under_test.development
     display, develop, screen = imaging.display, imaging.develop, development.screen
     pitch_um = development.readout.physics.read_pitch_um
     mm_per_deg = 1e-3 * display.samples_per_deg * (screen.dot_um or pitch_um)
@@ -80,11 +80,15 @@ ACUTANCE = Metric(
 )
 
 
-def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
+def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its
     own.
     """
-    development, imaging, time_s = judged.development, judged.imaging, judged.frame.integration_s
+    development, imaging, time_s = (
+        under_test.development,
+        under_test.imaging,
+        under_test.frame.integration_s,
+    )
     correction = imaging.correction
     if imaging.develop.denoise == "wiener_bound":
         got, hint = (
@@ -101,12 +105,12 @@ def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
                 )
             )
         )
-    uniform: Array = np.full(judged.frame.dn.shape, GREY * development.white_e_per_s)
+    uniform: Array = np.full(under_test.frame.dn.shape, GREY * development.white_e_per_s)
     flat_field = development.flat_field
     if flat_field is not None and (development.shading is not None or correction.flat_frames):
         uniform *= flat_field  # by which the picture is divided
 
-    key = (*judged.stream, "visual noise")
+    key = (*under_test.stream, "visual noise")
     rows, columns = uniform.shape
     sensor = sample_sensor(development.readout, (rows, columns), stream(*key, "sensor"))
     frame = capture_from_rates(
@@ -141,7 +145,7 @@ VISUAL_NOISE = Metric(
 )
 
 
-def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
+def _npwe(under_test: FrameUnderTest) -> tuple[float, float]:
     """Compare the shown light of expected frames of each registration, in the expected spectrum of
     their noise.
 
@@ -149,7 +153,7 @@ def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
     band of the target. That is the ratio of two periodograms of the same noise, with and without
     the curve, which scatters much less than either of them.
     """
-    develop = judged.imaging.develop
+    develop = under_test.imaging.develop
     if develop.denoises:
         got = (
             f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to"
@@ -167,14 +171,14 @@ def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
         )
     change, values = 1.0, []
     for number, frame in enumerate(
-        judged.registrations(judged.options.detectability.registrations)
+        under_test.registrations(under_test.options.detectability.registrations)
     ):
         development = frame.development
-        with_target, difference = _expected_light(judged.frame, frame)
+        with_target, difference = _expected_light(under_test.frame, frame)
         samples_per_deg = development.screen.display.samples_per_deg
         power = expected_noise_power(development, _raw_noise(frame, frame.signal_e))
         if number == 0 and develop.tone and difference.any():
-            light = development.light_before_tone(judged.frame)
+            light = development.light_before_tone(under_test.frame)
             curved = npwe(
                 difference,
                 _periodogram(development.toned(light) - development.toned(with_target)),

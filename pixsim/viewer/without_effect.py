@@ -431,9 +431,9 @@ class _SmallFrame:
 
     def metric_values(self, metric: Metric, frame: Frame) -> Array:
         """Return the numbers of a metric of a frame, (n,); NaN where it has none."""
-        judged = FrameUnderTest.of(self.chain, frame, stream=STREAM)
+        under_test = FrameUnderTest.of(self.chain, frame, stream=STREAM)
         try:
-            values = metric.values(judged if metric.needs_frame else judged.score)
+            values = metric.values(under_test if metric.needs_frame else under_test.score)
         except NoNumberError:
             return np.full(len(metric.columns), np.nan)
         return np.array(list(values.values()))

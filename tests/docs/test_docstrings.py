@@ -112,7 +112,10 @@ KERNELS = (
         "viewer.display",
         "viewer.scielab",
     ),
-    *(f"viewer.judges.{name}" for name in ("information_density", "non_prewhitening", "sharpness")),
+    *(
+        f"viewer.metric_kernels.{name}"
+        for name in ("information_density", "non_prewhitening", "sharpness")
+    ),
     *(f"viewer.denoising.{name}" for name in ("anscombe", "filters", "wiener")),
 )
 # Public names exempt from a rule, and why.

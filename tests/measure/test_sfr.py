@@ -21,7 +21,7 @@ from pixsim.report.sfr import sfr_document, sfr_parts
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import RawFrame
 from pixsim.show.render import text
-from pixsim.viewer.judges.sharpness import first_crossing
+from pixsim.viewer.metric_kernels.sharpness import first_crossing
 
 SIDE = 320
 DARK, LIGHT = 100.0, 1000.0
@@ -229,8 +229,7 @@ def test_stacked_sensor_measures_a_plane() -> None:
 def test_frame_of_a_colour_sensor_is_measured_by_its_layout(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"raw{suffix}"
     write_frame(
-        path,
-        RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.parse("GR/BG")),
+        path, RawFrame(np.rint(10 * mosaic("GR/BG", gaussian_edge())), layout=Layout.parse("GR/BG"))
     )
     with pytest.raises(PixsimError, match="one channel"):
         sfr(path)

@@ -55,7 +55,9 @@ def traced(
     )
     along = along + chief
     height = np.array([np.hypot(x_mm, y_mm)])
-    through = lens._max_relative_height(np.array([field]), height, nm, across[None], along[None])[0] <= 1
+    through = (
+        lens._max_relative_height(np.array([field]), height, nm, across[None], along[None])[0] <= 1
+    )
     outward = np.array([x_mm, y_mm]) / np.hypot(x_mm, y_mm)
     aside = np.array([outward[1], -outward[0]])
     cosines = along[through, None] * outward + across[through, None] * aside

@@ -29,9 +29,9 @@ from pixsim.viewer.demosaic import remosaic
 from pixsim.viewer.denoising import wiener
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import (
+    DISPLAYED,
     PLANES,
     RAW,
-    DISPLAYED,
     STEPS,
     developed_planes,
     noise_covariance,

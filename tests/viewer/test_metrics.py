@@ -25,9 +25,9 @@ from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.development import Development
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.frame_under_test import FrameUnderTest
-from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
-from pixsim.viewer.judges.non_prewhitening import npwe
-from pixsim.viewer.judges.sharpness import edge_mtf
+from pixsim.viewer.metric_kernels.interpretability import niirs, relative_edge_response
+from pixsim.viewer.metric_kernels.non_prewhitening import npwe
+from pixsim.viewer.metric_kernels.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import MetricRequest, NoNumberError, user_metric

@@ -21,7 +21,7 @@ from pixsim.base.arrays import Array, Positives, dct, empty_planes, inverse_dct,
 from pixsim.base.bounds import FINITE, Positive
 from pixsim.base.errors import invalid
 from pixsim.viewer.display import WHITE_XYZ
-from pixsim.viewer.judges.sharpness import luminance_csf
+from pixsim.viewer.metric_kernels.sharpness import luminance_csf
 from pixsim.viewer.scielab import CIE_LAB, checked_white
 
 WEIGHTS = (1.0, 0.852, 0.323)  # of the deviations of L*, u* and v* [ISO]

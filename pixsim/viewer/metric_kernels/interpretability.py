@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arrays import NotNegativeArray
 from pixsim.base.bounds import SMALLEST, Bounds, Positive
-from pixsim.viewer.judges.sharpness import Frequencies, curve_from_0
+from pixsim.viewer.metric_kernels.sharpness import Frequencies, curve_from_0
 
 _M_PER_INCH = 0.0254
 _MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3

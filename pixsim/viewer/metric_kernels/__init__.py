@@ -1,4 +1,4 @@
-"""Judges of frames and pictures beside ΔE, `pixsim.metrics`: pure functions of arrays and numbers.
+"""Kernels of the metrics beside ΔE, `pixsim.metrics`: pure functions of arrays and numbers.
 
 `linear_observer` (a target in a raw frame) and `non_prewhitening` (one in a shown picture),
 `information_density` (bits per area of the sensor), `sharpness` (MTF of an edge, MTF50, acutance),
@@ -8,26 +8,29 @@
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pixsim.viewer.judges.information_density import (
+    from pixsim.viewer.metric_kernels.information_density import (
         folded_spectrum as folded_spectrum,
         information_bits_per_mm2 as information_bits_per_mm2,
         natural_spectrum as natural_spectrum,
         neq as neq,
         radial_spectrum as radial_spectrum,
     )
-    from pixsim.viewer.judges.interpretability import (
+    from pixsim.viewer.metric_kernels.interpretability import (
         niirs as niirs,
         relative_edge_response as relative_edge_response,
     )
-    from pixsim.viewer.judges.linear_observer import detectability as detectability
-    from pixsim.viewer.judges.non_prewhitening import npwe as npwe, npwe_template as npwe_template
-    from pixsim.viewer.judges.sharpness import (
+    from pixsim.viewer.metric_kernels.linear_observer import detectability as detectability
+    from pixsim.viewer.metric_kernels.non_prewhitening import (
+        npwe as npwe,
+        npwe_template as npwe_template,
+    )
+    from pixsim.viewer.metric_kernels.sharpness import (
         acutance as acutance,
         edge_mtf as edge_mtf,
         mtf50 as mtf50,
     )
-    from pixsim.viewer.judges.snr_illuminance import snr10_lx as snr10_lx
-    from pixsim.viewer.judges.visible_noise import visual_noise as visual_noise
+    from pixsim.viewer.metric_kernels.snr_illuminance import snr10_lx as snr10_lx
+    from pixsim.viewer.metric_kernels.visible_noise import visual_noise as visual_noise
 
 _NAMES_OF = {
     "information_density": (
@@ -50,7 +53,7 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     from importlib import import_module
 
-    return getattr(import_module(f"pixsim.viewer.judges.{_HOME[name]}"), name)
+    return getattr(import_module(f"pixsim.viewer.metric_kernels.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:
