@@ -309,8 +309,7 @@ def _odd_spline(at: Array, values: Array) -> Callable[..., Array]:
     return spline
 
 
-# --- the scene where the chief rays arrive
-# -------------------------------------------------------------------------------------
+# The scene where the chief rays arrive
 
 
 Picture = NDArray[np.float32] | Array
@@ -503,8 +502,7 @@ def rendered_camera(camera: Camera) -> Camera:
     return without_lens(camera).model_copy(update=die)
 
 
-# --- blur
-# -----------------------------------------------------------------------------------------------------------------------
+# Blur
 
 
 @dataclass(frozen=True)

@@ -187,13 +187,15 @@ def load_lens(
     >>> round(float(load_lens("cooke_triplet").first_order(550.0).focal_length_mm), 6)
     49.999783
     """
-    table = {
-        "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
-        "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues), "unknown_glass": unknown_glass,
-    }  # fmt: skip
-    return read_lens(
-        os.fspath(file), checked(PrescriptionOptions, [Layer({"file": os.fspath(file), **table})])
-    )
+    settings = {
+        "file": os.fspath(file),
+        "configuration": configuration,
+        "semi_diameters": semi_diameters,
+        "vignetting_factors": vignetting_factors,
+        "glass_catalogues": tuple(os.fspath(name) for name in glass_catalogues),
+        "unknown_glass": unknown_glass,
+    }
+    return read_lens(os.fspath(file), checked(PrescriptionOptions, [Layer(settings)]))
 
 
 def read_lens(file: str, options: PrescriptionOptions) -> Lens:
@@ -231,13 +233,16 @@ def _without_fields(prescription: Prescription) -> Lens:
     """
     bare = Lens(prescription, 1.0, 0.0)
     lens_name = f"lens '{prescription.name}'"
+
     focal_mm = bare.first_order(prescription.primary_nm).focal_length_mm
     if not 0 < focal_mm < math.inf:
         kind = "afocal, with" if math.isinf(focal_mm) else "virtual, with"
-        expected = "a positive focal length, of a lens that makes a real image"
         raise invalid(
-            lens_name, f"no real image: {kind} a focal length of {focal_mm:g} mm", expected
+            lens_name,
+            f"no real image: {kind} a focal length of {focal_mm:g} mm",
+            "a positive focal length, of a lens that makes a real image",
         )
+
     object_mm = prescription.object_distance_mm
     if math.isfinite(object_mm):
         object_mm += bare._entrance_pupil_mm
@@ -247,49 +252,72 @@ def _without_fields(prescription: Prescription) -> Lens:
                 f"an entrance pupil {-object_mm:g} mm in front of the object",
                 "one behind the object",
             )
-    aperture = prescription.aperture_value
-    if prescription.aperture == "f_number" or (
-        prescription.aperture == "working_f_number" and math.isinf(object_mm)
-    ):
-        aperture = focal_mm / aperture
-    elif prescription.aperture == "working_f_number":
-        start = np.array([prescription.object_distance_mm]), np.array([1.0])
-        indices = bare._indices(np.array([prescription.primary_nm]))
-        aperture = object_mm / (
-            aperture * abs(float(paraxial(prescription.surfaces, indices, *start)[1].flat[0]))
-        )
-    elif prescription.aperture == "object_numerical_aperture":
-        if not (aperture < 1 and math.isfinite(object_mm)):
-            expected = "below 1, of an object at a finite distance"
-            raise invalid(
-                lens_name,
-                f"a numerical aperture of {aperture:g}, with the object at {object_mm:g} mm",
-                expected,
-            )
-        aperture = 2 * object_mm * math.tan(math.asin(aperture))
-    elif prescription.aperture == "stop_diameter":
-        aperture = aperture / abs(bare._entrance_pupil_scale(prescription.primary_nm)[0])
-    f_number = focal_mm / aperture
+
+    pupil_mm = _entrance_pupil_diameter_mm(bare, focal_mm, object_mm)
+    f_number = focal_mm / pupil_mm
     if f_number > _FAINTEST_F_NUMBER:
-        got = f"no real image: afocal, with a focal length of {focal_mm:.4g} mm at f/{f_number:.4g}"
-        raise invalid(lens_name, got, f"an image at f/{_FAINTEST_F_NUMBER:g} or less")
-    lens = Lens(prescription, aperture, 0.0, object_mm)
-    trailing_mm = 0.0  # from the last surface that refracts to the last vertex
-    for surface, in_front in pairwise(reversed(prescription.surfaces)):
-        if surface.glass != AIR or in_front.glass != AIR:
-            break
-        trailing_mm += in_front.thickness_mm
-    back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
-    if not -VIRTUAL * focal_mm <= back_mm + trailing_mm < math.inf:
-        got = f"no real image: a back focal length of {back_mm:.5g} mm"
         raise invalid(
             lens_name,
-            got,
+            f"no real image: afocal, with a focal length of {focal_mm:.4g} mm at f/{f_number:.4g}",
+            f"an image at f/{_FAINTEST_F_NUMBER:g} or less",
+        )
+
+    lens = Lens(prescription, pupil_mm, 0.0, object_mm)
+    back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
+    if not -VIRTUAL * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
+        raise invalid(
+            lens_name,
+            f"no real image: a back focal length of {back_mm:.5g} mm",
             "a focus behind the last surface",
             "A lens that makes a virtual image needs another behind it.",
         )
+
     lens.stop_semi_diameter_mm  # noqa: B018 raises if the marginal ray does not reach the stop
     return lens
+
+
+def _entrance_pupil_diameter_mm(bare: Lens, focal_mm: float, object_mm: float) -> float:
+    """Return the diameter of the entrance pupil from the aperture that a prescription states.
+
+    object_mm : distance of the object from the entrance pupil
+
+    Raises PixsimError for a numerical aperture that the object's distance does not allow.
+    """
+    prescription = bare.prescription
+    kind, aperture = prescription.aperture, prescription.aperture_value
+    if kind == "f_number" or (kind == "working_f_number" and math.isinf(object_mm)):
+        return focal_mm / aperture
+
+    if kind == "working_f_number":
+        # The image's slope of a paraxial ray of slope 1 is the pupil's slope over the image's.
+        height, slope = np.array([prescription.object_distance_mm]), np.array([1.0])
+        indices = bare._indices(np.array([prescription.primary_nm]))
+        _, image_slope = paraxial(prescription.surfaces, indices, height, slope)
+        return object_mm / (aperture * abs(float(image_slope.flat[0])))
+
+    if kind == "object_numerical_aperture":
+        if not (aperture < 1 and math.isfinite(object_mm)):
+            raise invalid(
+                f"lens '{prescription.name}'",
+                f"a numerical aperture of {aperture:g}, with the object at {object_mm:g} mm",
+                "below 1, of an object at a finite distance",
+            )
+        return 2 * object_mm * math.tan(math.asin(aperture))
+
+    if kind == "stop_diameter":
+        stop_over_pupil, _ = bare._entrance_pupil_scale(prescription.primary_nm)
+        return aperture / abs(stop_over_pupil)
+    return aperture
+
+
+def _trailing_air_mm(prescription: Prescription) -> float:
+    """Return the distance from the last surface that refracts to the last vertex."""
+    distance_mm = 0.0
+    for surface, in_front in pairwise(reversed(prescription.surfaces)):
+        if surface.glass != AIR or in_front.glass != AIR:
+            break
+        distance_mm += in_front.thickness_mm
+    return distance_mm
 
 
 def _field_deg(lens: Lens, value: float) -> float:
@@ -312,46 +340,54 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
     """
     stated = lens.prescription.field_value
     unit = "°" if lens.prescription.field_of_view == "angle_deg" else " mm"
+    reason = ""
     try:
         wanted_deg = _field_deg(lens, stated)
     except PixsimError:  # an image height beyond the chief rays
         wanted_deg = float(lens._fields_with_chief_rays(lens.primary_nm)[0][-1])
         reason = "no chief ray has such an image height"
     else:
-        reason = f"fields are traced below {STEEPEST_DEG:g}°" if wanted_deg > STEEPEST_DEG else ""
+        if wanted_deg > STEEPEST_DEG:
+            reason = f"fields are traced below {STEEPEST_DEG:g}°"
+
     limit_deg = min(wanted_deg, STEEPEST_DEG)
-    nm = np.unique(lens.prescription.wavelengths_nm)
-
-    def traced(fields: Array) -> float:
-        """Return the last field before the first whose chief ray is lost at one of the
-        wavelengths.
-        """
-        rays, _ = lens._chief_or_nan(np.repeat(fields, nm.size), np.tile(nm, fields.size))
-        is_traced = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size).all(axis=1)
-        return float(
-            fields[-1] if is_traced.all() else fields[max(int(np.argmin(is_traced)) - 1, 0)]
-        )
-
     while limit_deg:
-        step_deg, traced_deg = limit_deg, 0.0
-        while (
-            step_deg > 1 / LIMIT_PER_DEG and traced_deg < limit_deg
-        ):  # finer and finer, behind the last that is traced
-            fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), LIMIT_FIELDS)
-            step_deg, traced_deg = step_deg / (LIMIT_FIELDS - 1), traced(fields)
+        traced_deg, step_deg = _last_traced_field(lens, limit_deg)
         if traced_deg == limit_deg:
             break
         if not traced_deg:
-            return 0.0, ""  # the axis, whose failure is told where it is traced
+            return 0.0, ""  # the axis, whose failure is reported where it is traced
+
         lost_deg = min(traced_deg + step_deg, limit_deg)
-        reason = (
-            "beyond, the chief ray"
-            f" {lens._where_ray_ends(lost_deg, lens.primary_nm, 0.0, lens._nearest_chief(lost_deg, lens.primary_nm))}"
-        )
+        pupil_y_mm = lens._nearest_chief_height_mm(lost_deg, lens.primary_nm)
+        where = lens._where_ray_ends(lost_deg, lens.primary_nm, 0.0, pupil_y_mm)
+        reason = f"beyond, the chief ray {where}"
         limit_deg = math.floor(traced_deg * LIMIT_PER_DEG) / LIMIT_PER_DEG or traced_deg
+
     if not reason:
         return wanted_deg, ""
     return limit_deg, f"fields to {stated:g}{unit} are limited to {limit_deg:.4g}°, since {reason}"
+
+
+def _last_traced_field(lens: Lens, limit_deg: float) -> tuple[float, float]:
+    """Return the largest field up to a limit before the first whose chief ray is lost at one of the
+    wavelengths, and the step to that one, both in degrees.
+    """
+    nm = np.unique(lens.prescription.wavelengths_nm)
+    traced_deg, step_deg = 0.0, limit_deg
+    while step_deg > 1 / LIMIT_PER_DEG and traced_deg < limit_deg:
+        # Finer and finer, behind the last field that is traced.
+        fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), LIMIT_FIELDS)
+        rays, _ = lens._trace_chief_rays(np.repeat(fields, nm.size), np.tile(nm, fields.size))
+        is_finite = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size)
+        is_traced = is_finite.all(axis=1)
+
+        last = fields.size - 1
+        if not is_traced.all():
+            last = max(int(np.argmin(is_traced)) - 1, 0)
+        traced_deg = float(fields[last])
+        step_deg /= LIMIT_FIELDS - 1
+    return traced_deg, step_deg
 
 
 def _vignetting(
@@ -361,16 +397,18 @@ def _vignetting(
     out.
     """
     stop_mm = lens.stop_semi_diameter_mm
-    upright = math.copysign(1.0, lens._entrance_pupil_scale(lens.primary_nm)[0])
+    stop_over_pupil, _ = lens._entrance_pupil_scale(lens.primary_nm)
+    upright = math.copysign(1.0, stop_over_pupil)
+
     ellipses = []
     for row in rows:
         try:
             field_deg = _field_deg(lens, row.field_value)
         except PixsimError:
             continue
-        ellipses.append(
-            (field_deg, upright * row.decentre * stop_mm, row.across * stop_mm, row.along * stop_mm)
-        )
+        centre_mm = upright * row.decentre * stop_mm
+        ellipses.append((field_deg, centre_mm, row.across * stop_mm, row.along * stop_mm))
+
     if not ellipses or ellipses[0][0]:
         ellipses.insert(0, (0.0, 0.0, stop_mm, stop_mm))
     return tuple(ellipses)
@@ -428,8 +466,8 @@ class Lens:
         """
         changed = replace(self, **changes)
         for name in (
-            "_chief_heights",
-            "_cached_polynomials",
+            "_cached_chief_heights",
+            "_cached_pupil_polynomials",
             "_cached_indices",
             "stop_semi_diameter_mm",
         ):
@@ -447,12 +485,12 @@ class Lens:
         return f"lens '{self.prescription.name}'"
 
     @cached_property
-    def _chief_heights(self) -> dict[tuple[float, float], float]:
-        """Field and wavelength -> height of `_chief_height`."""
+    def _cached_chief_heights(self) -> dict[tuple[float, float], float]:
+        """Field and wavelength -> height of `_chief_pupil_heights_mm`."""
         return {}
 
     @cached_property
-    def _cached_polynomials(self) -> dict[tuple[float, float], Array]:
+    def _cached_pupil_polynomials(self) -> dict[tuple[float, float], Array]:
         """Field and wavelength -> polynomials of `_pupil_polynomials`."""
         return {}
 
@@ -468,32 +506,38 @@ class Lens:
         return 1e3 * max(low for low, _ in ranges), 1e3 * min(high for _, high in ranges)
 
     # Paraxial
-    # ------------------------------------------------------------------------------------------------------------
 
     def first_order(self, wavelength_nm: Positive) -> FirstOrder:
         """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a
         glass.
         """
-        surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
+        surfaces = self.prescription.surfaces
+        indices = self._indices(np.array([wavelength_nm]))
+        behind = np.asarray(indices[-1])
+
+        # A ray parallel to the axis, and one through the centre of the stop.
         height, angle = paraxial(surfaces, indices, np.array([1.0]), np.array([0.0]))
-        scale, distance = self._entrance_pupil_scale(wavelength_nm)
         stop = self.prescription.stop
-        from_stop, slope = paraxial(
+        stop_height, stop_angle = paraxial(
             surfaces[stop:], indices[stop:], np.array([0.0]), np.array([1.0])
         )
-        behind = np.asarray(indices[-1])
+
+        stop_over_pupil, pupil_from_vertex_mm = self._entrance_pupil_scale(wavelength_nm)
         with np.errstate(divide="ignore"):
-            focal, back = -1 / angle, -height / angle * behind
-            exit_from_last = -from_stop / slope * behind
-            exit_diameter = np.abs(scale * self.entrance_pupil_diameter_mm / slope)
+            focal_mm = -1 / angle
+            back_mm = -height / angle * behind
+            exit_from_last_mm = -stop_height / stop_angle * behind
+            exit_diameter_mm = np.abs(
+                stop_over_pupil * self.entrance_pupil_diameter_mm / stop_angle
+            )
         return FirstOrder(
-            float(focal[0]),
-            float(back.flat[0]),
-            self.entrance_pupil_diameter_mm,
-            distance,
-            float(exit_diameter[0]),
-            float(exit_from_last.flat[0]) - surfaces[-1].thickness_mm,
-            float(np.abs(focal[0])) / self.entrance_pupil_diameter_mm,
+            focal_length_mm=float(focal_mm[0]),
+            back_focal_length_mm=float(back_mm.flat[0]),
+            entrance_pupil_diameter_mm=self.entrance_pupil_diameter_mm,
+            entrance_pupil_from_first_vertex_mm=pupil_from_vertex_mm,
+            exit_pupil_diameter_mm=float(exit_diameter_mm[0]),
+            exit_pupil_from_image_mm=float(exit_from_last_mm.flat[0]) - surfaces[-1].thickness_mm,
+            f_number=float(np.abs(focal_mm[0])) / self.entrance_pupil_diameter_mm,
         )
 
     def _entrance_pupil_scale(self, wavelength_nm: float) -> tuple[float, float]:
@@ -503,44 +547,41 @@ class Lens:
         Raises PixsimError if the entrance pupil is at infinity.
         """
         stop = self.prescription.stop
-        surfaces, indices = (
-            self.prescription.surfaces[:stop],
-            self._indices(np.array([wavelength_nm])),
-        )
-        to_stop = surfaces[-1].thickness_mm / indices[stop] if surfaces else 0.0
+        surfaces = self.prescription.surfaces[:stop]
+        indices = self._indices(np.array([wavelength_nm]))
+        reduced_mm = surfaces[-1].thickness_mm / indices[stop] if surfaces else 0.0
 
-        def at_stop(height: float, angle: float) -> float:
+        def height_at_stop(height: float, angle: float) -> float:
             y, n_u = paraxial(surfaces, indices, np.array([height]), np.array([angle]))
-            return float((y + to_stop * n_u).flat[0])
+            return float((y + reduced_mm * n_u).flat[0])
 
-        scale = at_stop(1.0, 0.0)
-        if not scale:
+        stop_over_pupil = height_at_stop(1.0, 0.0)
+        if not stop_over_pupil:
             raise invalid(
                 f"lens '{self.prescription.name}'",
                 "an entrance pupil at infinity",
                 "one at a finite distance",
             )
-        return scale, at_stop(0.0, 1.0) / scale
+        return stop_over_pupil, height_at_stop(0.0, 1.0) / stop_over_pupil
 
     def _indices(self, wavelength_nm: Array) -> list[float | Array]:
         """Return the index in front of the lens and behind each surface: 1 for air, (C, 1) for
         glasses, or numbers if C is 1.
         """
         key = wavelength_nm.tobytes()
-        if (cached := self._cached_indices.get(key)) is not None:  # other threads may clear them
+        cached = self._cached_indices.get(key)  # once, since other threads may clear them
+        if cached is not None:
             return cached
+
         index_of_glass: dict[Glass, float | Array] = {AIR: 1.0}
         for glass in self.prescription.glasses:
-            index_of_glass[glass] = (
-                glass.index(wavelength_nm)[:, None]
-                if wavelength_nm.size > 1
-                else float(glass.index(wavelength_nm)[0])
-            )
+            index = glass.index(wavelength_nm)
+            index_of_glass[glass] = index[:, None] if index.size > 1 else float(index[0])
+
+        indices = [index_of_glass[surface.glass] for surface in self.prescription.surfaces]
         if len(self._cached_indices) >= _MAX_CACHED_INDICES:
             self._cached_indices.clear()
-        return self._cached_indices.setdefault(
-            key, [1.0, *(index_of_glass[surface.glass] for surface in self.prescription.surfaces)]
-        )
+        return self._cached_indices.setdefault(key, [1.0, *indices])
 
     @cached_property
     def _cached_indices(self) -> dict[bytes, list[float | Array]]:
@@ -548,27 +589,25 @@ class Lens:
         return {}
 
     # Aiming at the stop
-    # --------------------------------------------------------------------------------------------------
 
     @cached_property
     def stop_semi_diameter_mm(self) -> float:
         """Radius of the stop in mm: where the real axial ray from the edge of the paraxial entrance
         pupil meets it.
         """
-        primary, edge = (
-            np.array([self.primary_nm]),
-            np.array([[self.entrance_pupil_diameter_mm / 2]]),
-        )
+        radius_mm = self.entrance_pupil_diameter_mm / 2
         at_infinity = replace(self, object_distance_mm=math.inf)
-        _, at_stop = at_infinity._trace_to_stop(np.zeros(1), primary, np.zeros((1, 1)), edge)
-        if not np.isfinite(at_stop[0, 0]):
-            where = at_infinity._where_ray_ends(0.0, self.primary_nm, 0.0, float(edge[0, 0]))
+        _, stop_y_mm = at_infinity._trace_to_stop(
+            np.zeros(1), np.array([self.primary_nm]), np.zeros((1, 1)), np.array([[radius_mm]])
+        )
+        if not np.isfinite(stop_y_mm[0, 0]):
+            where = at_infinity._where_ray_ends(0.0, self.primary_nm, 0.0, radius_mm)
             raise invalid(
                 f"lens '{self.prescription.name}'",
                 f"a marginal ray that {where}",
                 "an aperture that lets it pass",
             )
-        return float(abs(at_stop[0, 0]))
+        return float(abs(stop_y_mm[0, 0]))
 
     @cached_property
     def _exit_pupil_from_image_mm(self) -> float:
@@ -582,131 +621,162 @@ class Lens:
         """
         return self._entrance_pupil_scale(self.primary_nm)[1]
 
-    def _rays_at_entrance_pupil(self, field_deg: Array, x: Array, y: Array) -> Rays:
+    def _rays_at_entrance_pupil(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Rays:
         """Return rays at fields (C,) through points (C, P) of the entrance pupil in mm, with their
         paths from the object.
 
         Paths are relative to that through the centre of the entrance pupil.
         """
         angle = np.radians(field_deg)[:, None]
-        at = np.full((1, 1), self._entrance_pupil_mm)
+        z_mm = np.full((1, 1), self._entrance_pupil_mm)
         if math.isinf(self.object_distance_mm):
-            rays = rays_from(x, y, at, np.zeros((1, 1)), np.sin(angle), np.cos(angle))
-            return replace(rays, path_mm=y * np.sin(angle))
-        far, below = self.object_distance_mm, -self.object_distance_mm * np.tan(angle)
-        length, to_centre = (
-            np.sqrt(x * x + (y - below) ** 2 + far * far),
-            np.sqrt(below * below + far * far),
+            rays = rays_from(x_mm, y_mm, z_mm, np.zeros((1, 1)), np.sin(angle), np.cos(angle))
+            return replace(rays, path_mm=y_mm * np.sin(angle))
+
+        object_mm = self.object_distance_mm
+        object_y_mm = -object_mm * np.tan(angle)
+        rise_mm = y_mm - object_y_mm
+        length_mm = np.sqrt(x_mm * x_mm + rise_mm**2 + object_mm * object_mm)
+        rays = rays_from(
+            x_mm, y_mm, z_mm, x_mm / length_mm, rise_mm / length_mm, object_mm / length_mm
         )
-        rays = rays_from(x, y, at, x / length, (y - below) / length, far / length)
-        return replace(rays, path_mm=(x * x + y * y - 2 * y * below) / (length + to_centre))
+
+        # The difference of two long paths, by the difference of their squares.
+        centre_length_mm = np.sqrt(object_y_mm * object_y_mm + object_mm * object_mm)
+        squares_mm2 = x_mm * x_mm + y_mm * y_mm - 2 * y_mm * object_y_mm
+        return replace(rays, path_mm=squares_mm2 / (length_mm + centre_length_mm))
 
     def _trace_to_stop(
-        self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array
+        self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array
     ) -> tuple[Array, Array]:
         """Return where rays through points (C, P) of the entrance pupil meet the stop, in mm, both
         (C, P).
         """
-        front, indices = (
-            self.prescription.surfaces[: self.prescription.stop + 1],
-            self._indices(wavelength_nm),
-        )
-        start = self._rays_at_entrance_pupil(field_deg, x, y)
-        *_, rays = start, *trace(start, front[:-1], indices)
-        if len(front) > 1:
-            rays = replace(rays, z=rays.z - front[-2].thickness_mm)
+        *in_front, stop = self.prescription.surfaces[: self.prescription.stop + 1]
+        indices = self._indices(wavelength_nm)
+
+        rays = self._rays_at_entrance_pupil(field_deg, x_mm, y_mm)
+        for traced in trace(rays, in_front, indices):
+            rays = traced
+        if in_front:
+            rays = replace(rays, z=rays.z - in_front[-1].thickness_mm)
         with np.errstate(all="ignore"):
-            rays = intersect(rays, front[-1], indices[len(front) - 1])
+            rays = intersect(rays, stop, indices[len(in_front)])
         return rays.x, rays.y
 
-    def _chief_height(self, field_deg: Array, wavelength_nm: Array) -> Array:
+    def _chief_pupil_heights_mm(self, field_deg: Array, wavelength_nm: Array) -> Array:
         """Return the height in the entrance pupil of rays to the centre of the stop, (C,) in mm;
         NaN if there is none.
         """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
-        if new := sorted(set(keys) - self._chief_heights.keys()):
-            fields, wavelengths = (np.array(values) for values in zip(*new, strict=True))
-            heights = self._aimed_heights(fields, wavelengths, np.zeros(fields.size))
-            # Fields are approached in steps where a direct start fails.
-            if (lost := np.flatnonzero(~np.isfinite(heights))).size:
-                near = np.zeros(lost.size)
+        new = sorted(set(keys) - self._cached_chief_heights.keys())
+        if new:
+            fields = np.array([key[0] for key in new])
+            wavelengths = np.array([key[1] for key in new])
+            heights_mm = self._aimed_heights_mm(fields, wavelengths, np.zeros(fields.size))
+
+            # Where a start on the axis fails, the field is approached in steps.
+            is_lost = ~np.isfinite(heights_mm)
+            if is_lost.any():
+                start_mm = np.zeros(int(is_lost.sum()))
                 for share in np.linspace(1 / _FIELD_STEPS, 1.0, _FIELD_STEPS):
-                    near = self._aimed_heights(share * fields[lost], wavelengths[lost], near)
-                heights[lost] = near
-            self._chief_heights.update(zip(new, heights.tolist(), strict=True))
-        return np.array([self._chief_heights[key] for key in keys])
+                    start_mm = self._aimed_heights_mm(
+                        share * fields[is_lost], wavelengths[is_lost], start_mm
+                    )
+                heights_mm[is_lost] = start_mm
 
-    def _aimed_heights(self, field_deg: Array, wavelength_nm: Array, start: Array) -> Array:
-        def miss(y: Array) -> Array:
-            return self._trace_to_stop(field_deg, wavelength_nm, np.zeros((y.size, 1)), y[:, None])[
-                1
-            ][:, 0]
+            self._cached_chief_heights.update(zip(new, heights_mm.tolist(), strict=True))
+        return np.array([self._cached_chief_heights[key] for key in keys])
 
-        step = 1e-3 * self.entrance_pupil_diameter_mm
-        y, before = start + step, start
-        error, error_before = miss(y), miss(before)
-        limit = 1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm
+    def _aimed_heights_mm(self, field_deg: Array, wavelength_nm: Array, start_mm: Array) -> Array:
+        """Return the heights in the entrance pupil (C,) whose rays meet the centre of the stop, by
+        the secant method; NaN where it does not converge.
+
+        start_mm : first guess, (C,)
+        """
+
+        def stop_height_mm(height_mm: Array) -> Array:
+            x_mm = np.zeros((height_mm.size, 1))
+            _, y_mm = self._trace_to_stop(field_deg, wavelength_nm, x_mm, height_mm[:, None])
+            return y_mm[:, 0]
+
+        before_mm = start_mm
+        height_mm = start_mm + 1e-3 * self.entrance_pupil_diameter_mm
+        miss_mm = stop_height_mm(height_mm)
+        miss_before_mm = stop_height_mm(before_mm)
+        converged_mm = 1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm
+
         for _ in range(_MAX_AIM_STEPS):
             with np.errstate(all="ignore"):
-                moving = (np.abs(error) > limit) & (error != error_before)
-                change = np.where(moving, error * (y - before) / (error - error_before), 0.0)
-            if not moving.any():
+                is_moving = (np.abs(miss_mm) > converged_mm) & (miss_mm != miss_before_mm)
+                secant_mm = miss_mm * (height_mm - before_mm) / (miss_mm - miss_before_mm)
+            if not is_moving.any():
                 break
-            before, error_before = y, error
-            y = y - change
-            error = miss(y)
-        return np.where(np.abs(error) <= _AIM_TOLERANCE * self.stop_semi_diameter_mm, y, np.nan)
+
+            before_mm, miss_before_mm = height_mm, miss_mm
+            height_mm = height_mm - np.where(is_moving, secant_mm, 0.0)
+            miss_mm = stop_height_mm(height_mm)
+
+        is_aimed = np.abs(miss_mm) <= _AIM_TOLERANCE * self.stop_semi_diameter_mm
+        return np.where(is_aimed, height_mm, np.nan)
 
     def _pupil_polynomials(self, field_deg: Array, wavelength_nm: Array) -> Array:
         """Return polynomials (C, terms, 2) from the stop to the entrance pupil in mm, from a
         cache.
         """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
-        new, batch = (
-            sorted(set(keys) - self._cached_polynomials.keys()),
-            max(1, BLOCK // (RINGS * SPOKES)),
-        )
-        for first in range(0, len(new), batch):
-            batch_keys = new[first : first + batch]
-            self._cached_polynomials.update(
-                zip(
-                    batch_keys,
-                    self._fit_pupil_polynomials(
-                        *(np.array(part) for part in zip(*batch_keys, strict=True))
-                    ),
-                    strict=True,
-                )
-            )
-        return np.stack([self._cached_polynomials[key] for key in keys])
+        new = sorted(set(keys) - self._cached_pupil_polynomials.keys())
+        batch_size = max(1, BLOCK // (RINGS * SPOKES))
+        for first in range(0, len(new), batch_size):
+            batch = new[first : first + batch_size]
+            fields = np.array([key[0] for key in batch])
+            wavelengths = np.array([key[1] for key in batch])
+            polynomials = self._fit_pupil_polynomials(fields, wavelengths)
+            self._cached_pupil_polynomials.update(zip(batch, polynomials, strict=True))
+        return np.stack([self._cached_pupil_polynomials[key] for key in keys])
 
     def _fit_pupil_polynomials(self, field_deg: Array, wavelength_nm: Array) -> list[Array]:
-        chief_mm = self._chief_height(field_deg, wavelength_nm)
-        x, y, (odd_terms, even_terms), (odd_fit, even_fit) = _stop_samples()
+        """Return polynomials (terms, 2) from the stop to the entrance pupil, fitted to rays through
+        points of half of the stop.
+        """
+        chief_mm = self._chief_pupil_heights_mm(field_deg, wavelength_nm)
+        stop_x, stop_y, (odd_terms, even_terms), (odd_fit, even_fit) = _stop_samples()
+
         # The slopes at the chief ray give the first guess.
         step_mm = 1e-2 * self.entrance_pupil_diameter_mm
-        near_x = np.stack([np.full_like(chief_mm, step_mm), np.zeros_like(chief_mm)], axis=1)
-        near_y = np.stack([chief_mm, chief_mm + step_mm], axis=1)
-        stop_x_mm, stop_y_mm = self._trace_to_stop(field_deg, wavelength_nm, near_x, near_y)
-        slope_x, slope_y = (
-            step_mm * self.stop_semi_diameter_mm / part[:, None]
-            for part in (stop_x_mm[:, 0], stop_y_mm[:, 1])
+        near_x_mm = np.stack([np.full_like(chief_mm, step_mm), np.zeros_like(chief_mm)], axis=1)
+        near_y_mm = np.stack([chief_mm, chief_mm + step_mm], axis=1)
+        stop_x_mm, stop_y_mm = self._trace_to_stop(field_deg, wavelength_nm, near_x_mm, near_y_mm)
+        slope_x = step_mm * self.stop_semi_diameter_mm / stop_x_mm[:, 0, None]
+        slope_y = step_mm * self.stop_semi_diameter_mm / stop_y_mm[:, 1, None]
+        inverse_jacobian = np.zeros((chief_mm.size, stop_x.size, 2, 2))
+        inverse_jacobian[..., 0, 0] = slope_x
+        inverse_jacobian[..., 1, 1] = slope_y
+
+        pupil_x_mm, pupil_y_mm = self._aimed_points(
+            field_deg,
+            wavelength_nm,
+            stop_x,
+            stop_y,
+            pupil_x_mm=slope_x * stop_x,
+            pupil_y_mm=chief_mm[:, None] + slope_y * stop_y,
+            inverse_jacobian=inverse_jacobian,
         )
-        inverse = np.zeros((chief_mm.size, x.size, 2, 2))
-        inverse[..., 0, 0], inverse[..., 1, 1] = slope_x, slope_y
-        guess = slope_x * x, chief_mm[:, None] + slope_y * y
-        pupil_x_mm, pupil_y_mm = self._aimed_points(field_deg, wavelength_nm, x, y, *guess, inverse)
+
         coefficients = np.zeros((chief_mm.size, even_terms.shape[1], 2))
-        is_complete = np.isfinite(pupil_x_mm).all(axis=1) & np.isfinite(pupil_y_mm).all(axis=1)
+        odd_count = odd_terms.shape[1]
+        is_reached = np.isfinite(pupil_x_mm) & np.isfinite(pupil_y_mm)
+        is_complete = is_reached.all(axis=1)
         # Sums that are the same for one field and for many, which matrix products are not.
-        coefficients[is_complete, : odd_terms.shape[1], 0] = (
-            pupil_x_mm[is_complete, None] * odd_fit
-        ).sum(axis=-1)
+        coefficients[is_complete, :odd_count, 0] = (pupil_x_mm[is_complete, None] * odd_fit).sum(
+            axis=-1
+        )
         coefficients[is_complete, :, 1] = (pupil_y_mm[is_complete, None] * even_fit).sum(axis=-1)
-        for index in np.flatnonzero(
-            ~is_complete
-        ):  # some points of the stop are not reached, as behind the rim of a lens
-            reached = np.isfinite(pupil_x_mm[index]) & np.isfinite(pupil_y_mm[index])
-            coefficients[index, : odd_terms.shape[1], 0] = np.linalg.lstsq(
+
+        # Some points of the stop may not be reached, as behind the rim of a lens.
+        for index in np.flatnonzero(~is_complete):
+            reached = is_reached[index]
+            coefficients[index, :odd_count, 0] = np.linalg.lstsq(
                 odd_terms[reached], pupil_x_mm[index, reached], rcond=1e-10
             )[0]
             coefficients[index, :, 1] = np.linalg.lstsq(
@@ -720,6 +790,7 @@ class Lens:
         wavelength_nm: Array,
         stop_x: Array,
         stop_y: Array,
+        *,
         pupil_x_mm: Array,
         pupil_y_mm: Array,
         inverse_jacobian: Array,
@@ -728,41 +799,45 @@ class Lens:
         """Return points of the entrance pupil (C, P) in mm whose rays meet points (P,) of the stop;
         NaN if there are none.
 
-        Broyden's method (Math. Comp. 19, 577, 1965) from `pupil_x_mm`, `pupil_y_mm`, with the derivatives of
-        the entrance pupil by the stop, `inverse_jacobian` (C, P, 2, 2).
+        Broyden's method (Math. Comp. 19, 577, 1965).
+
+        pupil_x_mm, pupil_y_mm : first guess, (C, P)
+        inverse_jacobian : derivatives of points of the entrance pupil by points of the stop, first
+            guess, (C, P, 2, 2)
+        tolerance : distance from the points of the stop, over its radius
         """
         stop_mm = self.stop_semi_diameter_mm
 
         def misses(pupil_x_mm: Array, pupil_y_mm: Array) -> Array:
-            stop_x_mm, stop_y_mm = self._trace_to_stop(
-                field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
-            )
-            return np.stack([stop_x_mm / stop_mm - stop_x, stop_y_mm / stop_mm - stop_y], axis=-1)
+            x_mm, y_mm = self._trace_to_stop(field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm)
+            return np.stack([x_mm / stop_mm - stop_x, y_mm / stop_mm - stop_y], axis=-1)
 
-        error = misses(pupil_x_mm, pupil_y_mm)
+        miss = misses(pupil_x_mm, pupil_y_mm)
         for _ in range(_MAX_AIM_STEPS):
-            moving = np.abs(error).max(axis=-1) > tolerance / 10
-            if not moving.any():
+            is_moving = np.abs(miss).max(axis=-1) > tolerance / 10
+            if not is_moving.any():
                 break
-            step = np.where(
-                moving[..., None], -(inverse_jacobian * error[..., None, :]).sum(axis=-1), 0.0
-            )
-            pupil_x_mm, pupil_y_mm = pupil_x_mm + step[..., 0], pupil_y_mm + step[..., 1]
-            after = misses(pupil_x_mm, pupil_y_mm)
-            turned = (inverse_jacobian * (after - error)[..., None, :]).sum(axis=-1)
-            back = (step[..., None] * inverse_jacobian).sum(axis=-2)
+
+            step = -(inverse_jacobian * miss[..., None, :]).sum(axis=-1)
+            step = np.where(is_moving[..., None], step, 0.0)
+            pupil_x_mm = pupil_x_mm + step[..., 0]
+            pupil_y_mm = pupil_y_mm + step[..., 1]
+            miss_before, miss = miss, misses(pupil_x_mm, pupil_y_mm)
+
+            # The rank-one update after which the inverse turns this change of the miss into this
+            # step.
+            predicted_step = (inverse_jacobian * (miss - miss_before)[..., None, :]).sum(axis=-1)
+            row = (step[..., None] * inverse_jacobian).sum(axis=-2)
             with np.errstate(all="ignore"):
-                update = (step - turned)[..., None] * (
-                    back / (step * turned).sum(axis=-1, keepdims=True)
-                )[..., None, :]
-            usable = moving & np.isfinite(update).all(axis=(-1, -2))
-            inverse_jacobian = inverse_jacobian + np.where(usable[..., None, None], update, 0.0)
-            error = after
-        lost = ~(np.abs(error).max(axis=-1) <= tolerance)
-        return np.where(lost, np.nan, pupil_x_mm), np.where(lost, np.nan, pupil_y_mm)
+                scale = (step * predicted_step).sum(axis=-1, keepdims=True)
+                update = (step - predicted_step)[..., None] * (row / scale)[..., None, :]
+            is_usable = is_moving & np.isfinite(update).all(axis=(-1, -2))
+            inverse_jacobian = inverse_jacobian + np.where(is_usable[..., None, None], update, 0.0)
+
+        is_lost = ~(np.abs(miss).max(axis=-1) <= tolerance)
+        return np.where(is_lost, np.nan, pupil_x_mm), np.where(is_lost, np.nan, pupil_y_mm)
 
     # Real rays
-    # -----------------------------------------------------------------------------------------------------------
 
     def _trace_to_image(
         self, field_deg: Array, wavelength_nm: Array, x_mm: Array, y_mm: Array
@@ -770,37 +845,39 @@ class Lens:
         """Return rays through points (C, P) of the entrance pupil in the image plane, and where
         they meet the stop, in mm.
         """
-        surfaces, indices = self.prescription.surfaces, self._indices(wavelength_nm)
+        surfaces = self.prescription.surfaces
+        indices = self._indices(wavelength_nm)
         start = self._rays_at_entrance_pupil(field_deg, x_mm, y_mm)
         for number, rays in enumerate(trace(start, surfaces, indices)):
             if number == self.prescription.stop:
                 stop_x_mm, stop_y_mm = rays.x, rays.y
-        return at_plane(rays, surfaces[-1].thickness_mm, indices[-1]), stop_x_mm, stop_y_mm
+        at_image = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
+        return at_image, stop_x_mm, stop_y_mm
 
-    def _chief_or_nan(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
+    def _trace_chief_rays(self, field_deg: Array, wavelength_nm: Array) -> tuple[Rays, Array]:
         """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil
         (C,); NaN if lost.
         """
-        height = self._chief_height(field_deg, wavelength_nm)
+        height = self._chief_pupil_heights_mm(field_deg, wavelength_nm)
         rays, _, _ = self._trace_to_image(
             field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None]
         )
         return rays, height
 
-    def _chief(self, field_deg: Array, wavelength_nm: Array) -> Rays:
+    def _checked_chief_rays(self, field_deg: Array, wavelength_nm: Array) -> Rays:
         """Return the chief rays in the image plane, (C, 1). Raises PixsimError if one does not get
         there.
         """
-        rays, height = self._chief_or_nan(field_deg, wavelength_nm)
+        rays, pupil_heights_mm = self._trace_chief_rays(field_deg, wavelength_nm)
         is_lost = ~np.isfinite(rays.path_mm[:, 0])
         if not is_lost.any():
             return rays
 
         index = int(np.argmax(is_lost))
         angle_deg, nm = float(field_deg[index]), float(wavelength_nm[index])
-        pupil_y_mm = float(height[index])
+        pupil_y_mm = float(pupil_heights_mm[index])
         if not math.isfinite(pupil_y_mm):
-            pupil_y_mm = self._nearest_chief(angle_deg, nm)
+            pupil_y_mm = self._nearest_chief_height_mm(angle_deg, nm)
         where = self._where_ray_ends(angle_deg, nm, 0.0, pupil_y_mm)
         allowed = "fields whose chief ray reaches the image"
         if self.prescription.field_of_view == "angle_deg":
@@ -808,20 +885,27 @@ class Lens:
         got = f"{angle_deg:g}, where the chief ray {where} ({nm:g} nm)"
         raise invalid("field_deg", got, allowed)
 
-    def _nearest_chief(self, field_deg: float, wavelength_nm: float) -> float:
+    def _nearest_chief_height_mm(self, field_deg: float, wavelength_nm: float) -> float:
         """Return the height in the entrance pupil of the chief ray of the largest smaller field
         that has one, in mm.
         """
         for share in np.linspace(0.95, 0.0, 20):
-            height = self._chief_height(np.array([share * field_deg]), np.array([wavelength_nm]))[0]
+            height = self._chief_pupil_heights_mm(
+                np.array([share * field_deg]), np.array([wavelength_nm])
+            )[0]
             if math.isfinite(height):
                 return float(height)
         return 0.0
 
-    def _where_ray_ends(self, field_deg: float, wavelength_nm: float, x: float, y: float) -> str:
+    def _where_ray_ends(
+        self, field_deg: float, wavelength_nm: float, pupil_x_mm: float, pupil_y_mm: float
+    ) -> str:
         """Return where the ray through a point of the entrance pupil ends, for a message."""
-        rays = self._rays_at_entrance_pupil(np.array([field_deg]), np.array([[x]]), np.array([[y]]))
-        indices, surfaces = self._indices(np.array([wavelength_nm])), self.prescription.surfaces
+        rays = self._rays_at_entrance_pupil(
+            np.array([field_deg]), np.array([[pupil_x_mm]]), np.array([[pupil_y_mm]])
+        )
+        indices = self._indices(np.array([wavelength_nm]))
+        surfaces = self.prescription.surfaces
         for number, surface in enumerate(surfaces):
             if number:
                 rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
@@ -843,7 +927,7 @@ class Lens:
         Raises PixsimError if a ray misses a surface or is totally reflected, which it names.
         """
         shape, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
-        rays = self._chief(fields, wavelengths)
+        rays = self._checked_chief_rays(fields, wavelengths)
         angle = np.degrees(np.arctan2(rays.m[:, 0], rays.n[:, 0]))
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
 
@@ -865,74 +949,66 @@ class Lens:
         Raises PixsimError if a ray within the stop misses a surface or is totally reflected, which
         it names.
         """
-        shape, *flat = _flattened(
+        shape, fields, wavelengths, x, y = _flattened(
             field_deg=field_deg, wavelength_nm=wavelength_nm, stop_x=stop_x, stop_y=stop_y
         )
-        conditions = np.broadcast(np.asarray(field_deg), np.asarray(wavelength_nm))
-        points = np.broadcast(np.asarray(stop_x), np.asarray(stop_y))
-        outer, inner = (
-            (1,) * (len(shape) - len(part.shape)) + part.shape for part in (conditions, points)
-        )
-        if all(
-            outer_side == 1 or inner_side == 1
-            for outer_side, inner_side in zip(outer, inner, strict=True)
-        ):
+
+        # Where no axis has both conditions and points, every condition has the same points.
+        conditions = np.broadcast(np.asarray(field_deg), np.asarray(wavelength_nm)).shape
+        points = np.broadcast(np.asarray(stop_x), np.asarray(stop_y)).shape
+        outer = (1,) * (len(shape) - len(conditions)) + conditions
+        inner = (1,) * (len(shape) - len(points)) + points
+        if all(1 in sides for sides in zip(outer, inner, strict=True)):
             _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
             _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
             opd = self._opd(fields, wavelengths, x, y).reshape((*outer, *inner))
             order = [axis + part for axis in range(len(shape)) for part in (0, len(shape))]
             return np.asarray(opd.transpose(order).reshape(shape))[()]
-        fields, wavelengths, x, y = flat
+
         opd = np.empty(fields.size)
         pairs, which = np.unique(np.stack([fields, wavelengths]), axis=1, return_inverse=True)
-        for index, (one_field, one_wavelength) in enumerate(pairs.T):
+        for index, (angle_deg, nm) in enumerate(pairs.T):
             chosen = which.ravel() == index
-            opd[chosen] = self._opd(
-                np.array([one_field]), np.array([one_wavelength]), x[chosen], y[chosen]
-            )[0]
+            opd[chosen] = self._opd(np.array([angle_deg]), np.array([nm]), x[chosen], y[chosen])[0]
         return np.asarray(opd.reshape(shape))[()]
 
-    def _opd(self, field_deg: Array, wavelength_nm: Array, x: Array, y: Array) -> Array:
+    def _opd(self, field_deg: Array, wavelength_nm: Array, stop_x: Array, stop_y: Array) -> Array:
         """Return OPD of fields and wavelengths (C,) at points (P,) of the stop, (C, P); mirror
         images are traced once.
         """
-        inside = np.hypot(x, y) <= INSIDE
-        opd = np.full((field_deg.size, x.size), np.nan)
-        points, which = np.unique(np.abs(x[inside]) + 1j * y[inside], return_inverse=True)
-        if points.size:
-            traced = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
-            if not np.isfinite(traced).all():
-                condition, point = (int(part) for part in np.argwhere(~np.isfinite(traced))[0])
-                where = self._where_aimed_ray_ends(
-                    field_deg[condition],
-                    wavelength_nm[condition],
-                    points[point].real,
-                    points[point].imag,
-                )
-                got = (
-                    f"a ray at field_deg = {field_deg[condition]:g} through"
-                    f" ({points[point].real:.3g}, {points[point].imag:.3g})"
-                )
-                hint = "Stop the lens down, take a smaller field, or leave these points out."
-                raise invalid(
-                    "stop_x and stop_y",
-                    f"{got} of the stop that {where}",
-                    "rays that reach the image",
-                    hint,
-                )
-            opd[:, inside] = traced[:, which.ravel()]
+        opd = np.full((field_deg.size, stop_x.size), np.nan)
+        is_inside = np.hypot(stop_x, stop_y) <= INSIDE
+        half_stop = np.abs(stop_x[is_inside]) + 1j * stop_y[is_inside]
+        points, which = np.unique(half_stop, return_inverse=True)
+        if not points.size:
+            return opd
+
+        traced = self.wavefront(field_deg, wavelength_nm, points.real, points.imag).opd_waves
+        is_lost = ~np.isfinite(traced)
+        if is_lost.any():
+            condition, index = (int(part) for part in np.argwhere(is_lost)[0])
+            angle_deg, point = field_deg[condition], points[index]
+            where = self._where_aimed_ray_ends(
+                angle_deg, wavelength_nm[condition], point.real, point.imag
+            )
+            raise invalid(
+                "stop_x and stop_y",
+                f"a ray at field_deg = {angle_deg:g} through ({point.real:.3g}, {point.imag:.3g})"
+                f" of the stop that {where}",
+                "rays that reach the image",
+                "Stop the lens down, take a smaller field, or leave these points out.",
+            )
+        opd[:, is_inside] = traced[:, which.ravel()]
         return opd
 
     def _where_aimed_ray_ends(
-        self, field_deg: float, wavelength_nm: float, x: float, y: float
+        self, field_deg: float, wavelength_nm: float, stop_x: float, stop_y: float
     ) -> str:
         """Return where the ray to a point of the stop ends, for a message."""
         coefficients = self._pupil_polynomials(np.array([field_deg]), np.array([wavelength_nm]))
-        odd_terms, even_terms = _monomials(np.array([x]), np.array([y]))
-        pupil_x_mm, pupil_y_mm = (
-            float(_polynomial_values(coefficients[..., axis], basis)[0, 0])
-            for axis, basis in enumerate((odd_terms, even_terms))
-        )
+        odd_terms, even_terms = _monomials(np.array([stop_x]), np.array([stop_y]))
+        pupil_x_mm = float(_polynomial_values(coefficients[..., 0], odd_terms)[0, 0])
+        pupil_y_mm = float(_polynomial_values(coefficients[..., 1], even_terms)[0, 0])
         where = self._where_ray_ends(field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm)
         return where if "surface" in where else "no ray in front of the lens reaches"
 
@@ -955,38 +1031,37 @@ class Lens:
         """
         _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
-        chief = self._chief(fields, wavelengths)
-        bases, terms = _monomials(x, y), self._pupil_polynomials(fields, wavelengths)
+        chief = self._checked_chief_rays(fields, wavelengths)
+        coefficients = self._pupil_polynomials(fields, wavelengths)
+        bases = _monomials(x, y)
+
         block_size = max(1, BLOCK // max(x.size, 1))
-        blocks = [
-            slice(first, first + block_size) for first in range(0, max(fields.size, 1), block_size)
-        ]
-        parts: dict[int, Wavefront] = {}
+        starts = range(0, max(fields.size, 1), block_size)
+        blocks = [slice(first, first + block_size) for first in starts]
+        wavefronts: dict[int, Wavefront] = {}
 
         def compute(number: int) -> None:
             block = blocks[number]
-            parts[number] = self._wavefront_of_block(
+            wavefronts[number] = self._wavefront_of_block(
                 fields[block],
                 wavelengths[block],
                 x,
                 y,
-                terms[block],
-                bases,
-                _rays_slice(chief, block),
-                aimed,
+                coefficients=coefficients[block],
+                bases=bases,
+                chief=_rays_slice(chief, block),
+                tolerance=aimed,
             )
 
-        in_threads(
-            compute, range(len(blocks)), fields.size * x.size * len(self.prescription.surfaces)
-        )
+        size = fields.size * x.size * len(self.prescription.surfaces)
+        in_threads(compute, range(len(blocks)), size)
         if len(blocks) == 1:
-            return parts[0]
-        names = (part.name for part in dataclass_fields(Wavefront))
+            return wavefronts[0]
+
+        in_order = [wavefronts[number] for number in range(len(blocks))]
+        names = [part.name for part in dataclass_fields(Wavefront)]
         return Wavefront(
-            *(
-                np.concatenate([getattr(parts[number], name) for number in range(len(blocks))])
-                for name in names
-            )
+            **{name: np.concatenate([getattr(part, name) for part in in_order]) for name in names}
         )
 
     def _wavefront_of_block(
@@ -995,42 +1070,50 @@ class Lens:
         wavelength_nm: Array,
         stop_x: Array,
         stop_y: Array,
+        *,
         coefficients: Array,
         bases: _Bases,
         chief: Rays,
         tolerance: float,
     ) -> Wavefront:
+        """Return the wavefront of fields and wavelengths (C,) through points of the stop (P,).
+
+        coefficients : of `_pupil_polynomials`, (C, terms, 2)
+        bases : the monomials at the points of the stop
+        chief : chief rays in the image plane, (C, 1)
+        tolerance : distance from the points of the stop, over its radius
+        """
         pupil_x_mm, pupil_y_mm = (
             _polynomial_values(coefficients[..., axis], basis) for axis, basis in enumerate(bases)
         )
         rays, stop_x_mm, stop_y_mm = self._trace_to_image(
             field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
         )
+
+        # Where the polynomial is not good enough, its derivatives are.
         stop_mm = self.stop_semi_diameter_mm
         miss = np.maximum(
             np.abs(stop_x_mm / stop_mm - stop_x), np.abs(stop_y_mm / stop_mm - stop_y)
         )
-        if np.any(~(miss <= tolerance)):  # the polynomial is not good enough; its derivatives are
+        is_aimed = miss <= tolerance
+        if not is_aimed.all():
             inverse_jacobian = np.empty((*pupil_x_mm.shape, 2, 2))
-            for by, slopes in enumerate(_monomial_slopes(stop_x, stop_y)):
+            for variable, slopes in enumerate(_monomial_slopes(stop_x, stop_y)):
                 for axis, basis in enumerate(slopes):
-                    inverse_jacobian[..., axis, by] = _polynomial_values(
-                        coefficients[..., axis], basis
-                    )
-            aimed = self._aimed_points(
+                    slope = _polynomial_values(coefficients[..., axis], basis)
+                    inverse_jacobian[..., axis, variable] = slope
+            aimed_x_mm, aimed_y_mm = self._aimed_points(
                 field_deg,
                 wavelength_nm,
                 stop_x,
                 stop_y,
-                pupil_x_mm,
-                pupil_y_mm,
-                inverse_jacobian,
-                tolerance,
+                pupil_x_mm=pupil_x_mm,
+                pupil_y_mm=pupil_y_mm,
+                inverse_jacobian=inverse_jacobian,
+                tolerance=tolerance,
             )
-            pupil_x_mm, pupil_y_mm = (
-                np.where(miss <= tolerance, approximate, new)
-                for approximate, new in zip((pupil_x_mm, pupil_y_mm), aimed, strict=True)
-            )
+            pupil_x_mm = np.where(is_aimed, pupil_x_mm, aimed_x_mm)
+            pupil_y_mm = np.where(is_aimed, pupil_y_mm, aimed_y_mm)
             rays, stop_x_mm, stop_y_mm = self._trace_to_image(
                 field_deg, wavelength_nm, pupil_x_mm, pupil_y_mm
             )
@@ -1052,10 +1135,10 @@ class Lens:
         """
         _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
         _, x, y = _flattened(x_mm=x_mm, y_mm=y_mm)
-        chief, _, _ = self._trace_to_image(fields, wavelengths, np.zeros((1, 1)), np.zeros((1, 1)))
-        return self._wavefront_at_image(
-            *self._trace_to_image(fields, wavelengths, x[None], y[None]), chief, fields, wavelengths
-        )
+        centre = np.zeros((1, 1))
+        chief, _, _ = self._trace_to_image(fields, wavelengths, centre, centre)
+        rays, stop_x_mm, stop_y_mm = self._trace_to_image(fields, wavelengths, x[None], y[None])
+        return self._wavefront_at_image(rays, stop_x_mm, stop_y_mm, chief, fields, wavelengths)
 
     def _wavefront_at_image(
         self,
@@ -1069,56 +1152,58 @@ class Lens:
         """Return the wavefront of rays (C, P) in the image plane, which met the stop at these
         points, against chief rays (C, 1).
         """
-        index = np.asarray(self._indices(wavelength_nm)[-1])
-        off_x_mm, off_y_mm = rays.x, rays.y - chief.y
+        off_x_mm = rays.x
+        off_y_mm = rays.y - chief.y
+
         # From the image plane back to the reference sphere, less the radius; the radius is negative
         # if the pupil lies behind.
         pupil_from_image_mm = self._exit_pupil_from_image_mm
         radius_mm = -np.copysign(np.hypot(chief.y, pupil_from_image_mm), pupil_from_image_mm)
-        along_ray_mm = off_x_mm * rays.l + off_y_mm * rays.m
-        square_mm2 = along_ray_mm * along_ray_mm - off_x_mm * off_x_mm - off_y_mm * off_y_mm
-        with np.errstate(all="ignore"):
-            root_mm = np.copysign(np.sqrt(radius_mm * radius_mm + square_mm2), radius_mm)
-            back_mm = along_ray_mm + (
-                square_mm2 / (radius_mm + root_mm) if math.isfinite(pupil_from_image_mm) else 0.0
-            )
-        opd = (chief.path_mm - rays.path_mm + index * back_mm) / (
-            _MM_PER_NM * wavelength_nm[:, None]
-        )
-        stop_mm, cosines = self.stop_semi_diameter_mm, np.stack([rays.l, rays.m], axis=-1)
+        back_mm = off_x_mm * rays.l + off_y_mm * rays.m
+        square_mm2 = back_mm * back_mm - off_x_mm * off_x_mm - off_y_mm * off_y_mm
+        if math.isfinite(pupil_from_image_mm):
+            with np.errstate(all="ignore"):
+                root_mm = np.copysign(np.sqrt(radius_mm * radius_mm + square_mm2), radius_mm)
+                back_mm = back_mm + square_mm2 / (radius_mm + root_mm)
+
+        index = np.asarray(self._indices(wavelength_nm)[-1])
+        path_difference_mm = chief.path_mm - rays.path_mm + index * back_mm
         passed = rays.passed
         if self.vignetting:
-            passed = passed & (
-                self._relative_height_at_stop(field_deg, stop_x_mm, stop_y_mm) <= INSIDE
-            )
+            height = self._relative_height_at_stop(field_deg, stop_x_mm, stop_y_mm)
+            passed = passed & (height <= INSIDE)
         return Wavefront(
-            opd,
-            passed,
-            off_x_mm,
-            off_y_mm,
-            cosines,
-            stop_x_mm / stop_mm,
-            stop_y_mm / stop_mm,
-            chief.y[:, 0],
-            chief.m[:, 0],
+            opd_waves=path_difference_mm / (_MM_PER_NM * wavelength_nm[:, None]),
+            passed=passed,
+            x_mm=off_x_mm,
+            y_mm=off_y_mm,
+            cosines=np.stack([rays.l, rays.m], axis=-1),
+            stop_x=stop_x_mm / self.stop_semi_diameter_mm,
+            stop_y=stop_y_mm / self.stop_semi_diameter_mm,
+            chief_y_mm=chief.y[:, 0],
+            chief_cosine=chief.m[:, 0],
         )
 
     # Light at a point of the image
-    # ---------------------------------------------------------------------------------------
 
     def _relative_height_at_stop(self, field_deg: Array, x_mm: Array, y_mm: Array) -> Array:
         """Return how far from its middle light of fields (C,) is in the stop, over what
         `vignetting` lets pass there, (C, P).
         """
-        at_deg, *columns = np.array(self.vignetting).T
-        centre, across, along = (
-            np.interp(np.abs(field_deg), at_deg, column)[:, None] for column in columns
+        table_deg, *columns = np.array(self.vignetting).T
+        centre_mm, across_mm, along_mm = (
+            np.interp(np.abs(field_deg), table_deg, column)[:, None] for column in columns
         )
-        centre = centre * np.where(field_deg < 0, -1.0, 1.0)[:, None]
-        return np.asarray(np.hypot(x_mm / across, (y_mm - centre) / along))
+        centre_mm = centre_mm * np.where(field_deg < 0, -1.0, 1.0)[:, None]
+        return np.asarray(np.hypot(x_mm / across_mm, (y_mm - centre_mm) / along_mm))
 
     def _max_relative_height(
-        self, field_deg: Array, height_mm: Array, wavelength_nm: Array, across: Array, along: Array
+        self,
+        field_deg: Array,
+        height_mm: Array,
+        wavelength_nm: Array,
+        cosine_x: Array,
+        cosine_y: Array,
     ) -> Array:
         """Return how far from the axis light of some directions is at its widest place, over what
         may pass there, (C, P).
@@ -1127,29 +1212,32 @@ class Lens:
         or is totally reflected.
 
         field_deg, height_mm : (C,) of the image point
-        across, along : (C, P), direction cosines of the light in image space, which is traced
+        cosine_x, cosine_y : (C, P), directions of the light in image space, which is traced
             backwards
         """
         surfaces = reversed_surfaces(self.prescription.surfaces)
         indices = self._indices(wavelength_nm)[::-1]
-        last = len(surfaces) - 1 - self.prescription.stop
+        stop = len(surfaces) - 1 - self.prescription.stop
+
         with np.errstate(invalid="ignore"):
-            ahead = np.sqrt(1 - across * across - along * along)
-        behind = np.full((1, 1), -self.prescription.surfaces[-1].thickness_mm)
-        start = rays_from(np.zeros((1, 1)), height_mm[:, None], behind, -across, -along, ahead)
-        widest = np.zeros(across.shape)
-        for number, (surface, rays) in enumerate(
-            zip(surfaces, trace(start, surfaces, indices), strict=True)
-        ):
-            limits = [self.stop_semi_diameter_mm] if number == last else []
+            cosine_z = np.sqrt(1 - cosine_x * cosine_x - cosine_y * cosine_y)
+        image_x_mm = np.zeros((1, 1))
+        image_z_mm = np.full((1, 1), -self.prescription.surfaces[-1].thickness_mm)
+        start = rays_from(
+            image_x_mm, height_mm[:, None], image_z_mm, -cosine_x, -cosine_y, cosine_z
+        )
+
+        widest = np.zeros(cosine_x.shape)
+        traced = trace(start, surfaces, indices)
+        for number, (surface, rays) in enumerate(zip(surfaces, traced, strict=True)):
+            limits_mm = [self.stop_semi_diameter_mm] if number == stop else []
             if surface.clips and surface.semi_diameter_mm is not None:
-                limits.append(surface.semi_diameter_mm)
-            if limits:
-                widest = np.maximum(widest, np.hypot(rays.x, rays.y) / min(limits))
-            if number == last and self.vignetting:
-                widest = np.maximum(
-                    widest, self._relative_height_at_stop(field_deg, rays.x, rays.y)
-                )
+                limits_mm.append(surface.semi_diameter_mm)
+            if limits_mm:
+                widest = np.maximum(widest, np.hypot(rays.x, rays.y) / min(limits_mm))
+            if number == stop and self.vignetting:
+                at_stop = self._relative_height_at_stop(field_deg, rays.x, rays.y)
+                widest = np.maximum(widest, at_stop)
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
     def outline(
@@ -1173,56 +1261,67 @@ class Lens:
 
     def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
         """Return `outline` of fields and wavelengths in one line, (C,)."""
-        chief = self._chief(field_deg, wavelength_nm)
-        height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
-        angle = (np.arange(spokes // 2) + 0.5) * (
-            2 * np.pi / spokes
-        ) - np.pi / 2  # the half with x > 0
+        chief = self._checked_chief_rays(field_deg, wavelength_nm)
+        height_mm, chief_cosine = chief.y[:, 0], chief.m[:, 0]
+        centre = self._middle_of_light(field_deg, wavelength_nm, height_mm, chief_cosine)
+        is_dark = np.isnan(centre)
+        centre = np.where(is_dark, chief_cosine, centre)
+
+        # The half with x > 0; the other one is its mirror image.
+        angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2
         cosine, sine = np.cos(angle), np.sin(angle)
-        centre = self._middle_of_light(field_deg, wavelength_nm, height, chief_cosine)
-        dark = np.isnan(centre)
-        centre = np.where(dark, chief_cosine, centre)
 
         def excess(radius: Array) -> Array:
-            along = [part[: radius.shape[1]] for part in (cosine, sine)]
-            return (
-                self._max_relative_height(
-                    field_deg,
-                    height,
-                    wavelength_nm,
-                    radius * along[0],
-                    centre[:, None] + radius * along[1],
-                )
-                - 1
+            """Return how far outside light is in the lens, below 0 where it passes."""
+            count = radius.shape[1]
+            cosine_x = radius * cosine[:count]
+            cosine_y = centre[:, None] + radius * sine[:count]
+            height = self._max_relative_height(
+                field_deg, height_mm, wavelength_nm, cosine_x, cosine_y
             )
+            return height - 1
 
         horizon = -centre[:, None] * sine + np.sqrt(1 - (centre[:, None] * cosine) ** 2)
-        # Outwards in steps to the first edge, which a small step foretells: beyond it, strong
-        # aspheres may let rays through again.
+        low, below, high, above = self._edge_brackets(excess, horizon)
+        radius = np.where(is_dark[:, None], 0.0, _root(excess, low, below, high, above))
+        return Outline(
+            centre=np.stack([np.zeros_like(centre), centre], axis=-1),
+            radius=np.concatenate([radius, radius[:, ::-1]], axis=1),
+            chief_cosine=chief_cosine,
+        )
+
+    def _edge_brackets(
+        self, excess: Callable[[Array], Array], horizon: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return radii (C, spokes) on both sides of the first edge of the light, and the excess
+        there: low, its excess, high, its excess.
+
+        Outwards in steps to the first edge, which a small step foretells: beyond it, strong
+        aspheres may let rays through again.
+
+        excess : radii (C, 1 or spokes) -> above 0 outside of the light
+        horizon : radii of directions in the image plane, (C, spokes)
+        """
         low = np.zeros(horizon.shape)
         below = np.broadcast_to(np.minimum(excess(low[:, :1]), 0.0), horizon.shape)
+
         near = np.minimum(horizon, _OUTLINE_START / self.first_order(self.primary_nm).f_number)
         with np.errstate(all="ignore"):
             edge = -near * below / (excess(near) - below)
         edge = np.where((edge > near) & (edge < horizon), edge, near)
+
         high = OUTLINE_STEPS[0] * edge
         above = excess(high)
         further = OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2]
-        for share in (
-            *OUTLINE_STEPS[1:],
-            *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:],
-        ):
-            inside = (above <= 0) & (high < horizon)
-            if not inside.any():
+        far_steps = np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]
+        for share in (*OUTLINE_STEPS[1:], *far_steps):
+            is_inside = (above <= 0) & (high < horizon)
+            if not is_inside.any():
                 break
-            low, below = np.where(inside, high, low), np.where(inside, above, below)
-            high = np.where(inside, np.minimum(horizon, share * edge), high)
-            above = np.where(inside, excess(high), above)
-        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
-        both = np.concatenate(
-            [radius, radius[:, ::-1]], axis=1
-        )  # the mirror image: x < 0, from +y back to -y
-        return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
+            low, below = np.where(is_inside, high, low), np.where(is_inside, above, below)
+            high = np.where(is_inside, np.minimum(horizon, share * edge), high)
+            above = np.where(is_inside, excess(high), above)
+        return low, below, high, above
 
     def _middle_of_light(
         self, field_deg: Array, wavelength_nm: Array, height_mm: Array, chief_cosine: Array
@@ -1232,20 +1331,22 @@ class Lens:
         """
         grid = np.linspace(-0.95, 0.95, 21)
         waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
-        ray_cosines = np.where(
-            waves.passed & np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan
-        )
+        is_passed = waves.passed & np.isfinite(waves.opd_waves)
+        ray_cosines = np.where(is_passed, waves.cosines[..., 1], np.nan)
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             middle = (np.nanmin(ray_cosines, axis=1) + np.nanmax(ray_cosines, axis=1)) / 2
+
+        # The middle, where it passes; else the direction that passes best.
         candidates = np.concatenate([middle[:, None], chief_cosine[:, None], ray_cosines], axis=1)
         width = self._max_relative_height(
             field_deg, height_mm, wavelength_nm, np.zeros_like(candidates), candidates
         )
-        width[:, 2:] += 1e-3  # the middle, where it passes
+        width[:, 2:] += 1e-3
         best = np.argmin(width, axis=1)
-        rows = np.arange(best.size)
-        chosen = np.where(width[:, 0] < 1, middle, candidates[rows, best])
-        min_width = width[rows, best]
+        conditions = np.arange(best.size)
+        chosen = np.where(width[:, 0] < 1, middle, candidates[conditions, best])
+        min_width = width[conditions, best]
+
         # What is left of a pupil may lie between two of the rays: the width has one minimum along a
         # line.
         spread = np.ptp(np.where(np.isfinite(ray_cosines), ray_cosines, chosen[:, None]), axis=1)
@@ -1262,11 +1363,10 @@ class Lens:
                 np.zeros_like(finer),
                 finer,
             )
-            at = np.argmin(finer_width, axis=1)
-            chosen[is_dark], min_width[is_dark] = (
-                finer[np.arange(at.size), at],
-                finer_width[np.arange(at.size), at],
-            )
+            best = np.argmin(finer_width, axis=1)
+            conditions = np.arange(best.size)
+            chosen[is_dark] = finer[conditions, best]
+            min_width[is_dark] = finer_width[conditions, best]
         return np.where(min_width < 1, chosen, np.nan)
 
     def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: Positives) -> Array:
@@ -1282,12 +1382,11 @@ class Lens:
         Raises PixsimError if a chief ray does not reach the image.
         """
         shape, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
-        corners = bool(self.vignetting) or any(
+        has_corners = bool(self.vignetting) or any(
             surface.clips for surface in self.prescription.surfaces
         )
-        area = self._outline(
-            fields, wavelengths, _SPOKES_OF_OUTLINE if corners else _SMOOTH_SPOKES
-        ).area
+        spokes = _SPOKES_OF_OUTLINE if has_corners else _SMOOTH_SPOKES
+        area = self._outline(fields, wavelengths, spokes).area
         return np.asarray(area.reshape(shape)[()])
 
     def relative_illumination(
@@ -1324,26 +1423,29 @@ class Lens:
         """
         if not 0 < rings <= _MAX_SPOKES:
             raise invalid("rings", rings, f"1 to {_MAX_SPOKES}")
-        shape, fields, wavelengths, turn = _flattened(
+        shape, fields, wavelengths, azimuths_deg = _flattened(
             field_deg=field_deg, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg
         )
         outline = self.outline(fields, wavelengths, spokes)
+
+        # Gauss-Legendre in radius², equal steps in angle; the frame of the field turns with it.
         node, share = np.polynomial.legendre.leggauss(rings)
         radius = np.sqrt((1 + node) / 2)[:, None] * outline.radius[:, None, :]
-        sideways = (outline.centre[:, 0, None, None] + radius * np.cos(outline.angle)).reshape(
-            turn.size, -1
-        )
-        outward = (outline.centre[:, 1, None, None] + radius * np.sin(outline.angle)).reshape(
-            turn.size, -1
-        )
+        sideways = outline.centre[:, 0, None, None] + radius * np.cos(outline.angle)
+        outward = outline.centre[:, 1, None, None] + radius * np.sin(outline.angle)
+        sideways = sideways.reshape(azimuths_deg.size, -1)
+        outward = outward.reshape(azimuths_deg.size, -1)
         weight = np.broadcast_to(share[:, None] * outline.radius[:, None, :] ** 2, radius.shape)
-        cosine, sine = np.cos(np.radians(turn))[:, None], np.sin(np.radians(turn))[:, None]
-        cosines = np.stack(
-            [outward * cosine + sideways * sine, outward * sine - sideways * cosine], axis=-1
-        )
+
+        cosine = np.cos(np.radians(azimuths_deg))[:, None]
+        sine = np.sin(np.radians(azimuths_deg))[:, None]
+        cosine_x = outward * cosine + sideways * sine
+        cosine_y = outward * sine - sideways * cosine
         chief = outline.chief_cosine[:, None] * np.concatenate([cosine, sine], axis=1)
         return Directions(
-            cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2)
+            cosines=np.stack([cosine_x, cosine_y], axis=-1).reshape(*shape, -1, 2),
+            weight=weight.reshape(*shape, -1),
+            chief_cosines=chief.reshape(*shape, 2),
         )
 
     def ray_points(
@@ -1358,29 +1460,26 @@ class Lens:
         Raises PixsimError if the chief ray does not reach the image.
         """
         _, fields, wavelengths = _flat_conditions(field_deg, wavelength_nm)
-        self._chief(fields, wavelengths)
+        self._checked_chief_rays(fields, wavelengths)
         _, x, y = _flattened(stop_x=stop_x, stop_y=stop_y)
-        surfaces, coefficients = (
-            self.prescription.surfaces,
-            self._pupil_polynomials(fields, wavelengths),
-        )
+        coefficients = self._pupil_polynomials(fields, wavelengths)
         pupil_x_mm, pupil_y_mm = (
             _polynomial_values(coefficients[..., axis], basis)
             for axis, basis in enumerate(_monomials(x, y))
         )
-        indices, points, vertex_mm = self._indices(wavelengths), [], 0.0
-        for surface, rays in zip(
-            surfaces,
-            trace(self._rays_at_entrance_pupil(fields, pupil_x_mm, pupil_y_mm), surfaces, indices),
-            strict=True,
-        ):
+
+        surfaces = self.prescription.surfaces
+        indices = self._indices(wavelengths)
+        start = self._rays_at_entrance_pupil(fields, pupil_x_mm, pupil_y_mm)
+        points, vertex_mm = [], 0.0
+        for surface, rays in zip(surfaces, trace(start, surfaces, indices), strict=True):
             points.append([rays.x[0], rays.y[0], rays.z[0] + vertex_mm])
             vertex_mm += surface.thickness_mm
         rays = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
-        return np.array([*points, [rays.x[0], rays.y[0], rays.z[0] + vertex_mm]]).transpose(2, 0, 1)
+        points.append([rays.x[0], rays.y[0], rays.z[0] + vertex_mm])
+        return np.array(points).transpose(2, 0, 1)
 
     # What a lens designer asks for
-    # ---------------------------------------------------------------------------------------
 
     @cached_property
     def paraxial_height_mm(self) -> float:
@@ -1392,12 +1491,10 @@ class Lens:
         """
         if math.isinf(self.object_distance_mm):
             return self.first_order(self.primary_nm).focal_length_mm
-        indices, from_vertex = (
-            self._indices(np.array([self.primary_nm])),
-            self.object_distance_mm - self._entrance_pupil_mm,
-        )
+        indices = self._indices(np.array([self.primary_nm]))
+        from_vertex_mm = self.object_distance_mm - self._entrance_pupil_mm
         _, angle = paraxial(
-            self.prescription.surfaces, indices, np.array([from_vertex]), np.array([1.0])
+            self.prescription.surfaces, indices, np.array([from_vertex_mm]), np.array([1.0])
         )
         return float(-self.object_distance_mm / angle[0])
 
@@ -1436,14 +1533,12 @@ class Lens:
 
         Raises PixsimError as `chief_ray` does.
         """
-        angle = np.asarray(field_deg, float)
-        height = self.chief_ray(
-            angle, self.primary_nm if wavelength_nm is None else wavelength_nm
-        ).height_mm
-        ideal = self.image_scale_mm * np.tan(np.radians(angle))
-        return np.asarray(
-            np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1
-        )[()]
+        angle_deg = np.asarray(field_deg, float)
+        nm = self.primary_nm if wavelength_nm is None else wavelength_nm
+        height_mm = self.chief_ray(angle_deg, nm).height_mm
+        ideal_mm = self.image_scale_mm * np.tan(np.radians(angle_deg))
+        ratio = np.divide(height_mm, ideal_mm, out=np.ones(np.shape(ideal_mm)), where=ideal_mm != 0)
+        return np.asarray(ratio - 1)[()]
 
     def foci_mm(self, field_deg: ArrayLike, wavelength_nm: Positives) -> tuple[Array, Array]:
         """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the
@@ -1460,11 +1555,16 @@ class Lens:
         waves = self.wavefront(
             fields, wavelengths, np.array([0.0, 0.0, near]), np.array([near, -near, 0.0])
         )
-        ahead = np.sqrt(1 - np.square(waves.cosines).sum(axis=-1))
-        slope_x, slope_y = waves.cosines[..., 0] / ahead, waves.cosines[..., 1] / ahead
-        tangential = -(waves.y_mm[:, 0] - waves.y_mm[:, 1]) / (slope_y[:, 0] - slope_y[:, 1])
-        sagittal = -waves.x_mm[:, 2] / slope_x[:, 2]
-        return np.asarray(tangential.reshape(shape)[()]), np.asarray(sagittal.reshape(shape)[()])
+
+        cosine_z = np.sqrt(1 - np.square(waves.cosines).sum(axis=-1))
+        slope_x = waves.cosines[..., 0] / cosine_z
+        slope_y = waves.cosines[..., 1] / cosine_z
+        tangential_mm = -(waves.y_mm[:, 0] - waves.y_mm[:, 1]) / (slope_y[:, 0] - slope_y[:, 1])
+        sagittal_mm = -waves.x_mm[:, 2] / slope_x[:, 2]
+        return (
+            np.asarray(tangential_mm.reshape(shape)[()]),
+            np.asarray(sagittal_mm.reshape(shape)[()]),
+        )
 
     def field_of_height(self, height_mm: float, wavelength_nm: Positive) -> float:
         """Return the number of degrees of the field angle whose chief ray has this height in the
@@ -1472,24 +1572,25 @@ class Lens:
 
         Raises PixsimError if no field has: the point lies beyond the image circle.
         """
-        fields, heights = self._fields_with_chief_rays(wavelength_nm)
-        height = abs(height_mm)
-        above = int(np.searchsorted(heights, height))
-        if above == heights.size:
-            expected = f"at most {heights[-1]:.4g}, where the chief rays of the lens end"
+        fields, heights_mm = self._fields_with_chief_rays(wavelength_nm)
+        target_mm = abs(height_mm)
+        above = int(np.searchsorted(heights_mm, target_mm))
+        if above == heights_mm.size:
+            expected = f"at most {heights_mm[-1]:.4g}, where the chief rays of the lens end"
             raise invalid("height_mm", f"{height_mm:g}, beyond the image circle", expected)
         if above == 0:
             return 0.0
-        low, high = (np.array([fields[index]]) for index in (above - 1, above))
-        ends = (np.array([heights[index] - height]) for index in (above - 1, above))
-        (below, beyond), wavelength = ends, np.array([wavelength_nm])
-        root_deg = _root(
-            lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height,
-            low,
-            below,
-            high,
-            beyond,
-        )
+
+        nm = np.array([wavelength_nm])
+
+        def excess_mm(field_deg: Array) -> Array:
+            rays, _ = self._trace_chief_rays(field_deg, nm)
+            return rays.y[:, 0] - target_mm
+
+        bracket = slice(above - 1, above + 1)
+        low, high = fields[bracket, None]
+        excess_low, excess_high = heights_mm[bracket, None] - target_mm
+        root_deg = _root(excess_mm, low, excess_low, high, excess_high)
         return math.copysign(float(root_deg[0]), height_mm)
 
     def image_circle_mm(self, wavelength_nm: Positive) -> float:
@@ -1505,7 +1606,7 @@ class Lens:
         which grow, in mm.
         """
         fields = np.linspace(0.0, STEEPEST_DEG, FIELDS_TRIED)
-        rays, _ = self._chief_or_nan(fields, np.full(fields.size, wavelength_nm))
+        rays, _ = self._trace_chief_rays(fields, np.full(fields.size, wavelength_nm))
         growing = np.concatenate([[True], np.diff(rays.y[:, 0]) > 0])
         count = fields.size if growing.all() else int(np.argmin(growing))
         return fields[:count], rays.y[:count, 0]
@@ -1542,7 +1643,6 @@ class Lens:
         return find_ghosts(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
 
     # Changed lenses
-    # ------------------------------------------------------------------------------------------------------
 
     def scaled(self, factor: Positive) -> Lens:
         """Return the lens with every length times `factor`, but the object's distance. Raises
@@ -1634,16 +1734,17 @@ class Lens:
 
     def _paraxial_focus_mm(self, wavelength_nm: float | None = None) -> float:
         """Return where the object plane is in focus, in mm behind the image plane."""
-        surfaces, indices = (
-            self.prescription.surfaces,
-            self._indices(np.array([wavelength_nm or self.primary_nm])),
-        )
-        start = np.array([1.0]), np.array([0.0])
+        surfaces = self.prescription.surfaces
+        indices = self._indices(np.array([wavelength_nm or self.primary_nm]))
+
+        # A ray parallel to the axis, or from the object's point on the axis.
+        height_mm, angle = np.array([1.0]), np.array([0.0])
         if math.isfinite(self.object_distance_mm):
-            start = np.array([self.object_distance_mm - self._entrance_pupil_mm]), np.array([1.0])
-        height, angle = paraxial(surfaces, indices, *start)
-        back = -height / angle * np.asarray(indices[-1]).ravel()
-        return float(back[0]) - surfaces[-1].thickness_mm
+            height_mm = np.array([self.object_distance_mm - self._entrance_pupil_mm])
+            angle = np.array([1.0])
+        height_mm, angle = paraxial(surfaces, indices, height_mm, angle)
+        back_mm = -height_mm / angle * np.asarray(indices[-1]).ravel()
+        return float(back_mm[0]) - surfaces[-1].thickness_mm
 
     def _best_focus_mm(self, largest_deg: float, wavelength_nm: float | None = None) -> float:
         """Return the shift of the image plane in mm that leaves the least mean square of the
@@ -1653,44 +1754,42 @@ class Lens:
         area up to a field; in it, W changes by ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's
         slope))/λ, and a tilt goes with the picture.
         """
+        # Gauss-Legendre over the area of the picture, equal rings and angles over half of the stop.
         node, share = np.polynomial.legendre.leggauss(4)
         if not largest_deg:
             node, share = np.array([-1.0]), np.array([2.0])
-        fields = np.degrees(
-            np.arctan(math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2))
-        )
-        wavelengths = (
-            self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
-        )
-        fields, weight = (np.repeat(part, len(wavelengths)) for part in (fields, share / 2))
-        wavelength = np.tile(np.array(wavelengths), node.size)
+        tangents = math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)
+        nm = self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
+        fields = np.repeat(np.degrees(np.arctan(tangents)), len(nm))
+        weights = np.repeat(share / 2, len(nm))
+        wavelengths = np.tile(np.array(nm), node.size)
         radius = np.sqrt((np.arange(8) + 0.5) / 8)[:, None]
         angle = (np.arange(24) + 0.5) * (np.pi / 24) - np.pi / 2
         x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-        waves = self.wavefront(fields, wavelength, x, y)
-        change = (
-            self._with_image_plane_moved(_FOCUS_STEP_MM)
-            .wavefront(fields, wavelength, x, y)
-            .opd_waves
-            - waves.opd_waves
-        )
+
+        waves = self.wavefront(fields, wavelengths, x, y)
+        moved = self._with_image_plane_moved(_FOCUS_STEP_MM).wavefront(fields, wavelengths, x, y)
+        change_waves = moved.opd_waves - waves.opd_waves
+
+        # Least squares of W + shift ∂W/∂z, both without piston, and without tilt off the axis.
         top = bottom = 0.0
+        is_passed = waves.passed & np.isfinite(waves.opd_waves) & np.isfinite(change_waves)
         for index in range(fields.size):
-            seen = (
-                waves.passed[index]
-                & np.isfinite(waves.opd_waves[index])
-                & np.isfinite(change[index])
-            )
-            along = waves.cosines[index, seen, 1]
-            basis = np.stack([np.ones(along.size), *([along] if largest_deg else [])], axis=1)
-            if along.size <= basis.shape[1]:
+            passed = is_passed[index]
+            cosines = waves.cosines[index, passed, 1]
+            columns = [np.ones(cosines.size)]
+            if largest_deg:
+                columns.append(cosines)
+            basis = np.stack(columns, axis=1)
+            if cosines.size <= basis.shape[1]:
                 continue
-            both = np.stack(
-                [waves.opd_waves[index, seen], change[index, seen] / _FOCUS_STEP_MM], axis=1
-            )
+
+            opd = waves.opd_waves[index, passed]
+            slope = change_waves[index, passed] / _FOCUS_STEP_MM
+            both = np.stack([opd, slope], axis=1)
             both = both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]
-            top += weight[index] * float((both[:, 0] * both[:, 1]).mean())
-            bottom += weight[index] * float((both[:, 1] ** 2).mean())
+            top += weights[index] * float((both[:, 0] * both[:, 1]).mean())
+            bottom += weights[index] * float((both[:, 1] ** 2).mean())
         if not bottom:
             raise invalid(
                 f"lens '{self.prescription.name}'",
@@ -1735,27 +1834,29 @@ def _root(
     low, high : brackets; where there is no sign change, an end of the last bracket is returned
     below, above : values there, at most 0 and above 0
     """
-    side, at, value = np.zeros(low.shape), low, below
+    side = np.zeros(low.shape)
+    root, value = low, below
     for _ in range(ROOT_STEPS):
-        going = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
-        if not going.any():
+        is_open = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
+        if not is_open.any():
             break
+
         with np.errstate(all="ignore"):
-            new = np.where(
-                np.isfinite(above), low - below * (high - low) / (above - below), (low + high) / 2
-            )
-        at = np.where(
-            going, np.clip(new, low, high), at
-        )  # the others stay, whatever their neighbours do
-        value = np.where(going, function(at), value)
-        inside, outside = going & (value <= 0), going & ~(value <= 0)
+            secant = low - below * (high - low) / (above - below)
+        trial = np.where(np.isfinite(above), secant, (low + high) / 2)
+        # Closed brackets stay, whatever their neighbours do.
+        root = np.where(is_open, np.clip(trial, low, high), root)
+        value = np.where(is_open, function(root), value)
+
         # The end that stays twice counts half.
+        inside = is_open & (value <= 0)
+        outside = is_open & ~(value <= 0)
         above = np.where(inside & (side > 0), above / 2, above)
         below = np.where(outside & (side < 0), below / 2, below)
-        low, below = np.where(inside, at, low), np.where(inside, value, below)
-        high, above = np.where(outside, at, high), np.where(outside, value, above)
+        low, below = np.where(inside, root, low), np.where(inside, value, below)
+        high, above = np.where(outside, root, high), np.where(outside, value, above)
         side = np.where(inside, 1.0, np.where(outside, -1.0, side))
-    return at
+    return root
 
 
 def _rays_slice(rays: Rays, rows: slice) -> Rays:
@@ -1836,11 +1937,8 @@ def _stop_samples() -> tuple[Array, Array, _Bases, _Bases]:
     """
     radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
     angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
-    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    x = np.asarray((radius * np.cos(angle)).ravel())
+    y = np.asarray((radius * np.sin(angle)).ravel())
     odd_terms, even_terms = _monomials(x, y)
-    return (
-        np.asarray(x),
-        np.asarray(y),
-        (odd_terms, even_terms),
-        (np.asarray(np.linalg.pinv(odd_terms)), np.asarray(np.linalg.pinv(even_terms))),
-    )
+    fits = np.asarray(np.linalg.pinv(odd_terms)), np.asarray(np.linalg.pinv(even_terms))
+    return x, y, (odd_terms, even_terms), fits
