@@ -429,7 +429,7 @@ def _types_by_metric(
             Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw)))
             for draw in sample.draws
         ]
-        first_notes = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
+        few_pitches_um = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
         few_frames = base.study.model_copy(
             update={"metrics": (metric.name,), "repeats": FEW_SENSORS}
         )
@@ -452,7 +452,10 @@ def _types_by_metric(
                 )
                 cases.append(
                     replace(
-                        case, imaging=imaging, sizes=first_notes[case.sensor], caches_frames=False
+                        case,
+                        imaging=imaging,
+                        sizes=few_pitches_um[case.sensor],
+                        caches_frames=False,
                     )
                 )
                 lights.append(light)

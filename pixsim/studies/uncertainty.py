@@ -810,12 +810,12 @@ def few_pitches_um(
         float(f"{pitch:.{PITCH_DIGITS}g}")
         for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
     ]
-    first_notes = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
-    if len(first_notes) < MIN_PITCHES:
+    sensor_counts = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
+    if len(sensor_counts) < MIN_PITCHES:
         raise invalid(
             "range_um", f"{low:g} to {high:g}", f"a range of {MIN_PITCHES} different pitches"
         )
-    return first_notes
+    return sensor_counts
 
 
 # --- types of the sensors of a study or of a comparison -------------------------------------------

@@ -76,11 +76,10 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
         dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
         share = np.concatenate([(1 - dark.hot_fraction) * share, hot_share])
     is_few = dark_e <= FEW_E
-    many, first_notes = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
+    many, faint_e = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(_POISSON_TERMS)
     poisson = (
-        share[is_few, None]
-        * np.exp(counts * np.log(first_notes) - first_notes - gammaln(counts + 1))
+        share[is_few, None] * np.exp(counts * np.log(faint_e) - faint_e - gammaln(counts + 1))
     ).sum(axis=0)
     charge_e = np.concatenate([counts, many])
     weight = np.concatenate([poisson, share[~is_few]])

@@ -27,7 +27,7 @@ from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricNames, MetricOpti
 Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 
 
-ROW_COLUMNS = Words(also=("sensor",))
+_PIXEL_WORDS = Words(also=("sensor",))
 
 
 class Effort(Record):
@@ -94,7 +94,7 @@ class Setting(Effort):
             "veil and fall-off of the lens, and a real one in place of the camera's thin one"
         ),
     )
-    pixel: Annotated[PixelOptions, ROW_COLUMNS] = Field(
+    pixel: Annotated[PixelOptions, _PIXEL_WORDS] = Field(
         PixelOptions(), description="pixel, without technology and pitch"
     )
     exposure: Exposure = Field(Exposure(), description="exposure of each frame")
@@ -163,7 +163,7 @@ class Run(Setting):
         default_factory=dict,
         description="values of the scene's <default> parameters, as -D sets them",
     )
-    pixel: Annotated[Pixel, ROW_COLUMNS] = Field(Pixel(), description="pixel of the sensor")
+    pixel: Annotated[Pixel, _PIXEL_WORDS] = Field(Pixel(), description="pixel of the sensor")
 
     @field_validator("scene", mode="before")
     @classmethod

@@ -87,9 +87,9 @@ def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tup
     """
     flat = np.ravel(np.asarray(mean_e, float))
     mean, variance = np.empty_like(flat), np.empty_like(flat)
-    first_notes = flat + gaussian_variance_e2 < _SERIES_FROM_E
-    mean[first_notes], variance[first_notes] = _summed(flat[first_notes], gaussian_variance_e2)
-    mean[~first_notes], variance[~first_notes] = _series(flat[~first_notes], gaussian_variance_e2)
+    is_faint = flat + gaussian_variance_e2 < _SERIES_FROM_E
+    mean[is_faint], variance[is_faint] = _summed(flat[is_faint], gaussian_variance_e2)
+    mean[~is_faint], variance[~is_faint] = _series(flat[~is_faint], gaussian_variance_e2)
     return mean.reshape(np.shape(mean_e)), variance.reshape(np.shape(mean_e))
 
 
