@@ -57,11 +57,10 @@ STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core
 # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its
 # dark side
 _EDGE_CONTRAST = 100.0
-# of a step, the light that it moves within the cell beside it; of that, in the next cell, and so on
-RING, RING_DECAY = (0.1, 0.43)
-_RING_TOLERANCE = (
-    1e-5  # of the light of a cell; a photodiode on a small part of it sees up to ten times of that
-)
+RING = 0.1  # of a step: the light that it moves within the cell beside it
+RING_DECAY = 0.43  # of that light, in the next cell, and so on
+# Of the light of a cell; a photodiode on a small part of it sees up to ten times of that.
+_RING_TOLERANCE = 1e-5
 _RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
@@ -89,8 +88,8 @@ class _CellSpline:
 
     knots: Array
     degree: int
-    # bandwidth, on either side of the diagonal, of the matrix of the spline's values at the borders
-    reach: int
+    # of the matrix of the spline's values at the borders, on either side of the diagonal
+    bandwidth: int
     factors: Array  # LU factors of that matrix, in LAPACK's band storage
     pivots: NDArray[np.int32]
 
@@ -99,7 +98,8 @@ class _CellSpline:
 def cell_spline(n: int) -> _CellSpline:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
-    borders, half = np.arange(n + 1.0), (degree + 1) // 2
+    borders = np.arange(n + 1.0)
+    half = (degree + 1) // 2
     knots = np.concatenate(
         [np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))]
     )
@@ -123,13 +123,14 @@ def _design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
     values = np.zeros((x.size, degree + 1))
     values[:, 0] = 1.0
     for order in range(1, degree + 1):
-        saved: Array | float = 0.0
+        from_left: Array | float = 0.0
         for spline in range(order):
-            right, left = knots[interval + spline + 1] - x, x - knots[interval + spline + 1 - order]
-            part = values[:, spline] / (right + left)
-            values[:, spline] = saved + right * part
-            saved = left * part
-        values[:, order] = saved
+            right = knots[interval + spline + 1] - x
+            left = x - knots[interval + spline + 1 - order]
+            ratio = values[:, spline] / (right + left)
+            values[:, spline] = from_left + right * ratio
+            from_left = left * ratio
+        values[:, order] = from_left
     columns = interval[:, None] + np.arange(-degree, 1)
     rows = np.arange(0, values.size + 1, degree + 1)
     return csr_array(
@@ -146,7 +147,7 @@ def _spline_coefficients(samples: Array) -> Array:
     running[0] = 0.0
     np.cumsum(samples, axis=0, dtype=float, out=running[1:])
     return scipy.linalg.lapack.dgbtrs(
-        spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True
+        spline.factors, spline.bandwidth, spline.bandwidth, running, spline.pivots, overwrite_b=True
     )[0]
 
 
@@ -158,7 +159,7 @@ class _RunningIntegral:
         differences between neighbouring coefficients, down and across, of the spline in both
         directions: as small as the light nearby, so that sums of them are exact also beside light
         that is much brighter
-    both_ways : whether they are those
+    both_ways : whether they are such differences
     """
 
     coefficients: Array = field(repr=False)
@@ -167,18 +168,21 @@ class _RunningIntegral:
 
 def running_integral(samples: Array) -> _RunningIntegral:
     """Return the running integral of a picture (H, W), strip by strip."""
+
+    def coefficients(_: slice, strip: Array) -> Array:
+        return _spline_coefficients(strip)
+
+    def differences(_: slice, strip: Array) -> Array:
+        return np.diff(_spline_coefficients(strip), axis=0)
+
+    rows, columns = samples.shape
     if any_hard_edge(samples) or any_hard_edge(samples.T):
-        down = _map_columns(
-            samples, 0, len(samples) + 1, lambda _, strip: _spline_coefficients(strip)
-        )
-        return _RunningIntegral(down, False)
-    down = _map_columns(
-        samples, 0, len(samples), lambda _, strip: np.diff(_spline_coefficients(strip), axis=0)
-    )
-    both = _map_columns(
-        down, 1, samples.shape[1], lambda _, strip: np.diff(_spline_coefficients(strip), axis=0)
-    )
-    return _RunningIntegral(np.ascontiguousarray(both), True)
+        down = _map_columns(samples, 0, rows + 1, coefficients)
+        return _RunningIntegral(down, both_ways=False)
+
+    down = _map_columns(samples, 0, rows, differences)
+    both = _map_columns(down, 1, columns, differences)
+    return _RunningIntegral(np.ascontiguousarray(both), both_ways=True)
 
 
 def any_hard_edge(samples: Array) -> bool:
@@ -204,33 +208,31 @@ def interval_weights(low: Array, high: Array, knots: _CellSpline) -> csr_array:
     first, last = np.split(starts, 2)
     sums_low, sums_high = np.split(sums, 2)
     width = int((last - first).max()) + degree + 1
-    place = np.arange(width)
+    columns = first[:, None] + np.arange(width)
 
     def sums_at(start: NDArray[np.intp], sums: Array) -> Array:
-        """P of splines first, first + 1, …; sums hold those of start … start + degree."""
-        within = first[:, None] + place - start[:, None]
-        return np.asarray(
-            np.where(within < 0, 0.0, np.take_along_axis(sums, np.clip(within, 0, degree), axis=1))
-        )
+        """P of splines first, first + 1, …; sums hold P of splines start … start + degree."""
+        index = columns - start[:, None]
+        nearest = np.take_along_axis(sums, np.clip(index, 0, degree), axis=1)
+        return np.asarray(np.where(index < 0, 0.0, nearest))
 
     weights = sums_at(first, sums_low) - sums_at(last, sums_high)
-    columns = first[:, None] + place
-    used = (weights != 0) & (columns < knots.knots.size - degree - 2)
-    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array(
-        (weights[used], columns[used], rows), shape=(low.size, knots.knots.size - degree - 2)
-    )
+    count = knots.knots.size - degree - 2
+    used = (weights != 0) & (columns < count)
+    row_starts = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    return csr_array((weights[used], columns[used], row_starts), shape=(low.size, count))
 
 
 def _spline_sums(positions: Array, knots: _CellSpline) -> tuple[NDArray[np.intp], Array]:
     """Return the first B-spline that is not 0 at each position (m,), and the sums of it and the
     next ones, (m, degree + 1).
     """
-    values = _design_matrix(positions, knots.knots, knots.degree)
-    each = values.data.reshape(-1, knots.degree + 1)
-    sums = np.cumsum(each, axis=1)
+    matrix = _design_matrix(positions, knots.knots, knots.degree)
+    shape = -1, knots.degree + 1
+    sums = np.cumsum(matrix.data.reshape(shape), axis=1)
     sums[:, -1] = 1.0  # exactly, so that weights far from an interval vanish
-    return values.indices.reshape(each.shape)[:, 0].astype(np.intp), sums
+    first = matrix.indices.reshape(shape)[:, 0]
+    return first.astype(np.intp), sums
 
 
 def _has_hard_edge(samples: Array) -> bool:
@@ -258,28 +260,29 @@ def ringing_cells(samples: Array) -> NDArray[np.bool_]:
 
     The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
     what is far away, or in another column, has no part in it. Light that is further below zero than
-    it would ring is light that is meant, as of a difference.
+    it would ring is meant, as in a difference of two pictures.
     """
     hard = _hard_edges(samples)
     if not hard.any():
         return np.zeros(samples.shape, bool)
-    ring, height = (
-        np.zeros(samples.shape),
-        RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0),
-    )
+
+    # The ring in the two cells beside each edge.
+    height = RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
+    ring = np.zeros(samples.shape)
     ring[:-1] = height
     np.maximum(ring[1:], height, out=ring[1:])
-    distance, decay = 1, RING_DECAY
-    while distance < min(
-        len(samples), _RING_CELLS
-    ):  # steps of 1, 2, 4, … together make every distance
+
+    # It goes on to both sides: steps of 1, 2, 4, … together make every distance.
+    distance = 1
+    decay = RING_DECAY
+    while distance < min(len(samples), _RING_CELLS):
         onwards = decay * ring[:-distance]
         np.maximum(ring[:-distance], decay * ring[distance:], out=ring[:-distance])
         np.maximum(ring[distance:], onwards, out=ring[distance:])
-        distance, decay = 2 * distance, decay**2
-    return np.asarray(
-        (ring > _RING_TOLERANCE * np.abs(samples)) & (_lowest_beside(samples) >= -ring)
-    )
+        distance *= 2
+        decay **= 2
+    is_large = ring > _RING_TOLERANCE * np.abs(samples)
+    return np.asarray(is_large & (_lowest_beside(samples) >= -ring))
 
 
 def _lowest_beside(samples: Array) -> Array:
@@ -294,20 +297,24 @@ def _without_ringing(running: Array, samples: Array, edges: Array) -> Array:
     """Return the running integrals (2 m, columns) at the first and then the last `edges` of m
     intervals, limited where they ring.
 
-    That is in `ringing_cells`, and in cells, not beside negative light, in which an interval that
-    would be negative begins or ends.
+    They are limited in `ringing_cells`, and in cells, not beside negative light, in which an
+    interval that would be negative begins or ends.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
-    limited, result = limit_overshoot(running, samples, edges), running
-    rings, positive = ringing_cells(samples), _lowest_beside(samples) >= 0
+    limited = limit_overshoot(running, samples, edges)
+    is_positive = _lowest_beside(samples) >= 0
+    rings = ringing_cells(samples)
+    result = running
     while True:
         low, high = np.split(result, 2)
         negative, column = np.nonzero(high < low)
-        before, rings = rings, rings.copy()
+        previous = rings
+        rings = rings.copy()
         for ends in np.split(cell, 2):
-            rings[ends[negative], column] |= positive[ends[negative], column]
-        if result is not running and np.array_equal(rings, before):
+            rings[ends[negative], column] |= is_positive[ends[negative], column]
+        if result is not running and np.array_equal(rings, previous):
             return result
+
         result = _make_monotonic(np.where(rings[cell], limited, running), samples, edges, rings)
 
 
@@ -317,13 +324,14 @@ def _make_monotonic(
     """Return a running integral that never falls within cells that ring, (n, columns), unless their
     light is negative.
 
-    What it has at the borders of cells, and so the total, is preserved.
+    Its values at the borders of cells, and so the total, are preserved.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
-    below = np.minimum(samples, 0.0)
-    fallen = (
-        (np.cumsum(below, axis=0) - below)[cell] if below.any() else 0.0
-    )  # up to each cell, by the negative light before it
+    # How far it has fallen up to each cell, by the negative light before it.
+    negative = np.minimum(samples, 0.0)
+    fallen: Array | float = 0.0
+    if negative.any():
+        fallen = (np.cumsum(negative, axis=0) - negative)[cell]
     rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
     highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])
@@ -338,17 +346,20 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     that range on either side so that resolved crests are unchanged, and at or above zero unless the
     cell is below. Integrals at cell borders stay exact.
     """
-    cell = np.minimum(edges.astype(int), len(samples) - 1)
-    part = (edges - cell)[:, None]
-    lowest, highest = _lowest_beside(samples), -_lowest_beside(-samples)
+    lowest = _lowest_beside(samples)
+    highest = -_lowest_beside(-samples)
     slack = (highest - lowest) / 2
-    before = np.cumsum(samples, axis=0) - samples
-    bounds = np.maximum(lowest - slack, np.minimum(samples, 0.0)), highest + slack
-    start, cell_light, min_light, max_light = (
-        values[cell] for values in (before, samples, *bounds)
-    )
-    from_below = np.maximum(part * min_light, cell_light - (1 - part) * max_light)
-    from_above = np.minimum(part * max_light, cell_light - (1 - part) * min_light)
+
+    # What lies before the cell of each edge, in it, and the limits of the light there.
+    cell = np.minimum(edges.astype(int), len(samples) - 1)
+    start = (np.cumsum(samples, axis=0) - samples)[cell]
+    light = samples[cell]
+    min_light = np.maximum(lowest - slack, np.minimum(samples, 0.0))[cell]
+    max_light = (highest + slack)[cell]
+
+    part = (edges - cell)[:, None]
+    from_below = np.maximum(part * min_light, light - (1 - part) * max_light)
+    from_above = np.minimum(part * max_light, light - (1 - part) * min_light)
     return start + np.clip(running - start, from_below, from_above)
 
 
@@ -410,10 +421,10 @@ def diffracted(
 def split_by_veil(
     irradiance: SpectralImage, camera: Camera, weights: Sequence[Array]
 ) -> tuple[Sequence[Array], Sequence[float]]:
-    """Return weights [(B,)] of the light that does not stray, which the lens blurs, and what
-    strays: s⁻¹ µm⁻², even, for each.
+    """Return the weights [(B,)] of light that does not stray, which the lens blurs, and the uniform
+    rate of stray light for each, s⁻¹ µm⁻².
 
-    Without veiling glare they are as they are, and 0.
+    Without veiling glare the weights are unchanged, and the rates 0.
     """
     veil = veil_of(irradiance, camera)
     if veil is None:
@@ -423,7 +434,7 @@ def split_by_veil(
 
 
 def _add_uniform(rate: Array, veil: float) -> None:
-    """Add what is the same everywhere to a picture, in place."""
+    """Add a uniform rate to a picture, in place."""
     if veil:
         rate += veil
 
@@ -440,11 +451,14 @@ def _blurred(
         return [
             _per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights
         ]
+
     f_number: float | None = camera.effective_f_number
     if irradiance.header.get("diffraction") is False:
         if blur is None:
             return [_per_um2(irradiance.weighted(weight)) for weight in weights]
         f_number = None
+
+    # Pictures of one spectrum each, with the spectra times the weights.
     nm = irradiance.wavelength_nm
     pictures: Iterable[tuple[NDArray[np.float32], list[Array]]]
     if irradiance.factors:
@@ -453,17 +467,16 @@ def _blurred(
             (picture, [weight * spectrum for weight in weights]) for spectrum, picture in factors
         )
     else:
-        unit = np.eye(nm.size)
-        seen = np.flatnonzero(np.any(weights, axis=0)).tolist()
+        band_spectra = np.eye(nm.size)
+        bands = np.flatnonzero(np.any(weights, axis=0)).tolist()
         pictures = (
-            (irradiance.band(band), [weight * unit[band] for weight in weights]) for band in seen
+            (irradiance.band(band), [weight * band_spectra[band] for weight in weights])
+            for band in bands
         )
-    return [
-        _per_um2(rate)
-        for rate in diffract_sums(
-            pictures, len(weights), irradiance.shape, irradiance.pitch_um, nm, f_number, blur
-        )
-    ]
+    rates = diffract_sums(
+        pictures, len(weights), irradiance.shape, irradiance.pitch_um, nm, f_number, blur
+    )
+    return [_per_um2(rate) for rate in rates]
 
 
 def _per_um2(rate: Array) -> Array:
@@ -488,13 +501,14 @@ def real_lens_rate(
     """
     if not tiling.psf_um:  # the film is too coarse to show it
         return irradiance.weighted(electrons)
-    nm, seen = irradiance.wavelength_nm, np.abs(electrons * irradiance.mean_spectrum())
+    nm = irradiance.wavelength_nm
+    seen = np.abs(electrons * irradiance.mean_spectrum())
     _warn_of_unknown_glasses(camera, nm, seen)
+
     total = np.zeros(irradiance.shape)
     count = len(irradiance.factors[0]) if irradiance.factors else GROUPS  # at most
-    for number, (picture, weight, blurred_by) in enumerate(
-        _blurred_lights(irradiance.whole, electrons, seen, tiling)
-    ):
+    lights = _blurred_lights(irradiance.whole, electrons, seen, tiling)
+    for number, (picture, weight, blurred_by) in enumerate(lights):
         with watched_share(number / count, (number + _BLUR_WORK) / count):
             blur = blur_of(
                 camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer
@@ -528,24 +542,24 @@ def _blurred_lights(
 
 @dataclass(frozen=True)
 class PartBehindLens:
-    """A part of a picture with light around it, for a real lens whose blur is taken to be that of
-    the part's middle all over it.
+    """A part of a picture with light around it, behind a real lens with one blur: that of the middle
+    of the part.
 
     Films of other samples of the same part differ by their samples alone: they have the same PSF,
     which no film cuts off.
 
-    films : the part, with light around it at each side, and the film cells of that; all show the
-        same
+    films : pictures of the part, with light around it at each side, and the film cells of that
+        light; all show the same
     middle_um : (y, x) of the part from the axis
     seen : spectrum of the whole picture, (B,)
-    reach : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as any of these or
+    psf_film : (shape, pitch_um) of the film whose PSFs are taken: it is as fine as any of these or
         finer
     """
 
     films: Sequence[tuple[SpectralImage, int]]
     middle_um: tuple[float, float]
     seen: Array
-    reach: tuple[tuple[int, int], float]
+    psf_film: tuple[tuple[int, int], float]
 
     def rates(
         self,
@@ -555,29 +569,42 @@ class PartBehindLens:
         transfer: Callable[[Array, float], Array] | None,
     ) -> list[Array]:
         """Return `real_lens_rate` in the part, (H, W) on each of the films."""
-        images, nm = [image for image, _ in self.films], self.films[0][0].wavelength_nm
-        if not tiling.psf_um:
+        images = [image for image, _ in self.films]
+        halos = [halo for _, halo in self.films]
+        if not tiling.psf_um:  # the film is too coarse to show it
             totals = [image.weighted(electrons) for image in images]
         else:
-            totals = [np.zeros(image.shape) for image in images]
-            seen = np.abs(electrons * self.seen)
-            for films in zip(
-                *(_blurred_lights(image, electrons, seen, tiling) for image in images), strict=True
-            ):
-                _, weight, blurred_by = films[0]
-                psfs = psfs_of(camera, *self.reach, blurred_by, nm, weight, transfer)
-                lights = [
-                    (picture, image.pitch_um)
-                    for (picture, _, _), image in zip(films, images, strict=True)
-                ]
-                for total, light in zip(
-                    totals, psfs.blurred(lights, *self.middle_um[::-1]), strict=True
-                ):
-                    total += float(weight.sum()) * light
+            totals = self._blurred_totals(camera, tiling, electrons, transfer)
         return [
             total[halo : -halo or None, halo : -halo or None]
-            for total, (_, halo) in zip(totals, self.films, strict=True)
+            for total, halo in zip(totals, halos, strict=True)
         ]
+
+    def _blurred_totals(
+        self,
+        camera: Camera,
+        tiling: Tiling,
+        electrons: Array,
+        transfer: Callable[[Array, float], Array] | None,
+    ) -> list[Array]:
+        """Return `rates` with the light around the part, (H, W) on each of the films."""
+        images = [image for image, _ in self.films]
+        nm = images[0].wavelength_nm
+        middle_y_um, middle_x_um = self.middle_um
+        seen = np.abs(electrons * self.seen)
+        totals = [np.zeros(image.shape) for image in images]
+        blurred_lights = [_blurred_lights(image, electrons, seen, tiling) for image in images]
+        for films in zip(*blurred_lights, strict=True):
+            _, weight, blurred_by = films[0]
+            psfs = psfs_of(camera, *self.psf_film, blurred_by, nm, weight, transfer)
+            pictures = [
+                (picture, image.pitch_um)
+                for (picture, _, _), image in zip(films, images, strict=True)
+            ]
+            lights = psfs.blurred(pictures, middle_x_um, middle_y_um)
+            for total, light in zip(totals, lights, strict=True):
+                total += float(weight.sum()) * light
+        return totals
 
     def lights(
         self,
@@ -591,25 +618,26 @@ class PartBehindLens:
         illuminations : of the channels, those of the whole picture
         """
         transfer = diffusion_of(physics.channels[0])
-        image = self.films[0][0]
-        focused, veils = split_by_veil(
-            image, camera, [electrons_per_joule(channel, image) for channel in physics.channels]
-        )
-        rates = [
-            [_per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)]
-            for weight in focused
-        ]
-        for channel_rates, veil in zip(rates, veils, strict=True):
+        image, _ = self.films[0]
+        weights = [electrons_per_joule(channel, image) for channel in physics.channels]
+        focused, veils = split_by_veil(image, camera, weights)
+        rates: list[list[Array]] = []  # of each channel, on each of the films
+        for weight, veil in zip(focused, veils, strict=True):
+            channel_rates = [
+                _per_um2(rate) for rate in self.rates(camera, tiling, weight, transfer)
+            ]
             for rate in channel_rates:
                 _add_uniform(rate, veil)
+            rates.append(channel_rates)
         return [
             tuple(map(ChannelLight, film_rates, illuminations))
             for film_rates in zip(*rates, strict=True)
         ]
 
 
-_BLUR_WORK = 0.3  # of a light's blur: its PSFs, and an even picture, whose tiles are mostly alike
-_UNKNOWN_SHARE = 1e-3  # of the electrons, of which nobody need be told
+# Of the time of a light's blur: its PSFs, and a uniform picture, whose tiles are mostly the same.
+_BLUR_WORK = 0.3
+_UNKNOWN_SHARE = 1e-3  # of the electrons, below which no note is needed
 
 
 def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array) -> None:
@@ -662,7 +690,7 @@ def pixel_count(length_um: float, pitch_um: float, registration: float | None = 
     Centred pixels are ⌊length/pitch⌋. With a border at `registration` from the centre, each side
     has as many as fit on it.
 
-    registration : as of `PixelPhysics.registration`, along one axis
+    registration : along one axis, as in `PixelPhysics.registration`
     """
     pixels = length_um / pitch_um * (1 + 1e-9)
     check_pixel_count([pixels], pitch_um)
@@ -677,7 +705,7 @@ def first_edge_um(
     """Return where the first of `pixel_count` pixels begins, measured from the beginning of a
     length about whose centre they lie.
 
-    registration : as of `pixel_count`
+    registration : along one axis, as in `PixelPhysics.registration`
     """
     if registration is None:
         return length_um / 2 - count / 2 * pitch_um
@@ -707,7 +735,7 @@ def pixels_on(
     """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one
     pixel fits.
 
-    registration : as of `PixelPhysics.registration`
+    registration : as in `PixelPhysics.registration`
     """
     rows, columns = (
         pixels_along(length_um, pitch_um, border)
@@ -741,23 +769,23 @@ def integrate_axis(
     there (`_without_ringing`), and nowhere else. `running` is `running_integral` of the samples if
     available, for axis 0 only.
     """
-    coefficients = None if running is None or running.both_ways else running.coefficients
+    stored = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = cell_spline(samples.shape[axis])
-    edge_weights = _design_matrix(
-        edges, spline.knots, spline.degree
-    )  # times the coefficients: running integrals at the edges
+    # Times the coefficients, these are the running integrals at the edges.
+    edge_weights = _design_matrix(edges, spline.knots, spline.degree)
 
-    def integrals(which: slice, strip: Array) -> Array:
-        sums = edge_weights @ (
-            _spline_coefficients(strip) if coefficients is None else coefficients[:, which]
-        )
-        low, high = np.split(sums, 2)
+    def integrals(columns: slice, strip: Array) -> Array:
+        coefficients = _spline_coefficients(strip) if stored is None else stored[:, columns]
+        running_sums = edge_weights @ coefficients
+        low, high = np.split(running_sums, 2)
         integral = high - low
+
         if _has_hard_edge(strip) or integral.min() < 0:
-            columns = np.flatnonzero(_hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0))
-            low, high = np.split(_without_ringing(sums[:, columns], strip[:, columns], edges), 2)
-            integral[:, columns] = high - low
+            rings = _hard_edges(strip).any(axis=0) | (integral < 0).any(axis=0)
+            limited = _without_ringing(running_sums[:, rings], strip[:, rings], edges)
+            low, high = np.split(limited, 2)
+            integral[:, rings] = high - low
         return integral * sample_pitch_um
 
     return _map_columns(samples, axis, low_um.size, integrals)
@@ -802,29 +830,32 @@ def integrate_pixels(
     Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are
     in memory. Raises PixsimError if not one pixel fits.
     """
-    picture_um = [n * sample_pitch_um for n in rate.shape]
-    counts = pixels_on(size_um or picture_um, pitch_um)
-    check_pixel_count(counts, pitch_um)
-    lengths = zip(picture_um, counts, first_um or (None, None), strict=True)
-    y_um, x_um = (
-        _photodiode_edges_um(um, n, pitch_um, photodiode_side_um, first) for um, n, first in lengths
-    )
+    height_um, width_um = (count * sample_pitch_um for count in rate.shape)
+    rows, columns = pixels_on(size_um or (height_um, width_um), pitch_um)
+    check_pixel_count((rows, columns), pitch_um)
+
+    # First and last edges of the photodiodes, down and across.
+    top_um, left_um = first_um or (None, None)
+    y_um = _photodiode_edges_um(height_um, rows, pitch_um, photodiode_side_um, top_um)
+    x_um = _photodiode_edges_um(width_um, columns, pitch_um, photodiode_side_um, left_um)
     if only is not None:
-        y_um, x_um = (
-            (low[which], high[which]) for (low, high), which in zip((y_um, x_um), only, strict=True)
-        )
+        y_um = y_um[0][only[0]], y_um[1][only[0]]
+        x_um = x_um[0][only[1]], x_um[1][only[1]]
+
     if moves is not None:
-        lines = moves.lines(counts[0])
-        return _integrate_moving(
-            moves, sample_pitch_um, y_um, x_um, lines if only is None else lines[only[0]]
-        )
+        lines = moves.lines(rows)
+        if only is not None:
+            lines = lines[only[0]]
+        return _integrate_moving(moves, sample_pitch_um, y_um, x_um, lines)
+
     if running is not None and running.both_ways:
         integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
         if integral.min() >= 0:
             return integral
         running = None  # what rings below zero is limited where it does
-    down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
-    return integrate_axis(down, sample_pitch_um, *x_um, 1)
+
+    down = integrate_axis(rate, sample_pitch_um, *y_um, axis=0, running=running)
+    return integrate_axis(down, sample_pitch_um, *x_um, axis=1)
 
 
 @dataclass(frozen=True)
@@ -858,28 +889,25 @@ def _integrate_moving(
     """Return the integrals of a moving picture between pairs of positions down and across, (rows,
     columns).
 
-    A picture that rings below zero is averaged along its path first, and then limited where it does
-    as one that stands still.
-
-    lines : (rows,) as of `Moves.lines`
+    lines : (rows,) numbers of the lines, `Moves.lines`
     """
     moving = moves.moving
     path = moving.path_um[0] / sample_pitch_um, moving.path_um[1] / sample_pitch_um
     shift = np.array(moving.shift_um)[:, None] + np.array(moving.row_um)[:, None] * lines
     shift /= sample_pitch_um
-    (top, bottom), (left, right) = (
-        tuple(edge_um / sample_pitch_um for edge_um in pair) for pair in (y_um, x_um)
-    )
-    integral = moves.spectrum.integrals((top, bottom), (left, right), path, shift)
+    y_cells = y_um[0] / sample_pitch_um, y_um[1] / sample_pitch_um
+    x_cells = x_um[0] / sample_pitch_um, x_um[1] / sample_pitch_um
+    integral = moves.spectrum.integrals(y_cells, x_cells, path, shift)
     if integral.min() >= 0:
         integral *= sample_pitch_um**2
         return integral
-    moved_um = shift[0] * sample_pitch_um
-    blurred = np.maximum(
-        moves.spectrum.blurred(path), min(0.0, float(moves.spectrum.samples.min()))
-    )
-    down = integrate_axis(blurred, sample_pitch_um, y_um[0] - moved_um, y_um[1] - moved_um, 0)
-    return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, 1)
+
+    # What rings below zero is averaged along its path first, and limited as if it stood still.
+    shift_um = shift[0] * sample_pitch_um
+    lowest = min(0.0, float(moves.spectrum.samples.min()))
+    blurred = np.maximum(moves.spectrum.blurred(path), lowest)
+    down = integrate_axis(blurred, sample_pitch_um, y_um[0] - shift_um, y_um[1] - shift_um, axis=0)
+    return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, axis=1)
 
 
 def _integrate_both_ways(
@@ -924,10 +952,8 @@ def illumination_of(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics
 ) -> Illumination:
     """Return the directions and the mean spectrum of the light on the pixels."""
-    stated = irradiance.header.get("spare_e")
-    spare_e = (
-        stated if isinstance(stated, float) and 0 < stated < 1 else 0.0
-    )  # a file may state anything
+    stated = irradiance.header.get("spare_e")  # a file may state anything
+    spare_e = stated if isinstance(stated, float) and 0 < stated < 1 else 0.0
     electrons = electrons_per_joule(physics, irradiance)
     return illumination(
         camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), spare_e
@@ -963,15 +989,15 @@ def array_on(
 
     size_um : `array_size_um`; None means the whole picture
     """
-    read_pitch_um, registration = physics.read_pitch_um, physics.registration
+    read_pitch_um = physics.read_pitch_um
+    registration = physics.registration
     counts = pixels_on(size_um or picture_um, read_pitch_um, registration)
     rows, columns = (count * physics.pixel.bin_side for count in counts)
-    if registration == CENTRED:
-        first_um = None
-    else:
-        lines = zip(picture_um, counts, registration, strict=True)
+    first_um = None
+    if registration != CENTRED:
         top_um, left_um = (
-            first_edge_um(um, count, read_pitch_um, border) for um, count, border in lines
+            first_edge_um(length_um, count, read_pitch_um, border)
+            for length_um, count, border in zip(picture_um, counts, registration, strict=True)
         )
         first_um = top_um, left_um
     return (rows, columns), (rows * physics.pitch_um, columns * physics.pitch_um), first_um
@@ -986,8 +1012,8 @@ def _pixel_signal(
     size_um: tuple[float, float] | None = None,
     moves: Moves | None = None,
 ) -> tuple[Array, Collection | None]:
-    """Return the mean photo-electrons per second of every pixel, (rows, columns), and what its
-    stack does; None without a stack.
+    """Return the mean photo-electrons per second of every pixel, (rows, columns), and the
+    collection of its stack, if it has one.
 
     Without a stack a pixel collects the light on its photodiode. With one, the mean light on its
     aperture stands for that on the pixel, of which it and its neighbours collect their shares.
@@ -998,8 +1024,16 @@ def _pixel_signal(
     _, pixels_um, first_um = array_on(picture_um, size_um, physics)
     collection = collection_of(physics, light, centred_pixels(size_um or picture_um, physics))
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    of_array = running, pixels_um, None, first_um, moves
-    signal = integrate_pixels(rate, sample_pitch_um, physics.pitch_um, side_um, *of_array)
+    signal = integrate_pixels(
+        rate,
+        sample_pitch_um,
+        physics.pitch_um,
+        side_um,
+        running=running,
+        size_um=pixels_um,
+        first_um=first_um,
+        moves=moves,
+    )
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
         signal *= (physics.pitch_um / side_um) ** 2
@@ -1026,11 +1060,9 @@ class ChannelLight:
         """Running integral of the picture, which takes longer than all steps of a pitch; None if
         too large to store.
         """
-        return (
-            running_integral(self.rate_e_per_s_um2)
-            if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES
-            else None
-        )
+        if self.rate_e_per_s_um2.size > MAX_STORED_SAMPLES:
+            return None
+        return running_integral(self.rate_e_per_s_um2)
 
     @cached_property
     def spectrum(self) -> LightSpectrum:
@@ -1039,7 +1071,9 @@ class ChannelLight:
 
     def moves(self, moving: Moving, physics: PixelPhysics) -> Moves | None:
         """Return how the light moves over the pixels; None if it stands still."""
-        return Moves(self.spectrum, moving, physics.pixel.bin_side) if moving.is_on else None
+        if not moving.is_on:
+            return None
+        return Moves(self.spectrum, moving, physics.pixel.bin_side)
 
 
 def lights_of(
@@ -1048,7 +1082,7 @@ def lights_of(
     """Return the light behind the lens for each channel of a pixel."""
     rates = diffracted_rates(irradiance, camera, physics.channels)
     illuminations = [illumination_of(irradiance, camera, channel) for channel in physics.channels]
-    return tuple(ChannelLight(*pair) for pair in zip(rates, illuminations, strict=True))
+    return tuple(map(ChannelLight, rates, illuminations))
 
 
 def array_signal(
@@ -1071,38 +1105,52 @@ def array_signal(
     if layout is None:
         light = lights[0]
         moves = light.moves(moving, physics)
-        of_light = light.illumination, None if moves else light.running_integral
         signal, collection = _pixel_signal(
-            light.rate_e_per_s_um2, sample_pitch_um, physics, *of_light, size_um, moves
+            light.rate_e_per_s_um2,
+            sample_pitch_um,
+            physics,
+            light.illumination,
+            running=None if moves else light.running_integral,
+            size_um=size_um,
+            moves=moves,
         )
         return signal, () if collection is None else (collection,)
+
     picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
     (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
     illuminations = [light.illumination for light in lights]
-    collections = collections_of(
-        physics, illuminations, centred_pixels(size_um or picture_um, physics)
-    )
+    centred = centred_pixels(size_um or picture_um, physics)
+    collections = collections_of(physics, illuminations, centred)
     side_um = collections[0].aperture_side_um if collections else physics.photodiode_side_um
+
     signal = np.empty((rows * layout.planes, columns))
-    high, wide = layout.period
+    height, width = layout.period
     for number, (letter, light) in enumerate(zip(layout.channels, lights, strict=True)):
         moves = light.moves(moving, physics)
         running = None if moves else light.running_integral
-        first = number * rows if layout.is_stacked else 0
-        for down, across in layout.sites(letter):
-            which = (
-                np.flatnonzero(np.isin(np.arange(rows) % high, down)),
-                np.flatnonzero(np.isin(np.arange(columns) % wide, across)),
-            )
-            if which[0].size and which[1].size:
-                signal[np.ix_(first + which[0], which[1])] = integrate_pixels(
-                    *(light.rate_e_per_s_um2, sample_pitch_um, physics.pitch_um, side_um, running),
-                    *(pixels_um, which, first_um, moves),
+        first_row = number * rows if layout.is_stacked else 0
+        for site_rows, site_columns in layout.sites(letter):
+            channel_rows = np.flatnonzero(np.isin(np.arange(rows) % height, site_rows))
+            channel_columns = np.flatnonzero(np.isin(np.arange(columns) % width, site_columns))
+            if channel_rows.size and channel_columns.size:
+                places = np.ix_(first_row + channel_rows, channel_columns)
+                signal[places] = integrate_pixels(
+                    light.rate_e_per_s_um2,
+                    sample_pitch_um,
+                    physics.pitch_um,
+                    side_um,
+                    running=running,
+                    size_um=pixels_um,
+                    only=(channel_rows, channel_columns),
+                    first_um=first_um,
+                    moves=moves,
                 )
     np.maximum(signal, 0.0, out=signal)
+
     if collections:
         signal *= (physics.pitch_um / side_um) ** 2
-        signal = collected_signal(signal, [one.shares for one in collections], layout)
+        shares = [collection.shares for collection in collections]
+        signal = collected_signal(signal, shares, layout)
     return bin_pixels(signal, physics.pixel.bin_side), collections
 
 
@@ -1112,19 +1160,21 @@ def moved_signals(
     physics: PixelPhysics,
     size_um: tuple[float, float] | None,
     moving: Moving,
-    exposures: int,
+    count: int,
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Return `array_signal` of light that moves, and that of each exposure of a burst, if they
-    differ.
+    """Return `array_signal` of light that moves in the whole frame, and in each subexposure of a
+    burst; no second ones if they are all the same.
 
     moving : in the whole frame
-    exposures : that are summed to it
+    count : number of subexposures that are summed to it
     """
-    each = moving.subexposures(exposures) if exposures > 1 and any(moving.path_um) else []
-    whole, *parts = (
-        array_signal(lights, sample_pitch_um, physics, size_um, one)[0] for one in (moving, *each)
-    )
-    return whole, tuple(parts)
+
+    def signal(moving: Moving) -> Array:
+        return array_signal(lights, sample_pitch_um, physics, size_um, moving)[0]
+
+    differ = count > 1 and any(moving.path_um)
+    subexposures = moving.subexposures(count) if differ else []
+    return signal(moving), tuple(map(signal, subexposures))
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
