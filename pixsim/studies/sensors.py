@@ -209,33 +209,58 @@ def sensor_layer(file: str) -> Layer:
     return Layer({"pixel": {"technology": file}}, file)
 
 
+@dataclass(frozen=True)
+class _SharedSettings:
+    """Settings of all sensors of a comparison, from a study, files and options.
+
+    plan : study with the axes and conditions; None without
+    lens : [camera] and [lens] for files that state none of it
+    layers : of the study and of files; each takes precedence over the one before it, and over a
+        sensor's own file
+    options : over these layers
+    scene : file, or name of a packaged scene
+    source : file of the study, for messages
+    unused : dotted names of settings that only a study takes
+    """
+
+    plan: Study | None
+    lens: Layer
+    layers: tuple[Layer, ...]
+    options: dict[str, Any]
+    scene: str
+    source: str
+    unused: tuple[str, ...]
+
+    def run_of(self, sensor_table: Layer, overrides: Layer | None = None) -> Run:
+        """Return the complete settings of a sensor. Raises PixsimError that lists every problem."""
+        layers = [self.lens, sensor_table, *self.layers, Layer(self.options)]
+        if overrides is not None:
+            layers.append(overrides)
+        run: Run = checked(Run, layers)
+        return run
+
+
 def _read_sensors(
-    files: Sequence[str],
-    lens: Layer,
-    config: Sequence[Layer],
-    options: dict[str, Any],
-    overrides: Layer | None = None,
+    files: Sequence[str], shared: _SharedSettings, overrides: Layer | None = None
 ) -> list[Case[Run]]:
     """Return the sensor of each file, with the settings of all sensors over its own.
 
-    lens : [camera] for files that state none of it
-    config, options, overrides : for all sensors; each takes precedence over the one before it, and
-        over a sensor's own file
+    overrides : of axes and a condition, over all other settings
 
     Raises PixsimError that lists every problem of a file.
     """
     sensors: list[Case[Run]] = []
-    for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
+    labels = labels_of([file_label(file) for file in files])
+    for file, label in zip(files, labels, strict=True):
         sensor_table = sensor_layer(file)
-        run: Run = checked(
-            Run, [lens, sensor_table, *config, Layer(options), *([overrides] if overrides else [])]
-        )
+        run = shared.run_of(sensor_table, overrides)
         first = sensors[0].settings if sensors else run
-        if unused := [
-            n
-            for n in sensor_table.table
-            if n not in SENSOR_TABLES and getattr(run, n, None) != getattr(first, n, None)
-        ]:
+        unused = [
+            name
+            for name in sensor_table.table
+            if name not in SENSOR_TABLES and getattr(run, name, None) != getattr(first, name, None)
+        ]
+        if unused:
             tables = ", ".join(f"[{name}]" for name in SENSOR_TABLES)
             reason = f"only {tables} are used of it, and else the first file"
             warn(Note("not_used", setting=f"{file}: {', '.join(unused)}", reason=reason))
@@ -339,17 +364,17 @@ class _Circumstances:
         """What tells its cases from others."""
         return self.at | ({"condition": self.condition} if self.condition else {})
 
-    def placed(self, case: Case[Run], **more: Label) -> Case[Run]:
+    def labelled(self, case: Case[Run], **labels: Label) -> Case[Run]:
         """Return a sensor as a case in these circumstances.
 
-        more : labels before theirs
+        labels : before theirs
         """
         return replace(
             case,
             at=self.at,
             alone=self.alone,
             condition=self.condition,
-            labels={**more, **self.labels},
+            labels={**labels, **self.labels},
         )
 
 
@@ -392,30 +417,23 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstan
 
 
 def _circumstances_of_sensors(
-    files: Sequence[str],
-    lens: Layer,
-    config: Sequence[Layer],
-    options: dict[str, Any],
-    scene: str,
-    plan: Study | None,
-    source: str,
+    files: Sequence[str], shared: _SharedSettings
 ) -> list[list[_Circumstances]]:
-    """Return the circumstances of a study with the sensors of files.
-
-    lens, config, options : of `_read_sensors`
-    scene : where the study's axes and conditions set none
-    plan : the study, if there is one
-    source : file of the study
+    """Return the circumstances of a comparison with the sensors of its files: at each combination
+    of axes, under each condition.
     """
     combined: list[list[_Circumstances]] = []
-    for under in circumstances(plan, source):
+    for conditions in circumstances(shared.plan, shared.source):
         complete = []
-        for place in under:
-            sensors = [
-                place.placed(sensor)
-                for sensor in _read_sensors(files, lens, config, options, place.layer)
-            ]
-            complete.append(replace(place, scene=place.scene or scene, sensors=tuple(sensors)))
+        for condition in conditions:
+            sensors = _read_sensors(files, shared, condition.layer)
+            complete.append(
+                replace(
+                    condition,
+                    scene=condition.scene or shared.scene,
+                    sensors=tuple(condition.labelled(sensor) for sensor in sensors),
+                )
+            )
         combined.append(complete)
     return combined
 
@@ -490,7 +508,7 @@ def _group_of(
     sensor: str | None,
     variant: str | None,
 ) -> SensorGroup:
-    """Return some of the sensors that are stated, as if there were no others.
+    """Return a group of sensors that are stated, as if there were no others.
 
     numbers : of the sensors
     common : another condition, whose dots and chart this one takes where it leaves them open, so
@@ -498,84 +516,48 @@ def _group_of(
     match : of their cameras
     sensor, variant : of the scene
     """
-    scene, chosen = stated.scene, [stated.sensors[number] for number in numbers]
+    chosen = [stated.sensors[number] for number in numbers]
     settings = chosen[0].settings
-    if settings.display.raster != "fixed_size":
-        got = f"'{settings.display.raster}', which gives each sensor a display of its own"
-        raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
-    if is_picture(scene):
-        raise invalid(
-            "--scene",
-            f"'{scene}', a picture",
-            "a Mitsuba scene, which each sensor sees through its own lens",
-        )
-    loaded = loaded_scene(
-        scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor
+    _check_display_and_scene(settings.display, stated.scene)
+    scene = loaded_scene(
+        stated.scene,
+        settings.scene,
+        settings.resolution,
+        settings.display,
+        variant=variant,
+        sensor=sensor,
     )
-    whole = _whole_cameras(loaded, chosen)
-    if settings.window_mm is not None:
-        whole[0].window(settings.window_mm)
-    cameras = matched_cameras(whole, match, settings.window_mm)
-    resolved = [
-        replace(case, resolved=(loaded, camera))
-        for case, camera in zip(chosen, cameras, strict=True)
-    ]
-    for case in resolved:
-        with named(case.sensor):
-            derive(case.settings.pixel, load_technology(case.settings.pixel.technology))
-            check_pixel_count(pixels_of(case), case.settings.pixel.pitch_um)
+    resolved = _with_matched_cameras(scene, chosen, match)
+    first_camera = resolved[0].camera
 
+    # The sensor with the most pixels decides on dots and chart.
     finest = max(resolved, key=lambda case: math.prod(pixels_of(case)))
     view: dict[str, Any] = {}
     if any(case.settings.pixel.technology == NO_TECHNOLOGY for case in resolved):
-        view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, loaded)
+        view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, scene)
     if common is not None:
         view = {name: common.view.get(name, value) for name, value in view.items()}
     first_chart = {
-        name: _on_other_die(view[name], finest.camera, cameras[0])
+        name: _on_other_die(view[name], finest.camera, first_camera)
         for name in view
         if name == MAX_LP_PER_MM
     }
     settings = with_view(settings, view | first_chart)
-    border = 0.0
-    for case in resolved:
-        pixel, exposure = case.settings.pixel, case.settings.exposure
-        border_um = BORDER_PIXELS * pixel.pitch_um * pixel.bin_side
-        border_um = border_with_room_um(
-            border_um, settings.motion, exposure, case.camera, [(pixel.pitch_um, pixel.bin_side)]
-        )
-        border = max(border, border_um / case.camera.die_um[1])
 
-    highest = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
-    complete = []
-    for case in resolved:
-        sensor_scene, camera, run = loaded, case.camera, case.settings
-        if highest is not None:
-            on_sensor = _on_other_die(float(highest), cameras[0], camera)
-            sensor_scene = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
-        sensor_tables = {
-            "camera": camera.options,
-            "lens": camera.lens_options,
-            "pixel": run.pixel,
-            "exposure": run.exposure,
-        }
-        complete.append(
-            replace(
-                case,
-                settings=settings.model_copy(update=sensor_tables),
-                resolved=(sensor_scene, camera),
-            )
-        )
-    first_camera, pitch_um = complete[0].camera, complete[0].settings.pixel.pitch_um
-    border_um = border * first_camera.die_um[1]
-    others = further_displays(
-        chosen[0].settings.display, settings.display, first_camera.die_um, pitch_um, border_um
+    border = max(_border_share(case, settings) for case in resolved)
+    complete = _with_common_settings(resolved, settings, scene)
+    further = further_displays(
+        chosen[0].settings.display,
+        settings.display,
+        first_camera.die_um,
+        complete[0].settings.pixel.pitch_um,
+        border * first_camera.die_um[1],
     )
     group = SensorGroup(
-        cases=tuple(replace(case, further_displays=others) for case in complete),
+        cases=tuple(replace(case, further_displays=further) for case in complete),
         weight=stated.weight,
         match=match,
-        scene=scene,
+        scene=stated.scene,
         finest=finest.sensor,
         border=border,
         view=view,
@@ -583,28 +565,101 @@ def _group_of(
     return replace(group, film_width=max(light_request(case).shape[1] for case in group.cases))
 
 
-def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
-    """Return each file's own camera. A file without a die, such as a technology's, has that of the
-    first file which states one.
+def _check_display_and_scene(display: Display, scene: str) -> None:
+    """Raise PixsimError for a display of each sensor's own, and for a picture as the scene."""
+    if display.raster != "fixed_size":
+        got = f"'{display.raster}', which gives each sensor a display of its own"
+        raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
+    if is_picture(scene):
+        allowed = "a Mitsuba scene, which each sensor sees through its own lens"
+        raise invalid("--scene", f"'{scene}', a picture", allowed)
+
+
+def _with_matched_cameras(
+    scene: Scene, sensors: Sequence[Case[Run]], match: Match
+) -> list[Case[Run]]:
+    """Return sensors with a scene and with cameras that see one field of it.
+
+    Raises PixsimError for a pixel that its technology or its die does not allow.
     """
-    stated_options = [options.settings.camera for options in sensors]
-    die = next(
-        (
-            options.model_dump(include={"die_mm", "die_height_mm"})
-            for options in stated_options
-            if options.die_mm is not None
-        ),
-        None,
+    window_mm = sensors[0].settings.window_mm
+    whole = _whole_cameras(scene, sensors)
+    if window_mm is not None:
+        whole[0].window(window_mm)
+    cameras = matched_cameras(whole, match, window_mm)
+    resolved = [
+        replace(case, resolved=(scene, camera))
+        for case, camera in zip(sensors, cameras, strict=True)
+    ]
+    for case in resolved:
+        pixel = case.settings.pixel
+        with named(case.sensor):
+            derive(pixel, load_technology(pixel.technology))
+            check_pixel_count(pixels_of(case), pixel.pitch_um)
+    return resolved
+
+
+def _border_share(case: Case[Run], settings: Run) -> float:
+    """Return the border that a sensor leaves unscored, as a fraction of the width of its field.
+
+    settings : of all sensors, whose motion needs room
+    """
+    pixel = case.settings.pixel
+    border_um = border_with_room_um(
+        BORDER_PIXELS * pixel.pitch_um * pixel.bin_side,
+        settings.motion,
+        case.settings.exposure,
+        case.camera,
+        [(pixel.pitch_um, pixel.bin_side)],
     )
+    return border_um / case.camera.die_um[1]
+
+
+def _with_common_settings(
+    cases: Sequence[Case[Run]], settings: Run, scene: Scene
+) -> list[Case[Run]]:
+    """Return sensors with the settings of the first, but each with its own camera, lens, pixel and
+    exposure.
+
+    The chart on each die has the detail of the first one's, in the same field of view.
+    """
+    first_camera = cases[0].camera
+    highest = settings.scene.get(MAX_LP_PER_MM, scene.parameters.get(MAX_LP_PER_MM))
+    complete = []
+    for case in cases:
+        camera = case.camera
+        sensor_scene = scene
+        if highest is not None:
+            lp_per_mm = _on_other_die(float(highest), first_camera, camera)
+            sensor_scene = scene.with_parameters(**{MAX_LP_PER_MM: repr(lp_per_mm)})
+        sensor_tables = {
+            "camera": camera.options,
+            "lens": camera.lens_options,
+            "pixel": case.settings.pixel,
+            "exposure": case.settings.exposure,
+        }
+        run = settings.model_copy(update=sensor_tables)
+        complete.append(replace(case, settings=run, resolved=(sensor_scene, camera)))
+    return complete
+
+
+def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
+    """Return each file's own camera, with its whole die.
+
+    A file without a die, such as a technology's, has the die of the first file which states one.
+    """
+    dies = [
+        sensor.settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+        for sensor in sensors
+        if sensor.settings.camera.die_mm is not None
+    ]
     cameras = []
-    for sensor, options in zip(sensors, stated_options, strict=True):
-        stated = (
-            options
-            if die is None or options.die_mm is not None
-            else CameraOptions(**die | options.model_dump(exclude_none=True))
-        )
+    for sensor in sensors:
+        options = sensor.settings.camera
+        if options.die_mm is None and dies:
+            options = CameraOptions(**dies[0] | options.model_dump(exclude_none=True))
         with named(sensor.sensor):
-            cameras.append(scene.camera(stated, sensor.settings.lens))
+            cameras.append(scene.camera(options, sensor.settings.lens))
     return cameras
 
 
@@ -612,11 +667,9 @@ def _on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
     """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the
     same field of view.
     """
-    return (
-        lp_per_mm
-        if camera.die_mm == other.die_mm
-        else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
-    )
+    if camera.die_mm == other.die_mm:
+        return lp_per_mm
+    return float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
 
 
 # --- the job --------------------------------------------------------------------------------------
@@ -733,104 +786,138 @@ def prepare(
         repeats = QUICK_REPEATS if quick else USUAL_REPEATS
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
-    parts = [
-        parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options or {})))
-    ]
-    *layers, option_layer = [run_layer for run_layer, _ in parts]
-    options = option_layer.table
-    varied = [study_layer for _, study_layer in parts if study_layer.table]
-    check_supported(
-        "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
-    )
-    plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
-    if study is not None or varied:
-        stated = study_of(
-            study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick
-        )
-        plan = with_range_ends(checked_study([stated, *varied]))
-        source = stated.source
-        if scene is not None:
-            stated = Layer(
-                {name: value for name, value in stated.table.items() if name != "scene"},
-                stated.source,
-            )
-            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
-        _warn_of_overridden(plan, options)
-        file, layers = (
-            plan.scene.file,
-            [Layer(_as_run(stated.table, SHARED), stated.source), *layers],
-        )
-        camera = {
-            name: value
-            for name, value in stated.table.get("camera", {}).items()
-            if name not in DIE_FIELDS
-        }
-        lens_tables = {"camera": camera, "lens": stated.table.get("lens", {})}
-        lens = Layer({name: table for name, table in lens_tables.items() if table}, stated.source)
-    if study is None and plan is not None and not plan.has_cases and plan.detail is None:
-        plan = None  # nothing of it holds for a comparison
-    base = _read_sensors(sources, lens, layers, options)
-    combined = _circumstances_of_sensors(sources, lens, layers, options, file, plan, source)
 
-    def groups_of(numbers: Sequence[int], by: Match) -> list[SensorGroup]:
-        """Return some of the sensors in each case, as if there were no others."""
-        groups: list[SensorGroup] = []
-        for under in combined:
-            weighted = next(place for place, stated in enumerate(under) if stated.weight)
-            made: dict[int, SensorGroup] = {}
-            for place in dict.fromkeys((weighted, *range(len(under)))):
-                with named(under[place].words):
-                    made[place] = _group_of(
-                        under[place], numbers, made.get(weighted), by, sensor, variant
-                    )
-            groups += [made[place] for place in range(len(under))]
-        return groups
+    shared = _shared_settings(scene, study, config, options or {}, smaller_than_um, quick)
+    base = _read_sensors(sources, shared)
+    combined = _circumstances_of_sensors(sources, shared)
 
-    chosen = match or "view"
-    everyone = range(len(sources))
-    groups = groups_of(everyone, chosen)
-    stated_sensors = [stated.sensors for under in combined for stated in under]
+    chosen_match = match or "view"
+    all_numbers = range(len(sources))
+    groups = _groups_of(combined, all_numbers, chosen_match, sensor, variant)
     _warn_of_settings_without_effect(
-        stated_sensors,
+        [condition.sensors for conditions in combined for condition in conditions],
         [group.cases for group in groups],
-        chosen,
-        unused_settings(varied, STUDY_ALONE),
+        chosen_match,
+        shared.unused,
     )
+
+    # The same by another match of the cameras, unless sensors see the same by it; then pairs alone.
     with suppressed_warnings():  # those of all sensors are shown
-        further = [] if match else groups_of(everyone, _OTHER_MATCH[chosen])
-        if all(
-            first_group.sees_the_same(other)
-            for first_group, other in zip(groups, further, strict=False)
-        ):
-            further = []
-        alone = [(0, other) for other in everyone[1:]] if len(sources) > 2 else []
-        pairs = [group for numbers in alone for group in groups_of(numbers, chosen)]
-        pairs += [
-            group
-            for numbers in alone
-            if further
-            for group in groups_of(numbers, _OTHER_MATCH[chosen])
-        ]
+        matches = [chosen_match]
+        if match is None:
+            other_match = _OTHER_MATCH[chosen_match]
+            other_groups = _groups_of(combined, all_numbers, other_match, sensor, variant)
+            pairs_of_groups = zip(groups, other_groups, strict=True)
+            if not all(group.sees_the_same(other) for group, other in pairs_of_groups):
+                matches.append(other_match)
+                groups += other_groups
+        if len(sources) > 2:
+            for group_match in matches:
+                for other in all_numbers[1:]:
+                    groups += _groups_of(combined, (0, other), group_match, sensor, variant)
+
     type_request = uncertainty_request(uncertainty, sobol, (), {})
     if type_request is None:
         _warn_of_uncertainty(sources)
-    every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
-    warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
+    labelled = tuple(_labelled(groups, repeats))
+    warn_of_reviews((case.sensor, case, None) for group in labelled for case in group.cases)
     return ComparisonJob(
-        cases=tuple(case for group in every_group for case in group.cases),
+        cases=tuple(case for group in labelled for case in group.cases),
         stated=base[0].settings,
         complete=groups[0].first.settings,
-        file=file,
+        file=shared.scene,
         source=groups[0].first.source,
         view=groups[0].view,
         sensor=sensor,
         variant=variant,
-        groups=every_group,
-        match=chosen,
+        groups=labelled,
+        match=chosen_match,
         base=tuple(case.settings for case in base),
-        study=plan,
+        study=shared.plan,
         types=None if type_request is None else Types.of(type_request, base),
     )
+
+
+def _shared_settings(
+    scene: str | os.PathLike[str] | None,
+    study: Study | str | os.PathLike[str] | None,
+    config: Sequence[str | os.PathLike[str]],
+    options: dict[str, Any],
+    smaller_than_um: Sequence[float],
+    quick: bool,
+) -> _SharedSettings:
+    """Return the settings of all sensors of a comparison. The arguments are those of `prepare`.
+
+    Raises PixsimError for what a comparison does not have.
+    """
+    parts = [parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options)))]
+    *layers, option_layer = [run_layer for run_layer, _ in parts]
+    study_layers = [study_layer for _, study_layer in parts if study_layer.table]
+    check_supported(
+        "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
+    )
+
+    file = "csf" if scene is None else str(scene)
+    plan: Study | None = None
+    lens = Layer({})
+    source = ""
+    if study is not None or study_layers:
+        stated = study_of(
+            study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick
+        )
+        plan = with_range_ends(checked_study([stated, *study_layers]))
+        source = stated.source
+        if scene is not None:
+            tables = {name: value for name, value in stated.table.items() if name != "scene"}
+            stated = Layer(tables, source)
+            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
+        _warn_of_overridden(plan, option_layer.table)
+        file = plan.scene.file
+        layers = [Layer(_as_run(stated.table, SHARED), source), *layers]
+        lens = _lens_layer(stated)
+    if study is None and plan is not None and not plan.has_cases and plan.detail is None:
+        plan = None  # nothing of it holds for a comparison
+
+    unused = tuple(unused_settings(study_layers, STUDY_ALONE))
+    return _SharedSettings(plan, lens, tuple(layers), option_layer.table, file, source, unused)
+
+
+def _lens_layer(study: Layer) -> Layer:
+    """Return the lens of a study's camera, without its die, for files that state none."""
+    camera = {
+        name: value
+        for name, value in study.table.get("camera", {}).items()
+        if name not in DIE_FIELDS
+    }
+    tables = {"camera": camera, "lens": study.table.get("lens", {})}
+    return Layer({name: table for name, table in tables.items() if table}, study.source)
+
+
+def _groups_of(
+    combined: Sequence[Sequence[_Circumstances]],
+    numbers: Sequence[int],
+    match: Match,
+    sensor: str | None,
+    variant: str | None,
+) -> list[SensorGroup]:
+    """Return a group of sensors in each circumstance, as if there were no others.
+
+    At one combination of axes, the first condition of weight above 0 decides on dots and chart.
+
+    combined : circumstances at each combination of axes, under each condition
+    numbers, match, sensor, variant : of `_group_of`
+    """
+    groups: list[SensorGroup] = []
+    for conditions in combined:
+        first = next(number for number, stated in enumerate(conditions) if stated.weight)
+        by_condition: dict[int, SensorGroup] = {}
+        for number in dict.fromkeys((first, *range(len(conditions)))):
+            stated = conditions[number]
+            common = by_condition.get(first)
+            with named(stated.words):
+                by_condition[number] = _group_of(stated, numbers, common, match, sensor, variant)
+        groups += [by_condition[number] for number in range(len(conditions))]
+    return groups
 
 
 def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGroup]:

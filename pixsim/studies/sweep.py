@@ -288,7 +288,7 @@ def _prepare_cases(
                 run: Run = checked(
                     Run, [table, *sensor_layers, *([place.layer] if place.layer else [])]
                 )
-                group.append(place.placed(_prepared_case(run, light, camera), **{PIXEL: name}))
+                group.append(place.labelled(_prepared_case(run, light, camera), **{PIXEL: name}))
             stated_settings.append(
                 _given_settings(
                     group[-1], light, unused, has_background=given_background is not None

@@ -235,7 +235,7 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
     assert made.pictured_group.scene == "flat"
     assert (
         prepare(files, study=study, match="view", repeats=2)
-        .shown.cases[0]
+        .pictured_group.cases[0]
         .scene.parameters["max_lp_per_mm"]
         == "12.0"
     )
@@ -289,7 +289,7 @@ def test_film_errors_of_conditions_add_up_by_weight(monkeypatch: pytest.MonkeyPa
             for weight, of_both in zip(weights, steps, strict=True)
         ]
         monkeypatch.setattr(Comparison, "groups_of_pair", lambda self, other, match=None: groups)
-        monkeypatch.setattr(Comparison, "of_group", lambda self, group: group.steps)
+        monkeypatch.setattr(Comparison, "sensors_of_group", lambda self, group: group.steps)
         result = Comparison(SimpleNamespace(names=("a", "b")), None, ())  # type: ignore[arg-type]
         return result.film_of_pair("b")
 
