@@ -69,7 +69,7 @@ _NEAR_FACTOR, _FAR_FACTOR, _FINER_FACTOR = 0.2, 0.06, 2.5
 # with less than 2.7 samples.
 _ALIASED = 1.5
 _UNSEEN = 0.2  # of mean ΔE, for each missing sample of a dot, over the samples that it has
-_TOLERATED_DELTA_E, _TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
+_TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 _MAX_FINER_RATIO = max(repeated / averaged for repeated, averaged in FINER_FILMS)
 
 Region = tuple[slice, slice]  # rows and columns of a picture
@@ -553,7 +553,7 @@ def measure_film(
         errors.append(error_delta_e)
 
     if tolerance_delta_e is None:
-        tolerated = [max(_TOLERATED_DELTA_E, _TOLERATED_SHARE * mean) for mean in means]
+        tolerated = [max(_TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
     else:
         tolerated = [tolerance_delta_e] * len(means)
     return FilmError(

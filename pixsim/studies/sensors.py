@@ -82,21 +82,18 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
 
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
-REPEATS, USUAL_REPEATS = (MIN_PAIRS, 10_000), 8
-SENSOR_TABLES = (
-    "camera",
-    "lens",
-    "pixel",
-    "exposure",
-)  # tables that each file has of its own; the others are those of the first
-# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files
-# that state none. Its pixels, technologies and pixel sizes are not used.
+# Allowed numbers of pairs of frames, and the usual one.
+REPEATS = (MIN_PAIRS, 10_000)
+USUAL_REPEATS = 8
+# Tables that are read from each file; the others are those of the first file.
+SENSOR_TABLES = ("camera", "lens", "pixel", "exposure")
+# A study gives a comparison its scene, the settings of all sensors, and a lens for files that state
+# none. Its pixels, technologies and pixel sizes are not used.
 _STUDY_TABLES = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
 SHARED = [name for name in _STUDY_TABLES if name not in ("scene", "camera", "lens", "pixel")]
-SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
-DIGITS = (
-    12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
-)
+SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own
+# Digits of a chart's frequency on another sensor, so that settings.toml repeats it exactly.
+DIGITS = 12
 
 
 def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
@@ -157,19 +154,18 @@ class SensorGroup:
         return rows.size - 1, columns.size - 1
 
     def request(self, sensor: Case[Run], width: int) -> LightRequest:
-        """Return what a sensor asks of its light on a film of so many samples across."""
-        return light_request(
-            replace(sensor, resolved=(sensor.scene.with_resolution(width), sensor.camera))
-        )
+        """Return the request for a sensor's light on a film with `width` samples across."""
+        scene = sensor.scene.with_resolution(width)
+        return light_request(replace(sensor, resolved=(scene, sensor.camera)))
 
     def sees_the_same(self, other: SensorGroup) -> bool:
-        """Return whether these sensors see in another group what they see here: field, chart, film
-        and displays.
+        """Return whether field, chart, film and displays of these sensors are the same in another
+        group.
         """
         if (self.border, self.film_width) != (other.border, other.film_width):
             return False
-        among = {case.sensor: case for case in other.cases}
-        return all(_seen_by(case) == _seen_by(among[case.sensor]) for case in self.cases)
+        other_cases = {case.sensor: case for case in other.cases}
+        return all(_seen_by(case) == _seen_by(other_cases[case.sensor]) for case in self.cases)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the field and the scored dots for JSON."""
@@ -185,28 +181,29 @@ def _seen_by(case: Case[Run]) -> tuple[object, ...]:
 
 
 def sensor_layer(file: str) -> Layer:
-    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged
-    one; or a technology.
+    """Return the settings of a sensor: of a TOML file with [pixel], of a packaged data sheet, or of
+    a technology.
     """
+    technology = Layer({"pixel": {"technology": file}}, file)
     technologies = packaged("data/technologies")
-    if file not in technologies:
-        path, names = Path(file), [*technologies, *packaged_sensors()]
-        if path.suffix != ".toml" and file not in names:
-            got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
-            raise invalid(
-                "sensor",
-                got,
-                f"a TOML file, or one of {', '.join(names)}",
-                did_you_mean(file, names),
-            )
-        layer = settings_layer(file)
-        if "pixel" in layer.table:
-            return layer
-        if tables := [name for name in layer.table if name in Run.model_fields]:
-            got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
-            hint = "`pixsim template sensor -o my_sensor.toml` writes one with every field."
-            raise invalid("sensor", got, "the file of a data sheet, or of a technology", hint)
-    return Layer({"pixel": {"technology": file}}, file)
+    if file in technologies:
+        return technology
+
+    path = Path(file)
+    names = [*technologies, *packaged_sensors()]
+    if path.suffix != ".toml" and file not in names:
+        got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
+        allowed = f"a TOML file, or one of {', '.join(names)}"
+        raise invalid("sensor", got, allowed, did_you_mean(file, names))
+
+    layer = settings_layer(file)
+    if "pixel" in layer.table:
+        return layer
+    if tables := [name for name in layer.table if name in Run.model_fields]:
+        got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
+        hint = "`pixsim template sensor -o my_sensor.toml` writes one with every field."
+        raise invalid("sensor", got, "the file of a data sheet, or of a technology", hint)
+    return technology
 
 
 @dataclass(frozen=True)
@@ -269,38 +266,30 @@ def _read_sensors(
 
 
 def check_files(files: Sequence[str]) -> None:
-    """Raise PixsimError for too few or too many sensors, and for one that is given twice."""
+    """Raise PixsimError for too few or too many sensors, and for a file that is named twice."""
     low, high = SENSORS
     if not low <= len(files) <= high:
+        got = f"{len(files)} ({', '.join(files)})" if files else "none"
         hint = "" if files else "For example: pixsim compare a.toml b.toml"
-        raise invalid(
-            "sensors",
-            f"{len(files)} ({', '.join(files)})" if files else "none",
-            f"{low} to {high} files",
-            hint,
-        )
+        raise invalid("sensors", got, f"{low} to {high} files", hint)
+
     for file in files:
         check_name(file, "sensor")
-    real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
-    for number, file in enumerate(real):
-        if file in real[:number]:
-            got = f"'{files[number]}' twice"
-            raise invalid(
-                "sensors",
-                got,
-                "different files",
-                "A copy of the file may have other numbers, or the same.",
-            )
+    real_paths = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
+    for number, path in enumerate(real_paths):
+        if path in real_paths[:number]:
+            hint = "A copy of the file may have other numbers, or the same."
+            raise invalid("sensors", f"'{files[number]}' twice", "different files", hint)
 
 
 def _as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return some tables of a study or of a condition, and the parameters of its scene, as those of
-    `Run`.
+    """Return named tables of a study or of a condition as tables of `Run`, whose [scene] has the
+    parameters of the scene.
     """
-    scene = (
-        {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
-    )
-    return {name: table[name] for name in names if name in table and name != "scene"} | scene
+    tables = {name: table[name] for name in names if name in table and name != "scene"}
+    if "parameters" in table.get("scene", {}):
+        tables["scene"] = table["scene"]["parameters"]
+    return tables
 
 
 def _warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
@@ -345,7 +334,7 @@ class _Circumstances:
     weight : share of the condition; 1 without conditions
     layer : of settings, over those of all sensors; None where neither sets one
     scene : file of the scene, where they set it; else empty
-    at, alone, condition, labels : as of `Case`
+    at, alone, condition, labels : of the case, as in `Case`
     words : values of axes and condition, for messages
     sensors : of a comparison, in these circumstances
     """
@@ -389,7 +378,7 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstan
     if plan is None or not plan.has_cases:
         return [[_Circumstances()]]
     if plan.axis:
-        cases_of(plan)  # that its values are allowed
+        cases_of(plan)  # raises an error for values that are not allowed
     total = sum(condition.weight for condition in plan.condition)
     combined: list[list[_Circumstances]] = []
     for chosen, alone in combinations(plan.axis):
@@ -397,22 +386,33 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstan
         table: dict[str, Any] = {}
         for point in chosen.values():
             table = merge(table, point.table)
-        under: list[_Circumstances] = []
+
+        conditions: list[_Circumstances] = []
         for condition in plan.condition or (None,):
-            name, settings = (
-                ("", table) if condition is None else (condition.name, merge(table, condition.set))
-            )
+            name = ""
+            settings = table
+            weight = 1.0
+            if condition is not None:
+                name = condition.name
+                settings = merge(table, condition.set)
+                weight = condition.weight / total
             values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
             words = ", ".join([*values, *([f"condition {name}"] if name else [])])
-            layer = (
-                _overrides_layer(settings, ": ".join(filter(None, (source, words))))
-                if settings
-                else None
+            layer = None
+            if settings:
+                layer = _overrides_layer(settings, ": ".join(filter(None, (source, words))))
+            conditions.append(
+                _Circumstances(
+                    weight=weight,
+                    layer=layer,
+                    scene=str(settings.get("scene", {}).get("file", "")),
+                    at=at,
+                    alone=alone,
+                    condition=name,
+                    words=words,
+                )
             )
-            weight = 1.0 if condition is None else condition.weight / total
-            scene = str(settings.get("scene", {}).get("file", ""))
-            under.append(_Circumstances(weight, layer, scene, at, alone, name, words))
-        combined.append(under)
+        combined.append(conditions)
     return combined
 
 
@@ -927,11 +927,8 @@ def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGro
     sensor_count = len(groups[0].cases)
     tables = []
     for group in groups:
-        pair = (
-            " and ".join(case.sensor for case in group.cases)
-            if len(group.cases) < sensor_count
-            else ""
-        )
+        is_pair = len(group.cases) < sensor_count
+        pair = " and ".join(case.sensor for case in group.cases) if is_pair else ""
         tables.append({PAIR: pair, **group.first.labels, MATCH: group.match})
     varied_names = [name for name in tables[0] if len({repr(table[name]) for table in tables}) > 1]
     for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
@@ -958,7 +955,7 @@ def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
 
 
 Match = Literal["view", "lens", "own"]
-ALIKE = 1e-9  # relative difference of two fields of view that is rounding
+SAME_FIELD = 1e-9  # relative difference of two fields of view that is rounding
 
 
 def matched_cameras(
@@ -982,17 +979,17 @@ def matched_cameras(
     """
     reference = cameras[0]
     if match == "view":
-        seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
+        matched = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
     elif match == "lens":
-        seen = [
-            lens_on_die(reference, camera) for camera in cameras
-        ]  # cropped below to a field that all of them have
+        matched = [lens_on_die(reference, camera) for camera in cameras]
     else:
-        seen = list(cameras)
-    seen[0] = seen[0].window(window_mm)
-    width = min(camera.die_mm / camera.image_distance_mm for camera in seen)
-    height = min(camera.height_mm / camera.image_distance_mm for camera in seen)
-    return tuple(_cropped(camera, width, height) for camera in seen)
+        matched = list(cameras)
+    matched[0] = matched[0].window(window_mm)
+
+    # The field that all have in common, as multiples of the image distance.
+    width = min(camera.die_mm / camera.image_distance_mm for camera in matched)
+    height = min(camera.height_mm / camera.image_distance_mm for camera in matched)
+    return tuple(_cropped(camera, width, height) for camera in matched)
 
 
 def _with_view_of(reference: Camera, camera: Camera) -> Camera:
@@ -1001,37 +998,37 @@ def _with_view_of(reference: Camera, camera: Camera) -> Camera:
     """
     if reference.lens is not None:
         return lens_on_die(reference, camera, same_view=True)
-    v_mm, u_mm = (
-        reference.image_distance_mm * camera.die_mm / reference.die_mm,
-        1e3 * reference.object_distance_m,
-    )
+    v_mm = reference.image_distance_mm * camera.die_mm / reference.die_mm
+    u_mm = 1e3 * reference.object_distance_m
     lens = {"focal_length_mm": u_mm * v_mm / (u_mm + v_mm)}
     if camera.die_mm == reference.die_mm:  # without rounding
         lens = {}
     die = {"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm}
-    seen = Camera(**reference.model_dump(exclude={"chief_ray_angle", "fall_off"}) | lens | die)
-    grown = camera.die_mm / reference.die_mm  # the same lens, made larger or smaller
+    scaled = Camera(**reference.model_dump(exclude={"chief_ray_angle", "fall_off"}) | lens | die)
+
+    # The same lens, made larger or smaller: so are the image heights of its tables. They need not
+    # cover more than the field that is cropped from this camera.
+    scale = camera.die_mm / reference.die_mm
     tables = {
-        name: tuple((grown * height_mm, *rest) for height_mm, *rest in rows)
+        name: tuple((scale * height_mm, *values) for height_mm, *values in rows)
         for name in ("chief_ray_angle", "fall_off")
         if (rows := getattr(reference, name)) is not None
     }
-    return seen.model_copy(
-        update=tables
-    )  # they need reach only the field that is cropped from this one
+    return scaled.model_copy(update=tables)
 
 
 def _cropped(camera: Camera, width: float, height: float) -> Camera:
-    """Return the lens on a central part of the die, whose sides are given as multiples of the image
-    distance.
+    """Return the lens on a central part of the die.
+
+    width, height : of the part, as multiples of the image distance
     """
-    v_mm = camera.image_distance_mm
-    if camera.die_mm <= width * v_mm * (1 + ALIKE) and camera.height_mm <= height * v_mm * (
-        1 + ALIKE
-    ):
+    width_mm = width * camera.image_distance_mm
+    height_mm = height * camera.image_distance_mm
+    rounding = 1 + SAME_FIELD
+    if camera.die_mm <= width_mm * rounding and camera.height_mm <= height_mm * rounding:
         return camera
     die = {
-        "die_mm": min(camera.die_mm, width * v_mm),
-        "die_height_mm": min(camera.height_mm, height * v_mm),
+        "die_mm": min(camera.die_mm, width_mm),
+        "die_height_mm": min(camera.height_mm, height_mm),
     }
     return Camera(**camera.model_dump() | die)
