@@ -39,7 +39,7 @@ from pixsim.report.study import (
     with_files_of_study,
 )
 from pixsim.report.wording import film_words, rendered_words
-from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Section
+from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section
 from pixsim.show.pages import Figures, figure_files
 from pixsim.show.presenter import Presenter
 from pixsim.studies.claims import Verdict, verdicts
@@ -65,9 +65,9 @@ def _reported_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     """Return the cases with a report of their own: the first combination of values under each
     condition, at most 4.
     """
-    return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][
-        :_MAX_CASE_REPORTS
-    ]
+    first = cases[0]
+    same_values = [case for case in cases if (case.at, case.alone) == (first.at, first.alone)]
+    return same_values[:_MAX_CASE_REPORTS]
 
 
 def regrets_columns(all_regrets: Sequence[Regrets]) -> dict[str, Column]:
@@ -79,28 +79,25 @@ def regrets_columns(all_regrets: Sequence[Regrets]) -> dict[str, Column]:
     )
     rows = []
     for regrets in all_regrets:
-        for criterion, at_best in zip(regrets.criteria, regrets.matrix.tolist(), strict=True):
-            low_um, high_um = criterion.optimum.interval_um
+        for criterion, regrets_at_best in zip(
+            regrets.criteria, regrets.matrix.tolist(), strict=True
+        ):
+            optimum = criterion.optimum
+            low_um, high_um = optimum.interval_um
             row = {
                 "pixel": regrets.label,
                 "metric": criterion.metric.name,
                 "best_of": criterion.name,
                 "weight": criterion.weight,
-            }
-            row |= {
-                "pitch_um": criterion.optimum.pitch_um,
+                "pitch_um": optimum.pitch_um,
                 "interval_low_um": low_um,
                 "interval_high_um": high_um,
-            }
-            row |= {
-                "between_sizes_share": criterion.optimum.between_sizes_share,
-                "value": criterion.optimum.value,
+                "between_sizes_share": optimum.between_sizes_share,
+                "value": optimum.value,
             }
             row |= {f"regret_at_{name}": None for name in names}
-            row |= {
-                f"regret_at_{other.name}": value
-                for other, value in zip(regrets.criteria, at_best, strict=True)
-            }
+            for other, regret in zip(regrets.criteria, regrets_at_best, strict=True):
+                row[f"regret_at_{other.name}"] = regret
             rows.append(row)
     return columns_of(rows)
 
@@ -151,23 +148,21 @@ def one_at_a_time_table(result: CasesResult) -> DocumentTable:
 
 def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
     """Return the result as in summary.json."""
+    all_findings = result.findings or [()] * len(result.parts)
     cases: list[dict[str, Any]] = []
-    for part, findings in zip(
-        result.parts, result.findings or [()] * len(result.parts), strict=True
-    ):
+    for part, findings in zip(result.parts, all_findings, strict=True):
         first = part.curves[0]
-        labels: dict[str, Any] = {"condition": first.condition, "alone": first.alone}
-        labels |= {
+        labels: dict[str, Any] = {
+            "condition": first.condition,
+            "alone": first.alone,
             "film": part.film and part.film.as_dict(),
             "agrees": {row.statement: row.agrees for row in findings},
         }
-        light = {
-            "irradiance": part.irradiance.header,
-            "white_spectrum": white_light(part.irradiance)[1],
-        }
-        cases.append(
-            {"at": first.at} | {name: value for name, value in labels.items() if value} | light
-        )
+        case = {"at": first.at} | {name: value for name, value in labels.items() if value}
+        case["irradiance"] = part.irradiance.header
+        case["white_spectrum"] = white_light(part.irradiance)[1]
+        cases.append(case)
+
     content = {
         "left_out": list(result.left_out),
         "regrets": [condition_regrets_data(metric_regrets) for metric_regrets in regrets],
@@ -178,17 +173,16 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
 
 def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
-    cases = cases_of(study)
-    plates = [
-        *plate_names(study),
-        *(f"{REGRETS}_{number + 1}" for number in range(_MAX_REGRET_FIGURES)),
-    ]
+    plates = plate_names(study)
+    plates += [f"{REGRETS}_{number + 1}" for number in range(_MAX_REGRET_FIGURES)]
+    if study.noise_budget:
+        plates.append(NAME)
+
     case_files = {
         f"{case.folder}/{name}"
-        for case in _reported_cases(cases)
+        for case in _reported_cases(cases_of(study))
         for name in report_files(case.settings)
     }
-    plates += [NAME] * study.noise_budget
     return {
         "report.html",
         "summary.json",
@@ -234,28 +228,25 @@ def axes_page(
 
     parts : cases with a page of their own
     """
-    pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
-    tornado_plate = one_at_a_time_plate(result)
-    plates = [*axis_plates(result), *([tornado_plate] if tornado_plate else [])]
-    plates += [
-        regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
-        for number, metric_regrets in enumerate(regrets[:_MAX_REGRET_FIGURES], 1)
-    ]
-    first, *others = map(
-        plot_of, plates or [delta_e_against_pitch(result.curves)]
-    )  # the first answers what was asked
+    first, *others = _axes_plots(result, regrets)  # the first answers what was asked
     tables = [table for metric_regrets in regrets for table in regrets_tables(metric_regrets)]
-    case_links = [
-        (
-            Link(case.words or "the study's own settings", f"{case.folder}/report.html"),
-            f": {optimum_line(part.curves[0])}",
-        )
-        for case, part in parts
-    ]
-    optima_link = (Link("The same with all digits (CSV)", "optima.csv"),)
     regrets_link = (Link("The same with all digits (CSV)", _REGRETS_FILE),)
+    optima_link = (Link("The same with all digits (CSV)", "optima.csv"),)
+    case_links = []
+    for case, part in parts:
+        words = case.words or "the study's own settings"
+        link = Link(words, f"{case.folder}/report.html")
+        case_links.append((link, f": {optimum_line(part.curves[0])}"))
+
     rendered = rendered_words(result.irradiance.header)
-    computation = f"{_CASES_EXPLAINED} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    computation = (
+        f"{_CASES_EXPLAINED} {result.counts}. Study seed {result.study.seed}; first render:"
+        f" {rendered}."
+    )
+    files = {"optima.csv": table_csv(optima_columns(result))}
+    if regrets:
+        files[_REGRETS_FILE] = table_csv(regrets_columns(regrets))
+
     document = _axes_document(result, regrets)
     return replace(
         document,
@@ -272,11 +263,25 @@ def axes_page(
             budgets_section(noise_budgets(result)),
             Section("made", "How this was computed", [computation], folded=True),
         ),
-        files={
-            "optima.csv": table_csv(optima_columns(result)),
-            **({_REGRETS_FILE: table_csv(regrets_columns(regrets))} if regrets else {}),
-        },
+        files=files,
     )
+
+
+def _axes_plots(result: CasesResult, regrets: Sequence[Regrets]) -> list[Plot]:
+    """Return the figures of the axes, of axes moved one at a time, and of regrets; the curves of
+    all cases where there are none.
+    """
+    plates = axis_plates(result)
+    tornado_plate = one_at_a_time_plate(result)
+    if tornado_plate is not None:
+        plates.append(tornado_plate)
+
+    pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
+    for number, metric_regrets in enumerate(regrets[:_MAX_REGRET_FIGURES], 1):
+        plates.append(regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}"))
+
+    plates = plates or [delta_e_against_pitch(result.curves)]
+    return [plot_of(plate) for plate in plates]
 
 
 def _claims(result: CasesResult) -> list[Block]:
@@ -284,9 +289,9 @@ def _claims(result: CasesResult) -> list[Block]:
     rows = []
     for verdict in verdicts(result):
         finding = verdict.finding
-        changed = f"{len(verdict.turned_by)} of {result.counts.cases - 1}: {verdict_words(verdict)}".removesuffix(
-            ": "
-        )
+        changed = f"{len(verdict.turned_by)} of {result.counts.cases - 1}"
+        if verdict.turned_by:
+            changed += f": {verdict_words(verdict)}"
         rows.append(
             (finding.statement, finding.given, finding.found, agrees(finding.agrees), changed)
         )

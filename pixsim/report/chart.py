@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,41 +31,21 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
     be written.
     """
     is_picture = Path(kind).suffix.lower() in SUFFIXES
-    chart = PICTURE if is_picture else f"the chart {kind}"
-    chart_of_option = {
-        **dict.fromkeys(
-            ("width", "height", "die_mm"), "a chart of pixsim: pictures keep their size"
-        ),
-        **_CHART_OF_OPTION,
-    }
-    for option in options:
-        is_allowed = (
-            chart == _CHART_OF_OPTION[option] if option in _CHART_OF_OPTION else not is_picture
-        )
-        if not is_allowed:
-            others = [name for name in options if chart_of_option[name] == chart_of_option[option]]
-            names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
-            raise invalid(names, f"with {kind}", chart_of_option[option])
-
+    _check_options(kind, is_picture, options)
     if "colour_axis" in options:
-        size = (options.get(name) for name in ("width", "height", "die_mm"))
-        result = write_colour_axis(options["colour_axis"], output, *size)
-        contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
-        line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
-        line += (
-            f"; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
-        )
-        return Document("chart", "chart in colour", str(output), result, (line,))
+        return _colour_axis_document(output, options)
 
     border = 0.0
     if is_picture:
         aspect = options.get("aspect", 1.0)
         if not _ASPECTS[0] <= aspect <= _ASPECTS[1]:
             raise invalid("--aspect", f"{aspect:g}", "0.001 to 1000")
-        texels, border = with_border(read_luminance(kind, options.get("linear", False)), aspect)
+        luminance = read_luminance(kind, options.get("linear", False))
+        texels, border = with_border(luminance, aspect)
     else:
         texels = make_chart(kind, **options)
     write_chart(output, texels)
+
     height, width = texels.shape
     line = f"{width} × {height} texels in {output}"
     if border:
@@ -78,3 +58,37 @@ def chart_document(kind: str, output: Path, options: Mapping[str, Any]) -> Docum
         "border": border,
     }
     return Document("chart", "chart", str(output), data, (line,))
+
+
+def _check_options(kind: str, is_picture: bool, options: Iterable[str]) -> None:
+    """Raise PixsimError for an option that a chart or picture does not take, with all others of its
+    kind.
+    """
+    chart = PICTURE if is_picture else f"the chart {kind}"
+    pixsim_chart = "a chart of pixsim: pictures keep their size"
+    chart_of_option = {
+        **dict.fromkeys(("width", "height", "die_mm"), pixsim_chart),
+        **_CHART_OF_OPTION,
+    }
+    for option in options:
+        if option in _CHART_OF_OPTION:
+            is_allowed = chart == _CHART_OF_OPTION[option]
+        else:
+            is_allowed = not is_picture
+        if not is_allowed:
+            allowed = chart_of_option[option]
+            others = [name for name in options if chart_of_option[name] == allowed]
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
+            raise invalid(names, f"with {kind}", allowed)
+
+
+def _colour_axis_document(output: Path, options: Mapping[str, Any]) -> Document:
+    """Write a scene whose chart changes along a colour axis, and return the answer."""
+    size = (options.get(name) for name in ("width", "height", "die_mm"))
+    result = write_colour_axis(options["colour_axis"], output, *size)
+    contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
+    line = (
+        f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}; opponent"
+        f" channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
+    )
+    return Document("chart", "chart in colour", str(output), result, (line,))

@@ -26,6 +26,7 @@ from pixsim.report.run import colour_rows
 from pixsim.report.score import judged_by_delta_e
 from pixsim.report.settings import (
     DEFAULTS,
+    Row,
     scene_rows,
     settings_blocks,
     settings_table,
@@ -86,7 +87,7 @@ from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_s
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.sensors import SENSOR_TABLES, ComparisonJob, SensorGroup, pixels_of
-from pixsim.studies.settings import paths_of
+from pixsim.studies.settings import Condition, paths_of
 from pixsim.studies.table import ROWS_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import white_light
@@ -157,15 +158,12 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     facts = ["; ".join(common_words(job)), f"film of {across} × {height} samples for all"]
     facts += [f"case {case.words}" for case in job.combinations if case.words]
-    facts += (
-        []
-        if types is None
-        else [f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}"]
-    )
+    if types is not None:
+        facts.append(f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}")
     facts += [f"{out}: nothing is written now", f"cost: {cost}"]
-    sensors = DocumentTable(
-        "sensors", (), [(case.sensor, sensor_words(case)) for case in group.cases], words=None
-    )
+
+    rows = [(case.sensor, sensor_words(case)) for case in group.cases]
+    sensors = DocumentTable("sensors", (), rows, words=None)
     return Document("compare", "dry run", group.scene, data, lead=(sensors, *map(Fact, facts)))
 
 
@@ -199,48 +197,55 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
     """
     study = job.study if job.study is not None and job.study.has_cases else None
     files = [f"sensors/{name}.toml" for name in job.names]
-    words = ["pixsim", "compare", *files]
-    words += (
-        ["--study", SETTINGS_FILE]
-        if study
-        else ["--scene", whole_path(job.pictured_group.scene), "--config", SETTINGS_FILE]
-    )
-    words += ["--match", job.match] if len(job.matches) == 1 else []
-    words += ["--repeats", str(job.repeats)]
-    if job.types is not None:
-        words += ["--sobol" if job.types.total else "--uncertainty", str(job.types.requested_draws)]
-    for option, value in (("--sensor", job.sensor), ("--variant", job.variant)):
-        words += [option, value] if value else []
-    command = shlex.join(words)
+    command = _repeating_command(job, files, has_study=study is not None)
 
+    # Where dots and samples a degree are both stated, no other display is shown.
     first = job.base[0]
-    chosen = {
-        "dots",
-        "samples_per_deg",
-    } - first.display.model_fields_set  # where both are stated, no other display is shown
+    chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set
+    display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
     parameters = scene_table(job.pictured_group.first.scene.path.parent, first.scene)
     tables: dict[str, Any] = {name: {} for name in SENSOR_TABLES}
-    tables |= {
-        "display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen),
-        "scene": parameters,
-    }
+    tables |= {"display": display, "scene": parameters}
     if study:
         cases = study.model_dump(mode="json", include={"axis", "condition", "detail"})
         tables |= {name: value for name, value in cases.items() if value}
-        tables |= {
-            "name": study.name,
-            "scene": {"file": whole_path(study.scene.file), "parameters": parameters},
-        }
+        tables["name"] = study.name
+        tables["scene"] = {"file": whole_path(study.scene.file), "parameters": parameters}
     texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
+
+    # The files of the sensors have their own tables only.
     shared: dict[str, Any] = {
         name: {} for name in type(first).model_fields if name not in SENSOR_TABLES
     }
+    sensor_command = f"(in the folder above) {command}"
     spreads = [{}] * len(files) if job.types is None else job.types.spreads
     for file, settings, spread in zip(files, job.base, spreads, strict=True):
-        texts[file] = settings_text(
-            settings, f"(in the folder above) {command}", {"": spread}, **shared
-        )
+        texts[file] = settings_text(settings, sensor_command, {"": spread}, **shared)
     return texts
+
+
+def _repeating_command(job: ComparisonJob, files: Sequence[str], has_study: bool) -> str:
+    """Return the command that makes the same numbers again, in the folder of the comparison.
+
+    files : of the sensors
+    has_study : whether settings.toml is a study with axes or conditions
+    """
+    words = ["pixsim", "compare", *files]
+    if has_study:
+        words += ["--study", SETTINGS_FILE]
+    else:
+        words += ["--scene", whole_path(job.pictured_group.scene), "--config", SETTINGS_FILE]
+    if len(job.matches) == 1:
+        words += ["--match", job.match]
+    words += ["--repeats", str(job.repeats)]
+    if job.types is not None:
+        option = "--sobol" if job.types.total else "--uncertainty"
+        words += [option, str(job.types.requested_draws)]
+    if job.sensor:
+        words += ["--sensor", job.sensor]
+    if job.variant:
+        words += ["--variant", job.variant]
+    return shlex.join(words)
 
 
 # --- the page
@@ -444,69 +449,81 @@ def _differences_data(result: Comparison, condition: str | None = None) -> dict[
 
 
 def data(result: Comparison) -> dict[str, Any]:
-    """Return compare.json. With conditions the answers are those of the weighted mean, and the rest
-    is `shown`.
+    """Return compare.json.
+
+    With conditions the answers are those of the weighted mean, and all else is of the condition
+    whose pictures are shown.
     """
     job, group = result.job, result.pictured_group
-    stated: dict[str, Any] = {
+    content: dict[str, Any] = {
         "names": list(result.names),
         "match": job.match,
         "repeats": job.repeats,
         "scene": group.scene,
     }
     if job.study is not None:
-        stated["study"] = {"name": job.study.name}
+        content["study"] = {"name": job.study.name}
+
+    sensor_settings = [_settings_data(run) for run in job.base]
     shared: dict[str, Any] = {
-        "settings": {
-            "sensors": dict(
-                zip(result.names, (_settings_data(run) for run in job.base), strict=True)
-            )
-        },
+        "settings": {"sensors": dict(zip(result.names, sensor_settings, strict=True))},
         "notes": notes(result),
         "cases": [{"at": case.case.at} | numbers(case) for case in result.cases],
         "table": ROWS_FILE,
     }
     if len(result.cases) > 1:
-        stated["verdicts"] = {
-            other: better_cases_words(result, other) for other in result.names[1:]
-        }
-        return result_data(stated, **shared)
-    conditions = [group for group in result.groups() if group.first.condition]
-    further: dict[str, Any] = {"shown_condition": group.first.condition} if conditions else {}
-    if conditions:
-        further["conditions"] = {
-            group.first.condition: _condition_data(result, group) for group in conditions
-        }
-    if len(result.names) > 2:
-        further["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
-    if result.further_metrics:
-        further["metrics"] = {
-            metric.name: _metric_data(result, metric) for metric in result.further_metrics
-        }
-    if result.uncertainty:
-        further["uncertainty"] = {
-            distribution.names[1]: distribution.as_dict()
-            for distribution in result.uncertainty
-            if distribution.metric.is_delta_e
-        }
-        for distribution in result.uncertainty:
-            if not distribution.metric.is_delta_e:
-                further["uncertainty"][distribution.names[1]].setdefault("metrics", {})[
-                    distribution.metric.name
-                ] = distribution.as_dict()
-    content = stated | {
-        **further,
+        verdicts = {other: better_cases_words(result, other) for other in result.names[1:]}
+        return result_data(content | {"verdicts": verdicts}, **shared)
+
+    sensors = {}
+    for sensor in result.sensors:
+        delta_e = result.delta_e[sensor.name].tolist()
+        sensors[sensor.name] = _sensor_data(sensor) | {"delta_e": delta_e}
+    content |= {
+        **_further_data(result),
         **numbers(result),
         **group.as_dict(),
         "scored_dots": list(result.sensors[0].score.delta_e.shape),
         "display": group.display.model_dump(),
         "seed": group.first.settings.seed,
-        "sensors": {
-            sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()}
-            for sensor in result.sensors
-        },
+        "sensors": sensors,
     }
     return result_data(content, **shared)
+
+
+def _further_data(result: Comparison) -> dict[str, Any]:
+    """Return what compare.json has of conditions, pairs of more than two sensors, further metrics
+    and sensor types, where a comparison has them.
+    """
+    entries: dict[str, Any] = {}
+    conditions = [group for group in result.groups() if group.first.condition]
+    if conditions:
+        entries["shown_condition"] = result.pictured_group.first.condition
+        entries["conditions"] = {
+            group.first.condition: _condition_data(result, group) for group in conditions
+        }
+    if len(result.names) > 2:
+        entries["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
+    if result.further_metrics:
+        entries["metrics"] = {
+            metric.name: _metric_data(result, metric) for metric in result.further_metrics
+        }
+    if result.uncertainty:
+        entries["uncertainty"] = _uncertainty_data(result)
+    return entries
+
+
+def _uncertainty_data(result: Comparison) -> dict[str, Any]:
+    """Return the distributions over sensor types of each pair: by ΔE, and in it by other
+    metrics.
+    """
+    by_delta_e = [pair for pair in result.uncertainty if pair.metric.is_delta_e]
+    entries = {pair.names[1]: pair.as_dict() for pair in by_delta_e}
+    for pair in result.uncertainty:
+        if not pair.metric.is_delta_e:
+            metrics = entries[pair.names[1]].setdefault("metrics", {})
+            metrics[pair.metric.name] = pair.as_dict()
+    return entries
 
 
 def _settings_data(settings: Run) -> dict[str, Any]:
@@ -676,39 +693,40 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
     rows: list[tuple[str, ...]] = []
 
     def add_row(
-        where: Sequence[str], other: str, cells: tuple[str, ...], film: float | None
+        where: Sequence[str], other: str, cells: tuple[str, ...], film_delta_e: float | None
     ) -> None:
-        film_cells = ["unknown" if film is None else rounded(film, 2)] if metric.is_delta_e else []
-        rows.append((", ".join(filter(None, where)), f"{other} − {first}", *cells, *film_cells))
+        labels = (", ".join(filter(None, where)), f"{other} − {first}")
+        film_cells = []
+        if metric.is_delta_e:
+            film_cells.append("unknown" if film_delta_e is None else rounded(film_delta_e, 2))
+        rows.append((*labels, *cells, *film_cells))
 
     matches = result.job.matches if metric.is_delta_e else result.job.matches[:1]
     for case, other in product(result.cases, others):
         conditions = [group.first.condition for group in case.groups() if group.first.condition]
+        mean = "weighted mean" if conditions else ""
         for match, condition in product(matches, (None, *conditions)):
             pairs = case.pairs(other, metric, match=match, condition=condition)
-            mean = "weighted mean" if conditions else ""
-            film = case.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
-            add_row(
-                [case.case.words, condition or mean, f"match {match}"],
-                other,
-                pair_cells(pairs, film),
-                film,
-            )
+            film_delta_e: float | None = 0.0
+            if metric.is_delta_e:
+                film_delta_e = case.film_of_pair(other, match, condition)
+            where = [case.case.words, condition or mean, f"match {match}"]
+            add_row(where, other, pair_cells(pairs, film_delta_e), film_delta_e)
+
         for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
             cells = difference_cells(
                 display.difference, display.interval_delta_e, display.film_delta_e or 0.0
             )
-            add_row(
-                [case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e
-            )
-    film_head = ["film's error, at most"] if metric.is_delta_e else []
+            where = [case.case.words, f"{display.dots} dots"]
+            add_row(where, other, (*cells, ""), display.film_delta_e)
+
     head = (
         "case",
         "sensors",
         "mean",
         "95 % interval",
         f"probability that {first} is better",
-        *film_head,
+        *(["film's error, at most"] if metric.is_delta_e else []),
     )
     name = "mean ΔE" if metric.is_delta_e else metric.title
     caption = "" if requested_metrics(result.job) == (DELTA_E_METRIC,) else name
@@ -721,47 +739,60 @@ def _settings(result: Comparison) -> list[Block]:
     """
     group, study = result.pictured_group, result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)
-    light = result.sensors[0].light.image
-    level = LightLevel.of(
-        light, group.display, [sensor.score.frame.integration_s for sensor in result.sensors]
-    )
-    seed = group.first.settings.seed
-    scene = scene_rows(light, group.first.settings.scene, level)
-    scene.append(("seed", seed, "of all random numbers", "set" if seed else "default"))
+    scene = _scene_rows(result)
 
     shared: list[DocumentTable] = []
-    values: dict[str, dict[str, Text]] = {}
+    values: dict[str, dict[str, Text]] = {}  # setting -> sensor -> value
     changed: set[str] = set()
     for case in group.cases:
         pixel = case.settings.pixel
+        from_data_sheet = pixel.technology == NO_TECHNOLOGY
         tables = settings_tables(
-            scene, case.settings, case.camera, pixel, is_coloured, pixel.technology == NO_TECHNOLOGY
+            scene, case.settings, case.camera, pixel, is_coloured, from_data_sheet
         )
         shared = shared or [table for table in tables if table.name not in SENSOR_TABLES]
         for table in tables:
-            for name, value, _, source in table.rows if table.name in SENSOR_TABLES else ():
+            if table.name not in SENSOR_TABLES:
+                continue
+            for name, value, _, source in table.rows:
                 setting = f"{table.name}.{name}"
                 values.setdefault(setting, {})[case.sensor] = value
-                changed |= {setting} if source not in DEFAULTS else set()
-    for condition in () if study is None else study.condition:
-        condition_values = {
-            path: reduce(getitem, path, condition.set) for path in paths_of(condition.set)
-        }
-        rows = [
-            (".".join(path), setting_value(value, path[-1]), "", "set")
-            for path, value in condition_values.items()
-        ]
-        shared.append(settings_table(f"condition {condition.name}", rows))
+                if source not in DEFAULTS:
+                    changed.add(setting)
+
+    if study is not None:
+        shared += [_condition_table(condition) for condition in study.condition]
 
     sensor_rows = [
-        (name, *(texts.get(sensor, "") for sensor in result.names))
-        for name, texts in values.items()
-        if name in changed
+        (setting, *(texts.get(sensor, "") for sensor in result.names))
+        for setting, texts in values.items()
+        if setting in changed
     ]
     differing = DocumentTable(
         "settings of the sensors", ("setting", *result.names), sensor_rows, words=None
     )
     return [differing, *settings_blocks(shared)]
+
+
+def _scene_rows(result: Comparison) -> list[Row]:
+    """Return the rows of the settings of the scene, with the seed."""
+    group = result.pictured_group
+    light = result.sensors[0].light.image
+    exposures_s = [sensor.score.frame.integration_s for sensor in result.sensors]
+    level = LightLevel.of(light, group.display, exposures_s)
+    rows = scene_rows(light, group.first.settings.scene, level)
+    seed = group.first.settings.seed
+    rows.append(("seed", seed, "of all random numbers", "set" if seed else "default"))
+    return rows
+
+
+def _condition_table(condition: Condition) -> DocumentTable:
+    """Return the table of the settings that a condition sets."""
+    rows = []
+    for path in paths_of(condition.set):
+        value = reduce(getitem, path, condition.set)
+        rows.append((".".join(path), setting_value(value, path[-1]), "", "set"))
+    return settings_table(f"condition {condition.name}", rows)
 
 
 PRESENTER = Presenter(

@@ -57,12 +57,13 @@ def layout(data: LensData) -> Drawing:
     """Draw the glasses, and rays of three fields, in the y-z plane."""
     cut = cross_section(data.lens)
     figure, (axes,) = panels_of(1, 4.1, legend_in=LEGEND_IN)
+
+    # Glasses, each between two surfaces.
     drawn_surfaces = set()
-    for index, ((z, y), (far_z, far_y)) in enumerate(
-        zip(cut.surfaces, cut.surfaces[1:], strict=False)
-    ):
+    pairs_of_surfaces = zip(cut.surfaces, cut.surfaces[1:], strict=False)
+    for index, ((z, y), (next_z, next_y)) in enumerate(pairs_of_surfaces):
         if cut.glass_behind[index]:
-            axes.fill([*z, *far_z[::-1]], [*y, *far_y[::-1]], **GLASS)
+            axes.fill([*z, *next_z[::-1]], [*y, *next_y[::-1]], **GLASS)
             drawn_surfaces |= {index, index + 1}
     surfaces = sorted(drawn_surfaces)
     table: dict[str, Array] = {"surface": np.repeat(np.array(surfaces, int) + 1, CUT_POINTS)}
@@ -70,6 +71,7 @@ def layout(data: LensData) -> Drawing:
         ("surface_z_mm", "surface_y_mm"), [cut.surfaces[index] for index in surfaces]
     )
 
+    # The stop, as the two halves of its screen.
     stop_z_mm, stop_radius_mm = cut.stop
     axes.vlines(
         [stop_z_mm, stop_z_mm],
@@ -79,18 +81,17 @@ def layout(data: LensData) -> Drawing:
         lw=2.5,
         label="stop",
     )
+
     rays = []
-    for (angle, field_rays), line_style in zip(cut.rays.items(), LINE_STYLES, strict=False):
+    for (angle_deg, field_rays), line_style in zip(cut.rays.items(), LINE_STYLES, strict=False):
         for number_of_ray, (height, z, y) in enumerate(field_rays):
-            axes.plot(
-                z, y, lw=0.8, label=None if number_of_ray else f"{angle:.3g}°", **line_style.stroke
-            )
-            rays.append((angle, height, z, y))
+            label = None if number_of_ray else f"{angle_deg:.3g}°"
+            axes.plot(z, y, lw=0.8, label=label, **line_style.stroke)
+            rays.append((angle_deg, height, z, y))
     table |= rows_table(("field_deg", "stop_y", "z_mm", "y_mm"), rays)
 
-    image_height_mm = 1.05 * max(
-        float(np.abs(data.curves["image_height_mm"]).max()), stop_radius_mm
-    )
+    largest_mm = max(float(np.abs(data.curves["image_height_mm"]).max()), stop_radius_mm)
+    image_height_mm = 1.05 * largest_mm
     axes.vlines(cut.length_mm, -image_height_mm, image_height_mm, color="black", lw=1.2)
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", None)

@@ -40,6 +40,7 @@ from pixsim.studies.settings import Axis, Study, setting_path
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import XAxis, YAxis
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
 
@@ -382,7 +383,7 @@ def _best_column(curve: Curve) -> str:
 
 
 def plate_names(study: Study) -> list[str]:
-    """Return the names of the plates of `axis_plates`, in its order, and that of `one_at_a_time_plate`."""
+    """Return the names of the plates of `axis_plates` in its order, then `one_at_a_time_plate`."""
     joint_axes = [
         re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII)
         for axis in study.axis
@@ -463,16 +464,20 @@ def _draw_optima(
     optima = [curve.optimum for curve in line.curves]
     optima_um = np.array([best.pitch_um for best in optima])
     ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
-    style = line_style.line if scale.numeric else line_style.line | {"ls": "none"}
     bars_um = np.abs(ends_um.T - optima_um)
+
+    colour = line_style.colour
+    style = line_style.line if scale.numeric else line_style.line | {"ls": "none"}
     axes.plot(x, optima_um, ms=6, lw=1.2, label=short(line.label), transform=place, **style)
-    axes.errorbar(
-        x, optima_um, bars_um, fmt="none", ecolor=line_style.colour, capsize=2.5, transform=place
-    )
+    axes.errorbar(x, optima_um, bars_um, fmt="none", ecolor=colour, capsize=2.5, transform=place)
+
+    is_unknown = [not best.inside for best in optima]
+    is_open_below = [best.interval_um[0] is None for best in optima]
+    is_open_above = [best.interval_um[1] is None for best in optima]
     marks = (
-        ([not best.inside for best in optima], optima_um, line_style.marker, "white"),
-        ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", line_style.colour),
-        ([best.interval_um[1] is None for best in optima], ends_um[:, 1], "^", line_style.colour),
+        (is_unknown, optima_um, line_style.marker, "white"),
+        (is_open_below, ends_um[:, 0], "v", colour),
+        (is_open_above, ends_um[:, 1], "^", colour),
     )
     for is_marked, sizes_um, marker, face in marks:
         if any(is_marked):
@@ -481,12 +486,13 @@ def _draw_optima(
                 sizes_um[is_marked],
                 marker,
                 ms=6,
-                mec=line_style.colour,
+                mec=colour,
                 mfc=face,
                 transform=place,
                 clip_on=False,
                 zorder=5,
             )
+
     # Matplotlib sees no limits in data that it draws beside their place.
     axes.update_datalim(np.column_stack([np.repeat(x, 2), ends_um.ravel()]))
 
@@ -502,63 +508,75 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
     panels, title = grid.panels(scale)
     curves = [curve for panel in panels for curve in panel.curves]
     metric = curves[0].metric
-    low_um, high_um = (
-        min(curve.fit.pitch_um[0] for curve in curves),
-        max(curve.fit.pitch_um[-1] for curve in curves),
-    )
+
+    # The fitted curves at common sizes, one column of a map for each value of the axis.
+    low_um = min(curve.fit.pitch_um[0] for curve in curves)
+    high_um = max(curve.fit.pitch_um[-1] for curve in curves)
     sizes_um = np.geomspace(low_um, high_um, _MAP_SIZES)
     sizes = Scale("pixel size", tuple(sizes_um.tolist()), "µm")
-    unknown = np.full(_MAP_SIZES, np.nan)
-    maps = [
-        np.transpose(
-            [unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]
-        )
-        for panel in panels
-    ]
+    maps = [_fitted_map(panel, sizes_um) for panel in panels]
+
     figure, axes_of_panels = draw_maps(
-        panels, scale, sizes, maps, maps if scale.numeric else None, literal(metric.label)
+        panels,
+        across=scale,
+        up=sizes,
+        maps=maps,
+        contours=maps if scale.numeric else None,
+        label=literal(metric.label),
     )
     figure.suptitle(title, fontsize=SMALL_PT)
     for panel, axes in zip(panels, axes_of_panels, strict=True):
         axes.set_ylim(low_um, high_um)
-        x, optima = panel.places(scale), [curve.optimum for curve in panel.curves]
-        optima_um, inside = (
-            np.array([best.pitch_um for best in optima]),
-            np.array([best.inside for best in optima]),
-        )
-        axes.plot(x, optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
-        for is_marked, face, edge in ((inside, "black", "white"), (~inside, "white", "black")):
-            # the layout gives a line without points, which is not clipped, room in the corner of
-            # the figure
-            if is_marked.any():
-                axes.plot(
-                    x[is_marked],
-                    optima_um[is_marked],
-                    "o",
-                    ms=4.5,
-                    mfc=face,
-                    mec=edge,
-                    clip_on=False,
-                    zorder=5,
-                )
+        _draw_best_sizes(axes, panel, scale)
 
     row_curves = [curve for curve in curves for _ in sizes_um]
     pitch_um = sizes_um.tolist() * len(curves)
+    fitted = np.concatenate([fitted_at(curve, sizes_um) for curve in curves])
+    cutoffs_um = [cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves]
     return figure, grid.columns(row_curves) | {
         "pitch_um": pitch_um,
-        metric.columns[0]: (
-            np.concatenate([fitted_at(curve, sizes_um) for curve in curves]).tolist()
-        ),
+        metric.columns[0]: fitted.tolist(),
         "optimum_um": [curve.optimum.pitch_um for curve in row_curves],
         "inside": [str(curve.optimum.inside) for curve in row_curves],
         **range_columns("within_1_percent", row_curves),
-        "cutoff_pitch_um": (
-            np.repeat(
-                [cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], _MAP_SIZES
-            ).tolist()
-        ),
+        "cutoff_pitch_um": np.repeat(cutoffs_um, _MAP_SIZES).tolist(),
         **fresnel_column(row_curves, pitch_um),
     }
+
+
+def _fitted_map(panel: Panel, sizes_um: Array) -> Array:
+    """Return the fitted metric of a panel's curves, (size, curve); NaN for cases that are left
+    out.
+    """
+    unknown = np.full(sizes_um.size, np.nan)
+    columns = [unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]
+    return np.transpose(columns)
+
+
+def _draw_best_sizes(axes: Axes, panel: Panel, scale: Scale) -> None:
+    """Draw the best sizes of a panel's curves over a map: points that are hollow where the best
+    size is not known.
+    """
+    x = panel.places(scale)
+    optima = [curve.optimum for curve in panel.curves]
+    optima_um = np.array([best.pitch_um for best in optima])
+    inside = np.array([best.inside for best in optima])
+
+    axes.plot(x, optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
+    for is_marked, face, edge in ((inside, "black", "white"), (~inside, "white", "black")):
+        # The layout gives a line without points, which is not clipped, room in the corner of the
+        # figure.
+        if is_marked.any():
+            axes.plot(
+                x[is_marked],
+                optima_um[is_marked],
+                "o",
+                ms=4.5,
+                mfc=face,
+                mec=edge,
+                clip_on=False,
+                zorder=5,
+            )
 
 
 @figure(
@@ -623,54 +641,65 @@ def draw_maps(
     contours : (up, across) of each panel, numbers whose contours are drawn; None for none
     label : of the colours
     """
-    from matplotlib.colors import LogNorm, Normalize
-
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    figure = new_figure(WIDTH_IN, 0.8 + (2.5 * rows if len(panels) > 1 else 3.2))
-    axes_of_panels = (
-        figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
-    )
+    height_in = 0.8 + (2.5 * rows if len(panels) > 1 else 3.2)
+    figure = new_figure(WIDTH_IN, height_in)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    axes_of_panels = grid.ravel().tolist()
     for unused in axes_of_panels[len(panels) :]:
         figure.delaxes(unused)
     axes_of_panels = axes_of_panels[: len(panels)]
 
-    low, high = float(np.nanmin(maps)), float(np.nanmax(maps))
-    if high - low < _MIN_COLOUR_SPAN * abs(high):
-        low, high = low - _MIN_COLOUR_SPAN * abs(high), high + _MIN_COLOUR_SPAN * abs(high)
-    is_wide = 0 < _LOG_SPAN * low <= high
-    norm = LogNorm(low, high) if is_wide else Normalize(low, high)
+    norm, is_log = _colour_norm(maps)
     for panel, axes, values in zip(panels, axes_of_panels, maps, strict=True):
         axes.set_title(short(panel.label), fontsize=SMALL_PT + 1)
         across.draw_on(axes.xaxis, 60 // columns)
         up.draw_on(axes.yaxis, 36)
         cells = axes.pcolormesh(across.edges, up.edges, values, norm=norm, rasterized=True)
         axes.label_outer()
-    bar = figure.colorbar(cells, ax=axes_of_panels, label=label)
-    if is_wide:
-        plain_powers(bar.ax.yaxis)
 
-    lowest, highest = (
-        (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
-    )
-    if contours and lowest < highest and min(contours[0].shape) > 1:
-        levels = (
-            np.geomspace(lowest, highest, _CONTOURS + 2)
-            if lowest > 0
-            else np.linspace(lowest, highest, _CONTOURS + 2)
-        )
-        for axes, heights in zip(axes_of_panels, contours, strict=True):
-            lines = axes.contour(
-                across.places,
-                up.places,
-                heights,
-                levels[1:-1],
-                colors="white",
-                linewidths=0.6,
-                alpha=0.7,
-            )
-            axes.clabel(lines, fmt="%.2g", fontsize=CELL_PT)
+    bar = figure.colorbar(cells, ax=axes_of_panels, label=label)
+    if is_log:
+        plain_powers(bar.ax.yaxis)
+    if contours:
+        _draw_contours(axes_of_panels, across, up, contours)
     return figure, axes_of_panels
+
+
+def _colour_norm(maps: Sequence[Array]) -> tuple[Normalize, bool]:
+    """Return the scale of the colours of maps, and whether it is logarithmic."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    low = float(np.nanmin(maps))
+    high = float(np.nanmax(maps))
+    if high - low < _MIN_COLOUR_SPAN * abs(high):
+        margin = _MIN_COLOUR_SPAN * abs(high)
+        low -= margin
+        high += margin
+    is_log = 0 < _LOG_SPAN * low <= high
+    return LogNorm(low, high) if is_log else Normalize(low, high), is_log
+
+
+def _draw_contours(
+    axes_of_panels: Sequence[Axes], across: Scale, up: Scale, contours: Sequence[Array]
+) -> None:
+    """Draw contours at equal steps, or equal ratios, of numbers over maps.
+
+    contours : (up, across) of each panel; a single row or column has none
+    """
+    lowest = float(np.nanmin(contours))
+    highest = float(np.nanmax(contours))
+    if lowest >= highest or min(contours[0].shape) <= 1:
+        return
+
+    steps = np.geomspace if lowest > 0 else np.linspace
+    levels = steps(lowest, highest, _CONTOURS + 2)[1:-1]
+    for axes, heights in zip(axes_of_panels, contours, strict=True):
+        lines = axes.contour(
+            across.places, up.places, heights, levels, colors="white", linewidths=0.6, alpha=0.7
+        )
+        axes.clabel(lines, fmt="%.2g", fontsize=CELL_PT)
 
 
 # --- axes moved alone
@@ -713,6 +742,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     names = [axis.name for axis in result.study.axis if axis.alone]
     bars = [(group, name) for group in groups for name in names]
     bars.sort(key=lambda bar: bar[0].width_um(bar[1]), reverse=True)
+
     figure = new_figure(WIDTH_IN, 0.46 * len(bars) + 1.1)
     axes = figure.subplots()
     for place, (group, name) in enumerate(bars):
@@ -720,21 +750,23 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     axes.grid(axis="x", alpha=0.25)
     axes.use_sticky_edges = False
     axes.margins(x=0.1)  # for labels beside the bars
+
     units = {axis.name: Scale.of(axis).unit for axis in result.study.axis}
-    labels = [
-        ", ".join(filter(None, (group.label, name))) + (units[name] and f" ({units[name]})")
-        for group, name in bars
-    ]
-    axes.set_yticks(range(len(bars)), [short(label) for label in labels])
+    labels = []
+    for group, name in bars:
+        unit = units[name] and f" ({units[name]})"
+        labels.append(short(", ".join(filter(None, (group.label, name))) + unit))
+    axes.set_yticks(range(len(bars)), labels)
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlabel(_PIXEL_SIZE)
 
+    # The rows of the table: of each group the base, then its axes, the widest first.
     widest_first = list(dict.fromkeys(name for _, name in bars))
-    curves = [
-        curve
-        for group in groups
-        for curve in (group.base, *(moved for name in widest_first for moved in group.moved[name]))
-    ]
+    curves = []
+    for group in groups:
+        curves.append(group.base)
+        for name in widest_first:
+            curves += group.moved[name]
     table: dict[str, Column] = case_columns(result, curves, [])
     table["axis"] = [curve.alone or BASE for curve in curves]
     table["value"] = [curve.at[curve.alone] if curve.alone else BASE for curve in curves]
@@ -748,15 +780,16 @@ def _draw_bar(axes: Axes, place: int, group: Group, name: str) -> None:
     curves = sorted(group.moved[name], key=lambda curve: curve.optimum.pitch_um)
     base_um = group.base.optimum.pitch_um
     sizes_um = [curve.optimum.pitch_um for curve in curves]
-    low_um, high_um = (
-        min([base_um, *sizes_um]),
-        max([base_um, *sizes_um]),
-    )  # an axis may have no curve of this technology
+    low_um = min([base_um, *sizes_um])  # an axis may have no curve of this technology
+    high_um = max([base_um, *sizes_um])
+
     axes.barh(place, high_um - low_um, left=low_um, height=0.5, color=COLOURS[0], alpha=0.25)
     axes.vlines(base_um, place - 0.35, place + 0.35, color="0.2", lw=1)
     for curve, size_um in zip(curves, sizes_um, strict=True):
         face = COLOURS[0] if curve.optimum.inside else "white"
         axes.plot(size_um, place, "o", ms=4.5, color=COLOURS[0], mfc=face)
+
+    # The values of the first and the last curve stand on the left and right of their points.
     for curve, offset_pt in zip(curves[:1] + curves[1:][-1:], (-13, 7), strict=False):
         value = curve.at[name]
         text = short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}"
@@ -787,28 +820,32 @@ def one_at_a_time_groups(result: CasesResult, names: Sequence[str]) -> list[Grou
         for axis in result.study.axis
         if all(set(point.table) == {"process"} for point in axis.points)
     }
+
     groups = []
     max_groups = max(1, min(_MAX_ROWS, _MAX_BARS // len(names)))
-    for place, condition in list(product(range(len(labels)), bases))[:max_groups]:
-        words = [labels[place]] if len(labels) > 1 else []
+    for index, condition in list(product(range(len(labels)), bases))[:max_groups]:
+        words = [labels[index]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
+
         moved = {}
         for name in names:
-            parts = [
-                part
-                for part in result.parts
-                if (part.curves[0].condition, part.curves[0].alone) == (condition, name)
-            ]
-            parts = (
-                _with_changed_technology(parts, bases[condition], technologies[place])
-                if name in process_axes
-                else parts
-            )
-            moved[name] = [
-                part.curves[min(place, len(part.curves) - 1)] for part in parts
-            ]  # one of an axis over technologies
-        groups.append(Group(", ".join(words), bases[condition].curves[place], moved))
+            parts = _parts_along(result, condition, name)
+            if name in process_axes:
+                parts = _with_changed_technology(parts, bases[condition], technologies[index])
+            # A case of an axis over technologies has one curve.
+            moved[name] = [part.curves[min(index, len(part.curves) - 1)] for part in parts]
+        groups.append(Group(", ".join(words), bases[condition].curves[index], moved))
     return groups
+
+
+def _parts_along(result: CasesResult, condition: str, name: str) -> list[StudyResult]:
+    """Return the cases under a condition in which an axis is moved alone."""
+    parts = []
+    for part in result.parts:
+        curve = part.curves[0]
+        if (curve.condition, curve.alone) == (condition, name):
+            parts.append(part)
+    return parts
 
 
 def _with_changed_technology(

@@ -5,6 +5,7 @@ before a render, and its cost.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
+    from pixsim.scene.rules import Decision
     from pixsim.studies.prepare import Job
 
 
@@ -69,71 +71,77 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
 
     out : folder that would be written
     """
-    camera, film = Camera.model_validate(outline["camera"]), outline["film"]
-    height_um, width_um = camera.die_um
-    parameters = settings_line(outline["irradiance"].get("parameters", {}))
-    lens = lens_words(camera) or thin_lens_words(camera)
-    die = f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm"
     rows = [
-        ("scene", ": ".join(filter(None, (outline["scene"], parameters)))),
-        ("camera", "; ".join(filter(None, (lens, die, outline["assumption"].partition(":")[0])))),
-        (
-            "film",
-            f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm",
-        ),
-    ]
-    share = outline.get("errors", {}).get("film_share")
-    if share is not None and share > TOLERATED_SHARE:
-        rows.append(
-            (
-                "errors",
-                f"of the film alone, at least {percent(share)} of mean ΔE: it has too few samples",
-            )
-        )
-
-    for sensor in outline["sensors"]:
-        sizes = zip(sensor["pixels"], sensor["pitch_um"], strict=True)
-        first, *_, last = 2 * [
-            f"{columns} × {rows} pixels of {pitch_um:g} µm" for (rows, columns), pitch_um in sizes
-        ]
-        count = f", {sensor['sensors']} sensors of each" if sensor["sensors"] > 1 else ""
-        rows.append(("pixels", f"{label_of(sensor['technology'])}: {span(first, last)}{count}"))
-    if "frames" in outline:
-        rows.append(("frames", f"{outline['frames']} of the same sensor"))
-    if "cases" in outline:
-        rows.append(
-            (
-                "cases",
-                (
-                    f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines"
-                    " above are of the first"
-                ),
-            )
-        )
-    if types := outline.get("sensor_types"):
-        rows.append(
-            (
-                "types",
-                (
-                    f"{types} sensor types, each at up to {MAX_TYPE_EVALUATIONS} sensors around the"
-                    " optimum"
-                ),
-            )
-        )
-
-    display = Display.model_validate(outline["display"])
-    dots = (
-        f"{display.dots} dots across" if display.raster == "fixed_size" else "a dot for each pixel"
-    )
-    rows.append(("display", f"{dots}, {display.samples_per_deg:g} per degree"))
-    rows.append(("limits", settings_line(outline["limits"])))
-    rows += [
+        *_light_rows(outline),
+        *_sensor_rows(outline),
+        *_display_rows(outline),
         ("output", f"{out}: nothing is written now"),
         ("cost", str(Cost(**outline["estimate"]))),
     ]
-    return Document(
-        command, "dry run", outline["scene"], outline, [f"{name:<8} {text}" for name, text in rows]
-    )
+    lines = [f"{name:<8} {text}" for name, text in rows]
+    return Document(command, "dry run", outline["scene"], outline, lines)
+
+
+def _light_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield name and text of the lines on the scene, the camera and the film of a dry run."""
+    parameters = settings_line(outline["irradiance"].get("parameters", {}))
+    yield "scene", ": ".join(filter(None, (outline["scene"], parameters)))
+
+    camera = Camera.model_validate(outline["camera"])
+    height_um, width_um = camera.die_um
+    lens = lens_words(camera) or thin_lens_words(camera)
+    die = f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm"
+    assumption = outline["assumption"].partition(":")[0]
+    yield "camera", "; ".join(filter(None, (lens, die, assumption)))
+
+    film = outline["film"]
+    rows, columns = film["samples"]
+    yield "film", f"{columns} × {rows} samples of {film['pitch_um']:.3g} µm"
+
+    share = outline.get("errors", {}).get("film_share")
+    if share is not None and share > TOLERATED_SHARE:
+        yield (
+            "errors",
+            f"of the film alone, at least {percent(share)} of mean ΔE: it has too few samples",
+        )
+
+
+def _sensor_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield name and text of the lines on the pixels, frames, cases and sensor types of a dry
+    run.
+    """
+    for sensor in outline["sensors"]:
+        sizes = zip(sensor["pixels"], sensor["pitch_um"], strict=True)
+        texts = [
+            f"{columns} × {rows} pixels of {pitch_um:g} µm" for (rows, columns), pitch_um in sizes
+        ]
+        repeats = f", {sensor['sensors']} sensors of each" if sensor["sensors"] > 1 else ""
+        yield "pixels", f"{label_of(sensor['technology'])}: {span(texts[0], texts[-1])}{repeats}"
+
+    if "frames" in outline:
+        yield "frames", f"{outline['frames']} of the same sensor"
+    if "cases" in outline:
+        count = len(outline["cases"])
+        evaluations = outline["evaluations"]
+        yield "cases", f"{count}, {evaluations} evaluations; the lines above are of the first"
+    if types := outline.get("sensor_types"):
+        yield (
+            "types",
+            (
+                f"{types} sensor types, each at up to {MAX_TYPE_EVALUATIONS} sensors around the"
+                " optimum"
+            ),
+        )
+
+
+def _display_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield name and text of the lines on the display and the limits of effort of a dry run."""
+    display = Display.model_validate(outline["display"])
+    dots = "a dot for each pixel"
+    if display.raster == "fixed_size":
+        dots = f"{display.dots} dots across"
+    yield "display", f"{dots}, {display.samples_per_deg:g} per degree"
+    yield "limits", settings_line(outline["limits"])
 
 
 def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
@@ -142,39 +150,49 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
 
     settings : of the render, and of the pixel that it is for
     """
-    assumption = settings.pixel.assumption
     rows = []
     for decision in plan.decisions:
-        bound = f"{decision.bound_e:.1e}" if decision.bound_e else "" if decision.kept else "0"
-        bound = bound if decision.bounded else "unknown"
         state = "kept" if decision.kept else "left out"
-        rows.append((decision.subject, state, decision.reason, decision.saved, bound))
-    light, samples = plan.light, plan.samples
-    passes = (
-        "no samples"
-        if samples.exact
-        else f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
-    )
-    unknown = "" if plan.bounded else " plus unknown terms"
-    error = (
-        f"relative error of the mean electrons at most {plan.bound_e:.1e}{unknown}, tolerance"
-        f" {plan.tolerance_e:g}"
-    )
-    blocks: list[Block] = [
-        DocumentTable("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))
-    ]
+        rows.append(
+            (decision.subject, state, decision.reason, decision.saved, _bound_text(decision))
+        )
+    head = ("", "", "why", "saved", "bound on e-")
+    blocks: list[Block] = [DocumentTable("decisions", head, rows, words=(1, 2, 3))]
     blocks += [f"warning: {note}" for note in plan.warnings]
+
     if plan.film.in_focus_m is not None:
         near, far = (
             f"{end_m:.4g} m" if math.isfinite(end_m) else "infinity"
             for end_m in plan.film.in_focus_m
         )
         blocks.append(f"in focus, with blur of one pixel at most: {near} to {far}")
+
+    light, samples = plan.light, plan.samples
+    passes = f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
+    if samples.exact:
+        passes = "no samples"
+    unknown = "" if plan.bounded else " plus unknown terms"
+    error = (
+        f"relative error of the mean electrons at most {plan.bound_e:.1e}{unknown}, tolerance"
+        f" {plan.tolerance_e:g}"
+    )
     blocks += [f"white: {light.white_name}", f"{passes} (scene file: {samples.full_spp}); {error}"]
-    blocks += [assumption] * bool(assumption)
+
+    assumption = settings.pixel.assumption
+    if assumption:
+        blocks.append(assumption)
     data = result_data(
         plan.as_dict() | {"assumption": assumption},
         settings=settings.model_dump(mode="json", exclude_none=True),
         notes=plan.warnings,
     )
     return Document("plan", "plan of a render", scene, data, blocks)
+
+
+def _bound_text(decision: Decision) -> str:
+    """Return the bound on the relative error of the electrons, for a table of decisions."""
+    if not decision.bounded:
+        return "unknown"
+    if decision.bound_e:
+        return f"{decision.bound_e:.1e}"
+    return "" if decision.kept else "0"

@@ -21,7 +21,8 @@ from pixsim.studies.merit import extent
 def figure_6(evidence: Evidence) -> Drawing:
     """Plot curves of equal ΔE for four pixel sizes, over the contrasts that they reach."""
     level = evidence.result.study.iso_delta_e
-    _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
+    irradiance = evidence.result.irradiance
+    _, width_mm, height_mm, _ = extent(irradiance)
     figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
     points: list[tuple[float, float, float]] = []
@@ -29,10 +30,11 @@ def figure_6(evidence: Evidence) -> Drawing:
         smooth = scipy.ndimage.gaussian_filter(
             evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest"
         )
+
+        # Centres of the map's dots on the sensor, without the border that is not scored.
         down, across = evidence.border(pitch_um)
-        where = picture_axes(
-            evidence.result.irradiance, (1e3 * down * height_mm, 1e3 * across * width_mm)
-        )
+        border_um = (1e3 * down * height_mm, 1e3 * across * width_mm)
+        where = picture_axes(irradiance, border_um)
         left, right, bottom, top = where.extent_mm
         rows, columns = smooth.shape
         x_mm = left + (np.arange(columns) + 0.5) / columns * (right - left)
@@ -49,15 +51,14 @@ def figure_6(evidence: Evidence) -> Drawing:
                 linestyles=[line_style.dashes],
                 linewidths=1.6,
             )
-            points += [
-                (pitch_um, *place) for segment in contours.allsegs[0] for place in segment.tolist()
-            ]
+            for segment in contours.allsegs[0]:
+                points += [(pitch_um, *point) for point in segment.tolist()]
+
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
-    title = f"ΔE = {level:g}, pixels of"
-    # Beside the axes, since curves may lie anywhere in them.
+    # The legend stands beside the axes, since curves may lie anywhere in them.
     axes.legend(
-        title=title,
+        title=f"ΔE = {level:g}, pixels of",
         frameon=False,
         loc="upper left",
         bbox_to_anchor=(1, 1),

@@ -283,57 +283,15 @@ def _run_csv(result: RunResult) -> str:
 
 
 def data(result: RunResult) -> dict[str, Any]:
-    """Return score.json: the results of the first sensor, then the settings, and what is known of
+    """Return score.json: the results of the first sensor, then the settings, and the numbers of
     further sensors.
 
     `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the
     border that is not scored. `in_focus_m` are the nearest and the farthest depth with a blur disc
     of a pixel at most, the farthest null if infinite.
     """
-    prepared, settings, score = result.prepared, result.settings, result.score
-    further: dict[str, Any] = {}
-    if result.rendered and result.rendered.noise and result.plan:
-        further |= {
-            "render_noise": asdict(result.rendered.noise),
-            "plan": result.plan.as_dict(),
-            "film": result.film,
-        }
-        further |= {"window_mm": settings.window_mm} if settings.window_mm else {}
-    if result.interval_delta_e is not None:
-        further |= {
-            "repeats": result.delta_e.size,
-            "delta_e": result.delta_e.tolist(),
-            "sensors_mean_delta_e": result.mean_delta_e,
-        }
-        further |= {"interval_delta_e": list(result.interval_delta_e)}
-    if result.judged:
-        further["metrics"] = plain(
-            {name: float(values.mean()) for name, values in result.judged.items()}
-        )
-    if (threshold := result.threshold) is not None:
-        further["at_threshold"] = {
-            "parameter": threshold.parameter,
-            "detectability": threshold.threshold,
-            "value": threshold.value,
-            "upper_value": threshold.upper_value,
-            "why_not": threshold.reason,
-        }
-    if result.colour is not None or settings.develop.words:
-        further["develop"] = settings.develop.model_dump()
-    if result.colour is not None:
-        further["colour"] = result.colour
-    if settings.develop.sharpens:
-        further["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
-    if settings.motion.is_on:
-        further["motion"] = settings.motion.model_dump()
-    if prepared.frames > 1:
-        further["frames"] = prepared.frames
-    if result.noise_budget:
-        further["noise_budget"] = result.noise_budget.as_dict()
-    values = {
-        metric.name: float(result.table.columns[metric.columns[0]].mean())
-        for metric in metrics_named(settings.metrics)
-    }
+    settings, score = result.settings, result.score
+    in_focus_m = depth_of_field_m(result.camera, score.physics.read_pitch_um)
     content = {
         **plain(result.statistics[0]),
         "pixels": list(score.frame.pixels),
@@ -346,21 +304,93 @@ def data(result: RunResult) -> dict[str, Any]:
         "dark": result.dark,
         "causes": [cause.as_dict() for cause in result.causes],
         "camera": result.camera.model_dump(),
-        "in_focus_m": finite_or_none(depth_of_field_m(result.camera, score.physics.read_pitch_um)),
+        "in_focus_m": finite_or_none(in_focus_m),
         "exposure": settings.exposure.model_dump(),
         "correction": settings.correction.model_dump(),
         "display": settings.display.model_dump(),
         "seed": settings.seed,
-        "chosen": {**prepared.view},
-        **further,
+        "chosen": {**result.prepared.view},
+        **_render_data(result),
+        **_metrics_data(result),
+        **_optional_settings_data(result),
     }
+    if result.noise_budget:
+        content["noise_budget"] = result.noise_budget.as_dict()
+
+    columns = result.table.columns
+    values = {
+        metric.name: float(columns[metric.columns[0]].mean())
+        for metric in metrics_named(settings.metrics)
+    }
+    case = {"at": {}, "sensor": result.prepared.cases[0].sensor, "values": plain(values)}
     return result_data(
         content,
         settings=settings.model_dump(mode="json", exclude_none=True),
         notes=notes(result),
-        cases=[{"at": {}, "sensor": prepared.cases[0].sensor, "values": plain(values)}],
+        cases=[case],
         table=ROWS_FILE,
     )
+
+
+def _render_data(result: RunResult) -> dict[str, Any]:
+    """Return the entries of score.json about the render; empty for light from a file."""
+    rendered = result.rendered
+    if not (rendered and rendered.noise and result.plan):
+        return {}
+
+    entries: dict[str, Any] = {
+        "render_noise": asdict(rendered.noise),
+        "plan": result.plan.as_dict(),
+        "film": result.film,
+    }
+    if result.settings.window_mm:
+        entries["window_mm"] = result.settings.window_mm
+    return entries
+
+
+def _metrics_data(result: RunResult) -> dict[str, Any]:
+    """Return the entries of score.json about several sensors, metrics beside ΔE, and a threshold of
+    detectability.
+    """
+    entries: dict[str, Any] = {}
+    if result.interval_delta_e is not None:
+        entries |= {
+            "repeats": result.delta_e.size,
+            "delta_e": result.delta_e.tolist(),
+            "sensors_mean_delta_e": result.mean_delta_e,
+            "interval_delta_e": list(result.interval_delta_e),
+        }
+    if result.judged:
+        means = {name: float(values.mean()) for name, values in result.judged.items()}
+        entries["metrics"] = plain(means)
+    if (threshold := result.threshold) is not None:
+        entries["at_threshold"] = {
+            "parameter": threshold.parameter,
+            "detectability": threshold.threshold,
+            "value": threshold.value,
+            "upper_value": threshold.upper_value,
+            "why_not": threshold.reason,
+        }
+    return entries
+
+
+def _optional_settings_data(result: RunResult) -> dict[str, Any]:
+    """Return the entries of score.json about colour, development, motion and frames, where a run
+    has them.
+    """
+    settings = result.settings
+    entries: dict[str, Any] = {}
+    if result.colour is not None or settings.develop.words:
+        entries["develop"] = settings.develop.model_dump()
+    if result.colour is not None:
+        entries["colour"] = result.colour
+    if settings.develop.sharpens:
+        entries["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
+    if settings.motion.is_on:
+        entries["motion"] = settings.motion.model_dump()
+    if result.prepared.frames > 1:
+        entries["frames"] = result.prepared.frames
+    return entries
 
 
 # --- notes

@@ -44,9 +44,16 @@ def sfr_document(edge: EdgeResponse) -> Document:
 
 
 _ATTRIBUTES = (
-    "mtf50_cy_per_px", "channel", "angle_deg", "contrast", "edge_degree", "edge_sagitta_px", "half_window_px", "rows_used",
+    "mtf50_cy_per_px",
+    "channel",
+    "angle_deg",
+    "contrast",
+    "edge_degree",
+    "edge_sagitta_px",
+    "half_window_px",
+    "rows_used",
     "pitch_um",
-)  # fmt: skip
+)
 
 
 def _sfr_data(edge: EdgeResponse) -> dict[str, Any]:

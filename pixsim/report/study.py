@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.schema import result_data
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.curve import (
@@ -97,6 +98,8 @@ from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from pixsim.viewer.noise_budget import NoiseBudget
 
 P = ParamSpec("P")
@@ -173,69 +176,73 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur
     term at fine detail.
     """
-    pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
-    paths_um = [longest_path_um(result, curve, pitch_um) for pitch_um in curve.pitch_um.tolist()]
-    mtf50, display_mtf50 = (
-        [
-            mtf50_cy_per_mm(result, physics, mtf, path)
-            for physics, path in zip(pixels, paths_um, strict=True)
-        ]
-        for mtf in (system_mtf, shown_mtf)
-    )
-    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
-    detail_axes, mtf_axes = figure.subplots(2, 1, sharex=True)
+    upper_axes, lower_axes = figure.subplots(2, 1, sharex=True)
     fix_margins(figure, right_in=0.75)
-    detail_lines = detail_axes.plot(
-        curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)"
+    upper_axes.set_title(literal(curve.label), fontsize=9)
+    columns = _draw_detail_and_light(upper_axes, result, curve)
+    contrasts = _draw_mtf_terms(lower_axes, result, curve)
+    return figure, {"pitch_um": curve.pitch_um, **columns, **contrasts}
+
+
+def _draw_detail_and_light(axes: Axes, result: StudyResult, curve: Curve) -> dict[str, list[float]]:
+    """Draw MTF50 (left) and MPE30 (right) against pixel size, and return them as columns."""
+    mtf50: list[float] = []
+    display_mtf50: list[float] = []
+    mpe30: list[float] = []
+    for pitch_um in curve.pitch_um.tolist():
+        physics = result.physics(curve.technology, pitch_um)
+        path_um = longest_path_um(result, curve, pitch_um)
+        mtf50.append(mtf50_cy_per_mm(result, physics, system_mtf, path_um))
+        display_mtf50.append(mtf50_cy_per_mm(result, physics, shown_mtf, path_um))
+        mpe30.append(mpe30_lx_s(result, physics))
+
+    blue, orange = COLOURS[:2]
+    lines = axes.plot(
+        curve.pitch_um, mtf50, "o-", ms=4, color=blue, label="MTF50 on the sensor (left axis)"
     )
-    detail_lines += detail_axes.plot(
+    lines += axes.plot(
         curve.pitch_um,
         display_mtf50,
         "^:",
         ms=4,
-        color=COLOURS[0],
+        color=blue,
         label="MTF50 on the display (left axis)",
     )
-    detail_axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    detail_axes.set_ylim(0, _LEGEND_HEADROOM * max(mtf50))
-    light_axes = detail_axes.twinx()
-    light_lines = light_axes.semilogy(
-        curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)"
-    )
-    light_axes.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
-    light_axes.spines["right"].set_visible(True)
-    detail_axes.legend(
-        handles=[*detail_lines, *light_lines],
-        frameon=False,
-        loc="upper right",
-        handlelength=LEGEND_LINE,
-    )
+    axes.set_ylabel("MTF50 (lp/mm): detail", color=blue)
+    axes.set_ylim(0, _LEGEND_HEADROOM * max(mtf50))
 
+    light_axes = axes.twinx()
+    lines += light_axes.semilogy(
+        curve.pitch_um, mpe30, "s--", ms=4, color=orange, label="exposure (right axis)"
+    )
+    light_axes.set_ylabel("exposure for 30 dB (lx·s): light", color=orange)
+    light_axes.spines["right"].set_visible(True)
+    axes.legend(handles=lines, frameon=False, loc="upper right", handlelength=LEGEND_LINE)
+    return {"mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": display_mtf50, "mpe30_lx_s": mpe30}
+
+
+def _draw_mtf_terms(axes: Axes, result: StudyResult, curve: Curve) -> dict[str, Array]:
+    """Draw the MTF of each blur term at fine detail against pixel size, and return the MTFs as
+    columns.
+    """
     frequency, _ = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
-    pixel_terms = [
-        study_mtf_terms(result, physics, np.array(frequency), path)
-        for physics, path in zip(pixels, paths_um, strict=True)
-    ]
+    pixel_terms = []
+    for pitch_um in curve.pitch_um.tolist():
+        physics = result.physics(curve.technology, pitch_um)
+        path_um = longest_path_um(result, curve, pitch_um)
+        pixel_terms.append(study_mtf_terms(result, physics, np.array(frequency), path_um))
     terms = {
         term: np.array([float(values[term]) for values in pixel_terms]) for term in pixel_terms[0]
     }
-    display_product = draw_terms(
-        mtf_axes, curve.pitch_um, terms, result.study.display.interpolation
-    )
-    exposures = {
-        "mtf50_lp_per_mm": mtf50,
-        "shown_mtf50_lp_per_mm": display_mtf50,
-        "mpe30_lx_s": mpe30,
-    }
-    contrasts = {
+
+    product = draw_terms(axes, curve.pitch_um, terms, result.study.display.interpolation)
+    axes.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
+    axes.grid(alpha=0.25)
+    return {
         f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf
-        for term, mtf in (terms | {"shown": display_product}).items()
+        for term, mtf in (terms | {"shown": product}).items()
     }
-    mtf_axes.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
-    mtf_axes.grid(alpha=0.25)
-    detail_axes.set_title(literal(curve.label), fontsize=9)
-    return figure, {"pitch_um": curve.pitch_um, **exposures, **contrasts}
 
 
 class PictureTask(NamedTuple):

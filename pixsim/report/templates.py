@@ -27,26 +27,59 @@ WIDTH = 110
 # Plausible values for fields without a default, by name or by table and name; those of [pixel]
 # stand in its record.
 _EXAMPLES: dict[str, Any] = Camera().model_dump() | {
-    "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
-    "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
-    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
-    "window_mm": 1.0, "registration": [0.0, 0.5],
-    "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000, "max_seconds": 60.0, "resolution": 1024,
-    "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4,
-    "f_number": 2.8, "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]], "integration_s": 0.02,
-    "line_time_us": 20.0, "flicker_hz": 100.0, "flicker_depth": 0.4, "flicker_phase_deg": 90.0,
-    "velocity_mm_per_s": [10.0, 0.0], "image_um_per_s": [50.0, 0.0], "pixels_per_s": [20.0, 0.0],
-    "distance_m": 1.0, "margin_um": 20.0,
-    "demosaic": "bilinear", "sharpen_radius_px": 1.0, "sharpen_radius_cy_per_deg": 4.0, "corner_cy_per_mm": 0.4,
-    "ground_distance_m": 500e3, "solve_for": "contrast",
-    "white_cd_per_m2": 1000.0, "white_w_per_m2_sr": 2.0, "white": "diffuser", "lens.file": "phone", "focus_nm": 650.0,
+    "name": "my-study",
+    "streams": "chen2000",
+    "title": "How small should my pixel be?",
+    "technologies": ["0.35um", "4t-bsi"],
+    "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
+    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0],
+    "pitch_um": 3.75,
+    "min_um": 2.0,
+    "own_um": 3.75,
+    "window_mm": 1.0,
+    "registration": [0.0, 0.5],
+    "tolerance_delta_e": 0.01,
+    "target_ci_um": 0.1,
+    "max_evaluations": 1000,
+    "max_seconds": 60.0,
+    "resolution": 1024,
+    "die_height_mm": 2.4,
+    "pixels": [640, 640],
+    "die_mm": 2.4,
+    "f_number": 2.8,
+    "chief_ray_angle": [[0.0, 0.0], [1.0, 16.0], [2.0, 30.0]],
+    "integration_s": 0.02,
+    "line_time_us": 20.0,
+    "flicker_hz": 100.0,
+    "flicker_depth": 0.4,
+    "flicker_phase_deg": 90.0,
+    "velocity_mm_per_s": [10.0, 0.0],
+    "image_um_per_s": [50.0, 0.0],
+    "pixels_per_s": [20.0, 0.0],
+    "distance_m": 1.0,
+    "margin_um": 20.0,
+    "demosaic": "bilinear",
+    "sharpen_radius_px": 1.0,
+    "sharpen_radius_cy_per_deg": 4.0,
+    "corner_cy_per_mm": 0.4,
+    "ground_distance_m": 500e3,
+    "solve_for": "contrast",
+    "white_cd_per_m2": 1000.0,
+    "white_w_per_m2_sr": 2.0,
+    "white": "diffuser",
+    "lens.file": "phone",
+    "focus_nm": 650.0,
     "configuration": 1,
-    "veiling_glare": 0.01, "veiling_glare_outside": 1.0,
-    "relative_illumination": [[0.0, 1.0], [1.0, 0.9], [2.0, 0.7]], "vignetting_factors": "use",
-    "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
+    "veiling_glare": 0.01,
+    "veiling_glare_outside": 1.0,
+    "relative_illumination": [[0.0, 1.0], [1.0, 0.9], [2.0, 0.7]],
+    "vignetting_factors": "use",
+    "parameters": {"resolution": 512},
+    "scene": {"resolution": 512},
+    "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
     "sources": {"pixel.bits": "data sheet, page 3"},
-}  # fmt: skip
+}
 # Fields that are not commented out.
 _SENSOR_FIELDS = tuple(
     f"pixel.{name}"
@@ -64,17 +97,19 @@ _STUDY_FIELDS = (
     "camera.f_number",
     "display.white_cd_per_m2",
 )
-_SENSOR_HEAD = """
-A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
-examples: replace them with yours. Lines with one # show defaults, or examples of optional values; remove the # to set them.
-With pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency (or the words of EMVA 1288 for them) no
-technology is needed; if one of them is missing, it comes from a technology, by default 0.35um.
-"""
-_STUDY_HEAD = """
-A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours.
-Lines with one # show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from
-the technology.
-"""
+_SENSOR_HEAD = (
+    "A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet"
+    " THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one # show"
+    " defaults, or examples of optional values; remove the # to set them. With pitch_um,"
+    " full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency (or the words of EMVA"
+    " 1288 for them) no technology is needed; if one of them is missing, it comes from a"
+    " technology, by default 0.35um."
+)
+_STUDY_HEAD = (
+    "A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace"
+    " them with yours. Lines with one # show defaults, or examples of optional values; remove the #"
+    " to set them. Optional values of [pixel] come from the technology."
+)
 _UNCERTAINTY = (
     "how far numbers of the data sheet may be wrong, each by its standard deviation or its range;"
     " frames do not depend on it"
@@ -93,7 +128,7 @@ def template(kind: str) -> str:
     head, uncommented = (
         (_SENSOR_HEAD, _SENSOR_FIELDS) if kind == "sensor" else (_STUDY_HEAD, _STUDY_FIELDS)
     )
-    lines = [f"# {line}" for line in head.strip().splitlines()]
+    lines = textwrap.wrap(head, WIDTH, initial_indent="# ", subsequent_indent="# ")
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
     order = (
         ["pixel", *(name for name in tables if name != "pixel")]

@@ -58,14 +58,15 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
     error = pairs.half_width + (film or 0.0)
-    amount_words = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
-    chance = probability(
-        max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size
-    )
+    amount_words = f"{with_error(size, error)}{unit}"
+    if film is None:
+        amount_words += " and the unknown error of the film"
+    larger = max(pairs.probability_a_better, 1 - pairs.probability_a_better)
+    chance = probability(larger, pairs.a.size)
     if size <= error:
         return (
-            f"{first} and {other} cannot be told apart: {better} is better by {amount_words} (probability"
-            f" {chance})"
+            f"{first} and {other} cannot be told apart: {better} is better by {amount_words}"
+            f" (probability {chance})"
         )
     is_invisible = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
     visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_invisible else ""
@@ -189,7 +190,8 @@ def mean_words(result: Comparison, name: str, metric: Metric) -> str:
     """
     low, mean, high = mean_interval(result.frames(name, metric))
     film = result.film_of_sensors[name] if metric.is_delta_e else 0.0
-    return f"{with_error(mean, (high - low) / 2 + (film or 0.0))}{' and unknown' if film is None else ''}"
+    text = with_error(mean, (high - low) / 2 + (film or 0.0))
+    return f"{text} and unknown" if film is None else text
 
 
 def doubts(result: Comparison) -> list[str]:
@@ -298,9 +300,8 @@ def common_words(job: ComparisonJob) -> list[str]:
     dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
     words.append(f"one display of {dots}; {columns} × {rows} are scored")
     if group.first.further_displays and judged_by_delta_e(job.base[0]):
-        words.append(
-            f"checked on {' and '.join(str(other.dots) for other in group.first.further_displays)} dots"
-        )
+        dots = " and ".join(str(further.dots) for further in group.first.further_displays)
+        words.append(f"checked on {dots} dots")
     words += shared_stages(group)
     words += filter(
         None,

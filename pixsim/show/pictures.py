@@ -82,45 +82,47 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     """Return a ΔE map as a PNG with its axes and its colour scale from 0 to `end`."""
     from PIL import Image, ImageDraw
 
-    factor = MAP / max(delta_e.shape)  # each dot several px, or several dots one
-    height, width = (max(1, round(dots * factor)) for dots in delta_e.shape)
-    right, bottom, bar = LEFT + width, TOP + height, LEFT + width + BAR_GAP
-    canvas = Image.new("RGB", (right + RIGHT, bottom + BOTTOM), WHITE)
+    # Each dot becomes several px, or several dots one.
+    factor = MAP / max(delta_e.shape)
     resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
-    canvas.paste(
-        Image.fromarray(delta_e_colours(delta_e, end)).resize((width, height), resampling),
-        (LEFT, TOP),
-    )
+    height, width = (max(1, round(dots * factor)) for dots in delta_e.shape)
+    right = LEFT + width
+    bottom = TOP + height
+    bar = right + BAR_GAP
+
+    canvas = Image.new("RGB", (right + RIGHT, bottom + BOTTOM), WHITE)
+    map_image = Image.fromarray(delta_e_colours(delta_e, end))
+    canvas.paste(map_image.resize((width, height), resampling), (LEFT, TOP))
     ramp = delta_e_colours(np.linspace(end, 0, height)[:, None], end)
     canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (bar, TOP))
 
     draw = ImageDraw.Draw(canvas)
-    for x, y, anchor, text in (
-        (
-            GAP,
-            TOP - 2 * LINE,
-            "ls",
-            f"S-CIELAB difference from the ideal image, mean {estimate(delta_e.mean())}",
-        ),
-        (GAP, TOP - 3 * GAP, "ls", where.down.label),
-        (bar, TOP - 3 * GAP, "ls", "ΔE"),
-        (LEFT + width / 2, bottom + 2 * LINE, "mt", where.across.label),
-    ):
+
+    def write(x: float, y: float, anchor: str, text: str) -> None:
         draw.text((x, y), text, BLACK, font(15), anchor=anchor)
 
+    mean = estimate(delta_e.mean())
+    title = f"S-CIELAB difference from the ideal image, mean {mean}"
+    write(GAP, TOP - 2 * LINE, "ls", title)
+    write(GAP, TOP - 3 * GAP, "ls", where.down.label)
+    write(bar, TOP - 3 * GAP, "ls", "ΔE")
+    write(LEFT + width / 2, bottom + 2 * LINE, "mt", where.across.label)
+
+    # Ticks across, down, and along the colour scale.
     left_mm, right_mm, bottom_mm, top_mm = where.extent_mm
     for at_mm, text in where.across.ticks:
         x = LEFT + (at_mm - left_mm) / (right_mm - left_mm) * width
         draw.line((x, bottom, x, bottom + TICK), BLACK)
-        draw.text((x, bottom + TICK + GAP), text, BLACK, font(15), anchor="mt")
+        write(x, bottom + TICK + GAP, "mt", text)
     for at_mm, text in where.down.ticks:
         y = TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height
         draw.line((LEFT - 1 - TICK, y, LEFT - 1, y), BLACK)
-        draw.text((LEFT - TICK - GAP, y), text, BLACK, font(15), anchor="rm")
+        write(LEFT - TICK - GAP, y, "rm", text)
     for tick_delta_e in np.linspace(0, end, _SCALE_STEPS + 1):
         y = bottom - tick_delta_e / end * height
         draw.line((bar + BAR, y, bar + BAR + TICK, y), BLACK)
-        draw.text((bar + BAR + TICK + GAP, y), f"{tick_delta_e:g}", BLACK, font(15), anchor="lm")
+        write(bar + BAR + TICK + GAP, y, "lm", f"{tick_delta_e:g}")
+
     return png_bytes(np.asarray(canvas))
 
 
@@ -167,8 +169,9 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
 
 
 def smallest_png(codes: NDArray[np.uint8]) -> bytes:
-    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page: with a
-    palette where 256 colours do.
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page.
+
+    It has a palette where 256 colours suffice.
     """
     from PIL import Image, PngImagePlugin
 
@@ -176,17 +179,21 @@ def smallest_png(codes: NDArray[np.uint8]) -> bytes:
         return png_bytes(codes)
     if (codes == codes[:, :, :1]).all():
         return png_bytes(codes[:, :, 0])
+
     picture = Image.fromarray(np.ascontiguousarray(codes))
     colour_counts = picture.getcolors(256)
     if colour_counts is None:
         return png_bytes(codes)
+
     palette = np.array(sorted(colour for _, colour in colour_counts), np.uint8)
     weights = np.array([1 << 16, 1 << 8, 1])
     palette_indices = np.searchsorted(palette @ weights, codes @ weights).astype(np.uint8)
     picture = Image.fromarray(palette_indices)
     picture.putpalette(palette.tobytes())
-    metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
+
+    metadata = PngImagePlugin.PngInfo()
     metadata.add_text("Software", "pixsim")
+    content = io.BytesIO()
     picture.save(content, "png", pnginfo=metadata, optimize=True)
     return content.getvalue()
 
@@ -227,34 +234,36 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     from PIL import Image, ImageDraw
 
     title = one_line(title, MAX_TITLE)
+    columns = min(COLUMNS, len(tiles))
+    rows = -(-len(tiles) // columns)
     pitch_x = max(LABEL_WIDTH, *(tile.width for tile in tiles)) + SHEET_GAP
     pitch_y = max(tile.height for tile in tiles) + 2 * LINE + SHEET_GAP
-    columns = min(COLUMNS, len(tiles))
     width = max(columns * pitch_x - SHEET_GAP, round(font(16).getlength(title)))
-    height = TITLE + -(-len(tiles) // columns) * pitch_y - SHEET_GAP
+    height = TITLE + rows * pitch_y - SHEET_GAP
+
     canvas = Image.new("RGB", (width + 2 * SHEET_MARGIN, height + 2 * SHEET_MARGIN), WHITE)
     draw = ImageDraw.Draw(canvas)
     draw.text((SHEET_MARGIN, SHEET_MARGIN), title, BLACK, font(16), anchor="lt")
 
     for index, tile in enumerate(tiles):
-        left, top = (
-            SHEET_MARGIN + index % columns * pitch_x,
-            SHEET_MARGIN + TITLE + index // columns * pitch_y,
-        )
-        right, bottom = left + tile.width, top + tile.height
+        row, column = divmod(index, columns)
+        left = SHEET_MARGIN + column * pitch_x
+        top = SHEET_MARGIN + TITLE + row * pitch_y
+        right = left + tile.width
+        bottom = top + tile.height
+
         if tile.best:
-            draw.rectangle(
-                (
-                    left - SHEET_FRAME,
-                    top - SHEET_FRAME,
-                    right + SHEET_FRAME - 1,
-                    bottom + SHEET_FRAME - 1,
-                ),
-                fill=BLACK,
+            frame = (
+                left - SHEET_FRAME,
+                top - SHEET_FRAME,
+                right + SHEET_FRAME - 1,
+                bottom + SHEET_FRAME - 1,
             )
+            draw.rectangle(frame, fill=BLACK)
         canvas.paste(Image.fromarray(tile.codes).convert("RGB"), (left, top))
         draw.text((left, bottom + 5), tile.name, BLACK, font(14), anchor="lt")
         draw.text((left, bottom + 5 + LINE), tile.note, BLACK, font(14), anchor="lt")
+
     return smallest_png(np.asarray(canvas))
 
 
@@ -279,13 +288,11 @@ class Window:
         dot.
         """
         rows, columns = picture.shape[:2]
-        row = min(round(self.top * rows), rows - 1)
-        column = min(round(self.left * columns), columns - 1)
-        last_row, last_column = (
-            row + max(1, round(self.height * rows)),
-            column + max(1, round(self.width * columns)),
-        )
-        return picture[row:last_row, column:last_column]
+        top = min(round(self.top * rows), rows - 1)
+        left = min(round(self.left * columns), columns - 1)
+        bottom = top + max(1, round(self.height * rows))
+        right = left + max(1, round(self.width * columns))
+        return picture[top:bottom, left:right]
 
     @property
     def centre(self) -> tuple[float, float]:

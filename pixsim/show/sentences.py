@@ -15,8 +15,8 @@ _IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
 def capital(words: str) -> str:
     """Return words with a capital letter first, but for a name as files and settings have it.
 
-    >>> capital("mean ΔE"), capital("my_sensor is better"), capital("pixel.prnu alone"), capital("f/4")
-    ('Mean ΔE', 'my_sensor is better', 'pixel.prnu alone', 'f/4')
+    >>> capital("mean ΔE"), capital("my_sensor is better"), capital("f/4")
+    ('Mean ΔE', 'my_sensor is better', 'f/4')
     """
     return words if _IDENTIFIER.match(words) else words[:1].upper() + words[1:]
 

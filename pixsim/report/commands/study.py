@@ -23,7 +23,7 @@ from pixsim.studies.dry_run import fitting_jobs
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
 from pixsim.studies.prepare import check_types, prepare, uncertainty_request
-from pixsim.studies.result import CasesResult
+from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import study_layers, with_axes
 from pixsim.studies.study import run_prepared
 from pixsim.studies.table import Store
@@ -63,11 +63,12 @@ def study_files(
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
     """
-    stated = read_study(name, quick)
-    files = config_layers(config)
-    options = with_axes(options, axes, [*stated, *files])
-    with collected_notes():  # also of what is found before the study begins
-        plan = checked_study(study_layers(stated, files, options), options)
+    study_file = read_study(name, quick)
+    config_files = config_layers(config)
+    options = with_axes(options, axes, [*study_file, *config_files])
+    with collected_notes():  # also notes from before the study begins
+        # Settings, and how many sensor types are drawn.
+        plan = checked_study(study_layers(study_file, config_files, options), options)
         job = prepare(plan, variant)
         spreads = uncertainty_of(name, config, quick)
         type_request = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
@@ -75,15 +76,18 @@ def study_files(
         if type_request is not None:
             cases = [case.settings for case in job.combinations]
             types, evaluations = check_types(job.complete, cases, type_request, agreed or dry_run)
+
         folder = out or DEFAULT_OUT / f"{plan.name}{'-quick' if quick else ''}"
         if dry_run:
             return outline_document("study", study_outline(job, jobs, types), folder), None
 
-        names = (axes_files if job.complete.has_cases else report_files)(job.complete)
+        # A file that pixsim did not write is refused before anything is computed.
+        names = axes_files(job.complete) if job.complete.has_cases else report_files(job.complete)
         if type_request is not None:
             say(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
+
         with study_drawing(figures) as drawing, reported_saved_rows(folder):
             result = run_prepared(
                 job,
@@ -97,18 +101,23 @@ def study_files(
                 type_request=type_request,
             )
             progress("report")
-            first = result.cases[0]
-            workers = (
-                workers_here(jobs or fitting_jobs(first.study, first.camera))
-                if scheduler is None
-                else Workers()
-            )
-            page = write(
-                study_report(result, workers, drawing), folder, {"seconds": seconds}, figures
-            )
+            workers = _picture_workers(result, jobs, scheduler)
+            document = study_report(result, workers, drawing)
+            page = write(document, folder, {"seconds": seconds}, figures)
+
         if isinstance(result, CasesResult):
             say(str(result.counts))
-        return result_document(result, warned=set(result.warned)), page  # they are on stderr
+        return result_document(result, warned=set(result.warned)), page  # notes are on stderr
+
+
+def _picture_workers(result: StudyResult, jobs: int | None, scheduler: str | None) -> Workers:
+    """Return the processes that make the pictures: those of this machine, unless a Dask scheduler
+    has the others.
+    """
+    if scheduler is not None:
+        return Workers()
+    first = result.cases[0]
+    return workers_here(jobs or fitting_jobs(first.study, first.camera))
 
 
 @contextmanager
