@@ -30,10 +30,23 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Frame", "Readout", "Sensor", "capture", "capture_from_rates", "dark_spread_e", "frame_mean_dn", "frame_variance_dn2",
-    "integration_time_s", "least_black_level_dn", "make_frame", "make_sensor", "quantise", "read_out", "sample_sensor",
+    "Frame",
+    "Readout",
+    "Sensor",
+    "capture",
+    "capture_from_rates",
+    "dark_spread_e",
+    "frame_mean_dn",
+    "frame_variance_dn2",
+    "integration_time_s",
+    "least_black_level_dn",
+    "make_frame",
+    "make_sensor",
+    "quantise",
+    "read_out",
+    "sample_sensor",
     "shot_noise",
-]  # fmt: skip
+]
 
 
 def __getattr__(name: str) -> object:

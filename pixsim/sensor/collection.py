@@ -7,8 +7,8 @@ the mean light of the picture, band by band: exact for light of one spectrum; a 
 colour than the picture's mean is off by the difference of the two weighted means.
 
 A quantum efficiency that was measured on the whole pixel under its microlens already holds what the
-stack loses in that measurement. The shares are then divided by those of even light on axis at the
-f-number of the measurement, with a microlens and at the pitch of the pixel that was measured.
+stack loses in that measurement. The shares are then divided by the shares of uniform light on
+axis at the f-number of the measurement, with a microlens and at the pitch of the pixel that was measured.
 """
 
 from __future__ import annotations
@@ -51,9 +51,8 @@ _POINTS_OF_TABLE = 10
 # a large one
 NEGLIGIBLE = 1e-5
 FINE = 64  # steps across the field, between which shares are linear
-_CHECKED_NM = np.arange(
-    400.0, 701.0, 50.0
-)  # where a quantum efficiency is checked against its own measurement
+# Where a quantum efficiency is checked against the shares of its measurement.
+_CHECKED_NM = np.arange(400.0, 701.0, 50.0)
 
 
 @dataclass(frozen=True)
@@ -74,14 +73,19 @@ class Illumination:
         """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a
         polynomial through them; sum 1.
         """
-        nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
-        nm, weight = nm[weight > 0], weight[weight > 0] / weight.sum()
+        nm = np.array(self.wavelength_nm)
+        weight = np.array(self.weight)
+        is_lit = weight > 0
+        nm = nm[is_lit]
+        weight = weight[is_lit] / weight.sum()
         if nm.size <= count:
             return nm, weight
+
         node = -np.cos(np.pi * (np.arange(count) + 0.5) / count)  # Chebyshev's, of the zeros
-        middle, half = (nm.min() + nm.max()) / 2, np.ptp(nm) / 2
-        course = _interpolation_matrix(node, (nm - middle) / half)
-        return middle + half * node, np.asarray(weight @ course)
+        middle_nm = (nm.min() + nm.max()) / 2
+        half_nm = np.ptp(nm) / 2
+        matrix = _interpolation_matrix(node, (nm - middle_nm) / half_nm)
+        return middle_nm + half_nm * node, np.asarray(weight @ matrix)
 
 
 def illumination(
@@ -98,10 +102,9 @@ def illumination(
 
     A black picture is taken as one of equal light in all bands.
     """
-    weight = next(
-        (weight for weight in (electrons * mean_spectrum, electrons) if weight.any()),
-        np.ones_like(electrons),
-    )
+    weight = electrons * mean_spectrum
+    if not weight.any():
+        weight = electrons if electrons.any() else np.ones_like(electrons)
     return Illumination(
         tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), spare_e
     )
@@ -142,7 +145,7 @@ class Collection:
         )
 
     def relative(self, shape: tuple[int, int]) -> Array:
-        """Return what each pixel of an array (rows, columns) collects of even light, relative to
+        """Return what each pixel of an array (rows, columns) collects of uniform light, relative to
         one on axis.
         """
         if shape not in self._relative:  # the registrations of a pitch share it
@@ -156,7 +159,7 @@ def collection_of(
     physics: PixelPhysics, light: Illumination, shape: tuple[int, int]
 ) -> Collection | None:
     """Return the collection of an array of pixels (rows, columns) that is centred on the lens's
-    axis; None without a stack.
+    axis, if they have a stack.
 
     Raises PixsimError as `Stack` and `absorption_per_um` do.
     """
@@ -166,10 +169,10 @@ def collection_of(
     check_efficiency(physics)
     half_um = half_sizes_um(physics, shape)
     if scale_error(physics, light.pupil, half_um, light.spare_e) is not None:
-        axis = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
-        scale = np.zeros_like(axis.shares)
-        scale[:, :, 2, 2] = axis.on_axis
-        return Collection(scale, axis.on_axis, axis.aperture_side_um)
+        central = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
+        scale = np.zeros_like(central.shares)
+        scale[:, :, 2, 2] = central.on_axis
+        return Collection(scale, central.on_axis, central.aperture_side_um)
     return _collection(stack, physics.charge, measurement(physics), light, half_um)
 
 
@@ -183,11 +186,11 @@ def half_sizes_um(physics: PixelPhysics, shape: tuple[int, int]) -> tuple[float,
 def scale_error(
     physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float, float], allowed: float
 ) -> float | None:
-    """Return the error of the mean electrons if a stack is one scale for all pixels; None if it
-    exceeds what is allowed.
+    """Return the error of the mean electrons if a stack is one scale for all pixels, unless it
+    exceeds `allowed`.
 
-    Then each pixel collects what one on axis collects of even light, and nothing of its neighbours'
-    light. The error is the largest difference of that sum over the field, and the largest sum of
+    With one scale each pixel collects what a pixel on axis collects of uniform light, and no light
+    of its neighbours. The error is the largest difference of that sum over the field, and the largest sum of
     neighbours' shares, relative to it, at any wavelength to which the pixel responds.
     """
     if physics.stack is None or not allowed > 0:
@@ -204,28 +207,25 @@ def scale_error(
 
 
 def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
-    """Return the shares of light on axis that pixels around collect, (5, 5), as those of a
-    `Collection`.
+    """Return the shares of light on axis that pixels around collect, (5, 5), as a `Collection` has
+    them.
 
     Raises PixsimError without a stack.
     """
     if physics.stack is None:
         raise invalid("pixel.stack", "none", "a stack, which has such shares")
     check_efficiency(physics)
-    return np.asarray(
-        _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)).shares[
-            0, 0
-        ]
-    )
+    central = _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))
+    return np.asarray(central.shares[0, 0])
 
 
 def shading_of(
     collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction
 ) -> Array | None:
-    """Return by what a shading correction divides a frame, (rows, columns): `Collection.relative`;
-    None for nothing.
+    """Return the shading by which a correction divides a frame, (rows, columns), if any:
+    `Collection.relative`.
 
-    Flat frames already hold it.
+    Flat frames already have it.
     """
     if collection is None or collection.is_scale or correction.flat_frames:
         return None
@@ -233,7 +233,7 @@ def shading_of(
 
 
 def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
-    """Return the part of even light on a pixel on axis that becomes charge with the quantum
+    """Return the part of uniform light on a pixel on axis that becomes charge with the quantum
     efficiency of its photodiode.
 
     Without a stack it is the fill factor.
@@ -241,25 +241,23 @@ def collected_fraction(physics: PixelPhysics, light: Illumination) -> float:
     if physics.stack is None:
         return physics.fill_factor
     check_efficiency(physics)
-    return _collection(
-        physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0)
-    ).on_axis
+    central = _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))
+    return central.on_axis
 
 
 def collected_area_um2(physics: PixelPhysics, light: Illumination) -> float:
-    """Return the area whose even light becomes the charge of a pixel on axis; without a stack that
-    of its photodiode.
+    """Return the area whose uniform light becomes the charge of a pixel on axis; without a stack
+    the area of its photodiode.
     """
     return collected_fraction(physics, light) * physics.pitch_um**2
 
 
-_Measurement = tuple[
-    Stack, float
-]  # of a quantum efficiency: the stack of the whole pixel, and the f-number of the light
+# Of a quantum efficiency: the stack of the whole pixel, and the f-number of the light.
+_Measurement = tuple[Stack, float]
 
 
 def measurement(physics: PixelPhysics) -> _Measurement | None:
-    """Return how the quantum efficiency was measured on a whole pixel; None: on the photodiode."""
+    """Return how the quantum efficiency was measured on a whole pixel, if it was."""
     stack, f_number = physics.efficiency_stack, physics.efficiency_f_number
     return None if stack is None or f_number is None else (stack, f_number)
 
@@ -277,8 +275,8 @@ def check_efficiency(physics: PixelPhysics) -> None:
         stack, f_number = measured
         worst = int(np.argmax(stated - transmitted))
         got = (
-            f"{stated[worst]:.3g} at {_CHECKED_NM[worst]:g} nm for a whole pixel of {stack.pitch_um:g} µm"
-            " under its microlens"
+            f"{stated[worst]:.3g} at {_CHECKED_NM[worst]:g} nm for a whole pixel of"
+            f" {stack.pitch_um:g} µm under its microlens"
         )
         expected = (
             f"at most {transmitted[worst]:.3g}, the light that this stack passes to photodiodes at"
@@ -307,8 +305,8 @@ def stack_shares(
 
 
 def min_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
-    """Return the Fresnel number of a pixel's microlens at the longest wavelength to which it
-    responds; None without a lens.
+    """Return the Fresnel number of a pixel's microlens, if it has one, at the longest wavelength to
+    which it responds.
     """
     if physics.stack is None or not physics.stack.microlens:
         return None
@@ -329,10 +327,9 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
     if physics.stack is None:
         return []
     y_um, x_um = camera.die_um
-    towards_corner = np.linspace(
-        0.0, 0.5, FINE + 1
-    )  # a table's largest angle need not be in the corner
-    pupil = camera_pupil(camera).at(x_um * towards_corner, y_um * towards_corner)
+    # From the centre to the corner, since a table's largest angle need not be there.
+    radius = np.linspace(0.0, 0.5, FINE + 1)
+    pupil = camera_pupil(camera).at(x_um * radius, y_um * radius)
     limits = model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm))
     return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]
 
@@ -347,34 +344,36 @@ def _collection(
 ) -> Collection:
     """Return the collection of an array with a stack, the same object for the same arguments.
 
-    measured : how the quantum efficiency was, on a whole pixel; None: on the photodiode
+    measured : how the quantum efficiency was measured on a whole pixel; None for the photodiode
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
-    diffused = charge is not None and charge.diffusion_um is not None
-    nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffused else WAVELENGTHS)
+    diffuses = charge is not None and charge.diffusion_um is not None
+    nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffuses else WAVELENGTHS)
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
-    symmetric, node, y_um, x_um = _field_points(stack, light.pupil, half_um)
+    is_symmetric, node, y_um, x_um = _field_points(stack, light.pupil, half_um)
     shares = _shares_at(stack, charge, light.pupil, y_um, x_um, nm, weight)
-    few = shares.max(axis=(0, 1)) < NEGLIGIBLE
-    few[2, 2] = False
-    shares[..., 2, 2] += shares[..., few].sum(axis=-1)
-    shares[..., few] = 0.0
-    if symmetric:  # the other three quarters of the field are mirrored
+
+    negligible = shares.max(axis=(0, 1)) < NEGLIGIBLE
+    negligible[2, 2] = False
+    shares[..., 2, 2] += shares[..., negligible].sum(axis=-1)
+    shares[..., negligible] = 0.0
+
+    if is_symmetric:  # the other three quarters of the field are mirrored
         shares = np.concatenate([shares[:0:-1, :, ::-1, :], shares], axis=0)
         shares = np.concatenate([shares[:, :0:-1, :, ::-1], shares], axis=1)
     on_axis = float(shares[shares.shape[0] // 2, shares.shape[1] // 2].sum())
+
+    resampling = _resampling_matrix(tuple(node.tolist()))
     for axis in range(2):
         if shares.shape[axis] > 1:
-            shares = np.moveaxis(
-                np.tensordot(_resampling_matrix(tuple(node.tolist())), shares, (1, axis)), 0, axis
-            )
+            shares = np.moveaxis(np.tensordot(resampling, shares, (1, axis)), 0, axis)
     shares = np.maximum(shares, 0.0)
-    side_um = (
-        stack.pitch_um
-        if stack.microlens
-        else math.sqrt(float(np.prod(aperture_side_um(stack, light.pupil.at(0.0, 0.0)))))
-    )
+
+    side_um = stack.pitch_um
+    if not stack.microlens:
+        sides_um = aperture_side_um(stack, light.pupil.at(0.0, 0.0))
+        side_um = math.sqrt(float(np.prod(sides_um)))
     shares.flags.writeable = False
     return Collection(shares, on_axis, side_um)
 
@@ -382,21 +381,21 @@ def _collection(
 def _field_points(
     stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]
 ) -> tuple[bool, Array, Array, Array]:
-    """Return where shares are computed: whether a quarter of the field tells the others, the nodes
-    from -1 to 1, and y and x.
+    """Return whether a quarter of the field stands for all, and the points at which shares are
+    computed: the nodes from -1 to 1, y and x.
     """
-    symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
+    is_symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
     points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
-    points = points if pupil.chief_ray_angle is None else _POINTS_OF_TABLE
-    node = -np.cos(
-        np.linspace(0.0, np.pi, 2 * points - 1)
-    )  # Chebyshev's, of the extrema: a polynomial through them is stable
+    if pupil.chief_ray_angle is not None:
+        points = _POINTS_OF_TABLE
+
+    # Chebyshev's, of the extrema: a polynomial through them is stable.
+    node = -np.cos(np.linspace(0.0, np.pi, 2 * points - 1))
     node[points - 1] = 0.0
-    line = node[points - 1 :] if symmetric else node
-    y_um, x_um = np.meshgrid(
-        *(half * line if half else np.zeros(1) for half in half_um), indexing="ij"
-    )
-    return symmetric, node, y_um, x_um
+    line = node[points - 1 :] if is_symmetric else node
+    lines_um = [half * line if half else np.zeros(1) for half in half_um]
+    y_um, x_um = np.meshgrid(*lines_um, indexing="ij")
+    return is_symmetric, node, y_um, x_um
 
 
 @lru_cache(maxsize=256)
@@ -409,16 +408,17 @@ def _scale_error(
 ) -> float:
     """Return the largest of `scale_error` over wavelengths and places."""
     _, _, y_um, x_um = _field_points(stack, pupil, half_um)
-    worst = 0.0
+    zero = np.zeros(1)
+    largest = 0.0
     for nm in wavelength_nm if stack.microlens else wavelength_nm[:1]:
-        shares = _shares_at(stack, charge, pupil, y_um, x_um, np.array([nm]), np.ones(1))
-        on_axis = _shares_at(
-            stack, charge, pupil, np.zeros(1), np.zeros(1), np.array([nm]), np.ones(1)
-        ).sum()
+        band_nm = np.array([nm])
+        shares = _shares_at(stack, charge, pupil, y_um, x_um, band_nm, np.ones(1))
+        on_axis = _shares_at(stack, charge, pupil, zero, zero, band_nm, np.ones(1)).sum()
         total = shares.sum(axis=(-2, -1))
         neighbours = total - shares[..., 2, 2]
-        worst = max(worst, float((np.abs(total - on_axis).max() + neighbours.max()) / on_axis))
-    return worst
+        error = (np.abs(total - on_axis).max() + neighbours.max()) / on_axis
+        largest = max(largest, float(error))
+    return largest
 
 
 @lru_cache(maxsize=4)
@@ -449,33 +449,34 @@ def _shares_at(
     """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...),
     (..., 5, 5).
     """
-    rings, spokes = RINGS, SPOKES
+    rings = RINGS
+    spokes = SPOKES
     if stack.microlens and pupil.real is not None:
-        rings, spokes = (
-            max(pair)
-            for pair in zip(
-                nodes_for(stack, pupil.numerical_aperture, nm.min()), (rings, spokes), strict=True
-            )
-        )
-    seen = pupil.at(x_um, y_um, rings, spokes + -spokes % 4)
+        min_rings, min_spokes = nodes_for(stack, pupil.numerical_aperture, nm.min())
+        rings = max(min_rings, rings)
+        spokes = max(min_spokes, spokes)
+    directions = pupil.at(x_um, y_um, rings, spokes + -spokes % 4)
+
     if stack.microlens:
         spread = _spread(stack, charge, pupil.numerical_aperture, nm)
-        optical = collected_shares(stack, seen, nm)
-        return np.einsum(
-            "...kij,k->...ij", optical if spread is None else spread_shares(optical, spread), weight
-        )
+        shares = collected_shares(stack, directions, nm)
+        if spread is not None:
+            shares = spread_shares(shares, spread)
+        return np.einsum("...kij,k->...ij", shares, weight)
+
     # A bare pixel has the same shares at all wavelengths, and its diffusion is in the transform of
     # the light.
-    optical = collected_shares(stack, seen) * weight.sum()
-    spread = _neighbours(charge.crosstalk) if charge and charge.crosstalk else None
-    return optical if spread is None else spread_shares(optical, spread)
+    shares = collected_shares(stack, directions) * weight.sum()
+    if charge and charge.crosstalk:
+        shares = spread_shares(shares, _neighbours(charge.crosstalk))
+    return shares
 
 
 def _measured_share(measured: _Measurement, charge: Charge | None, nm: Array) -> Array:
     """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its
     measurement, (K,).
 
-    Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
+    Uniform light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
     """
     return _measured_share_at(measured, charge, tuple(nm.tolist()))
 
@@ -525,17 +526,17 @@ def collections_of(
     """Return the collection of each channel's light on an array of pixels (rows, columns); none
     without a stack.
     """
-    collections = (
+    collections = [
         collection_of(channel, light, pixels)
         for channel, light in zip(physics.channels, lights, strict=True)
-    )
+    ]
     return tuple(collection for collection in collections if collection is not None)
 
 
 @dataclass(frozen=True)
 class ColourCollection:
-    """What the stack of a colour sensor's pixels makes of even white light: neighbours collect it
-    through filters of other colours.
+    """What the stack of a colour sensor's pixels makes of uniform white light: neighbours collect
+    it through filters of other colours.
 
     layout : of the pixels
     collections : of each channel's light
@@ -559,8 +560,8 @@ class ColourCollection:
         return all(collection.is_scale for collection in self.collections)
 
     def relative(self, shape: tuple[int, int]) -> Array:
-        """Return what each value of a frame (rows, columns) holds of even white light, relative to
-        its channel's mean on axis.
+        """Return what each value of a frame (rows, columns) holds of uniform white light, relative
+        to its channel's mean on axis.
         """
         if shape not in self._relative:  # the registrations of a pitch share it
             layout = Layout(self._read_cell, self.layout.is_stacked)
@@ -573,7 +574,7 @@ class ColourCollection:
 
     @cached_property
     def mixing_um2(self) -> Array:
-        """Electrons of even light in a value of each channel on axis, (C, C), by the light of each
+        """Electrons of uniform light in a value of each channel on axis, (C, C), by the light of each
         channel.
 
         The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it
@@ -617,7 +618,7 @@ class ColourCollection:
     def _uniform_e_per_s(
         self, rates: Array, shares: Sequence[Array], pixels: tuple[int, int]
     ) -> Array:
-        """Return the electrons per second of even light in the values of a frame, of an array of
+        """Return the electrons per second of uniform light in the values of a frame, of an array of
         pixels.
         """
         rows, columns = pixels
@@ -647,6 +648,5 @@ def bin_pixels(values: Array, side: int) -> Array:
     if side == 1:
         return values
     rows, columns = (count // side for count in values.shape)
-    return np.asarray(
-        values[: rows * side, : columns * side].reshape(rows, side, columns, side).sum(axis=(1, 3))
-    )
+    whole = values[: rows * side, : columns * side]
+    return np.asarray(whole.reshape(rows, side, columns, side).sum(axis=(1, 3)))

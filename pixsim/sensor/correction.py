@@ -42,17 +42,17 @@ def correct(
     """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates
     them.
 
-    With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the
-    picture P becomes (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a
+    With D the mean of the dark frames and F the mean of the flat frames, in electrons, a pixel of
+    the picture P becomes (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a
     column is subtracted from it in every frame. All frames have the exposure time and the gain of
     the picture. Flat frames have the shading of the pixels' stack, and so remove it.
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
-    collection : (rows, columns) that pixels collect of even light, relative to one of their channel
-        on axis; None: all the same
-    balance : (rows, columns) electrons of white in each pixel's channel, relative to the largest of
-        the channels; None: one channel
+    collection : (rows, columns) electrons of uniform light that pixels collect, relative to a pixel
+        of their channel on axis; None if all collect the same
+    balance : (rows, columns) electrons of white in the channel of each pixel, relative to the
+        largest of the channels; None for a single channel
 
     The balance of the channels stays in the picture; a defect is replaced by pixels of its own
     channel.
@@ -61,90 +61,95 @@ def correct(
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, picture_rows_rng, dark_rng, dark_rows_rng, flat_rng, flat_rows_rng = rng.spawn(6)
-    readout, time_s = (
-        replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures),
-        frame.integration_s,
-    )
+    readout = replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures)
     sensor = replace(sensor, readout=readout)
-    rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
+    time_s = frame.integration_s
+    dark_rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
 
     def electrons(dn: NDArray[np.int32], rng: np.random.Generator) -> Array:
-        """Electrons over those of darkness, as far as a single frame tells."""
-        if rows is None:
+        """Electrons above the level of darkness, for which a frame has its dark rows."""
+        if dark_rows is None:
             return np.asarray((dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e)
-        clamp = read_out(np.zeros(rows.shape), time_s, rows, rng)
+        clamp = read_out(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
         return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
 
     def mean_frame_e(
-        frames: int, light_e: Array | float, rng: np.random.Generator, rows_rng: np.random.Generator
+        count: int, light_e: Array | float, rng: np.random.Generator, rows_rng: np.random.Generator
     ) -> Array:
-        """Mean of frames of even light, in electrons."""
+        """Mean of some frames of the same light, in electrons."""
         light = np.broadcast_to(light_e, sensor.shape)
         total = np.zeros(sensor.shape)
-        for _ in range(frames):
+        for _ in range(count):
             total += electrons(read_out(light, time_s, sensor, rng), rows_rng)
-        total /= frames
+        total /= count
         return total
 
-    picture, defects = electrons(frame.dn, picture_rows_rng), np.zeros(sensor.shape, bool)
-    dark = (
-        mean_frame_e(correction.dark_frames, 0.0, dark_rng, dark_rows_rng)
-        if correction.dark_frames
-        else None
-    )
-    if dark is not None:
+    picture = electrons(frame.dn, picture_rows_rng)
+    defects = np.zeros(sensor.shape, bool)
+
+    dark: Array | None = None
+    if correction.dark_frames:
+        dark = mean_frame_e(correction.dark_frames, 0.0, dark_rng, dark_rows_rng)
         picture -= dark
         defects |= outliers(dark, _rounding_e(readout, correction.dark_frames))
+
     if correction.flat_frames:
         shading: Array | float = 1.0 if collection is None else collection
         light: Array | float = shading if balance is None else shading * balance
-        light_e = flat_light_e(readout, correction, time_s) * (
-            light / np.max(light)
-        )  # the brightest pixel has the stated level
+        # The brightest pixel has the stated level.
+        light_e = flat_light_e(readout, correction, time_s) * (light / np.max(light))
         flat = mean_frame_e(correction.flat_frames, light_e, flat_rng, flat_rows_rng)
         if dark is not None:
             flat -= dark
         level = flat / shading  # in the electrons of each channel, which decide on its noise
         if balance is not None:
             flat /= balance
-        response = flat / max(
-            float(flat.mean() / np.mean(shading)), np.finfo(float).tiny
-        )  # 1 is the mean response on axis
-        unresponsive = response < _MIN_RESPONSE * shading
-        picture /= np.where(unresponsive, shading, response)
-        min_spread, channels = _rounding_e(readout, correction.flat_frames), frame.layout
-        if channels is None:
-            defects |= unresponsive | outliers(level, min_spread)
-        else:
-            defects |= unresponsive
-            numbers = channels.numbers(sensor.shape)
-            for in_channel in (numbers == number for number in range(len(channels.channels))):
-                defects[in_channel] |= outliers(level[in_channel], min_spread)
+
+        # 1 is the mean response on axis.
+        mean_response = float(flat.mean() / np.mean(shading))
+        response = flat / max(mean_response, np.finfo(float).tiny)
+        is_unresponsive = response < _MIN_RESPONSE * shading
+        picture /= np.where(is_unresponsive, shading, response)
+        defects |= is_unresponsive
+        min_spread = _rounding_e(readout, correction.flat_frames)
+        for in_channel in _channel_masks(frame.layout, sensor.shape):
+            defects[in_channel] |= outliers(level[in_channel], min_spread)
+
     saturated = frame.saturated
     if correction.defects:
         _replace_defects(picture, defects, frame.layout)
-        if (
-            saturated is not None
-        ):  # a mean over pixels of which one is saturated counts as saturated
+        if saturated is not None:
+            # A mean over pixels of which one is saturated counts as saturated.
             saturated_share = saturated.astype(float)
             _replace_defects(saturated_share, defects, frame.layout)
             saturated = saturated_share > ROUNDING
     return replace(frame, corrected_e=picture.astype(np.float32), saturated=saturated)
 
 
+def _channel_masks(layout: Layout | None, shape: tuple[int, int]) -> list[NDArray[np.bool_]]:
+    """Return which values of a frame belong to each channel, (rows, columns); all of them without
+    colour filters.
+    """
+    if layout is None:
+        return [np.ones(shape, bool)]
+    numbers = layout.numbers(shape)
+    return [numbers == number for number in range(len(layout.channels))]
+
+
 def _replace_defects(picture: Array, defects: NDArray[np.bool_], layout: Layout | None) -> None:
     """Replace the defects of a picture (rows, columns) in place, as `without_defects`, in each
     channel by itself.
     """
-    parts, defect_parts = (
-        ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
-    )
-    for part, defect_part in zip(parts, defect_parts, strict=True):
-        part[...] = without_defects(part, defect_part)
+    if layout is None:
+        picture[...] = without_defects(picture, defects)
+        return
+
+    for part, part_defects in zip(layout.parts(picture), layout.parts(defects), strict=True):
+        part[...] = without_defects(part, part_defects)
 
 
 def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor | None:
-    """Return the dark rows of a sensor, with its columns' offsets; None without any."""
+    """Return the dark rows of a sensor, with the offsets of its columns, if there are any."""
     if not count:
         return None
     rows = sample_sensor(sensor.readout, (count, sensor.shape[1]), rng)
@@ -196,30 +201,30 @@ def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
     """
     if not defects.any() or defects.all():
         return picture
-    sound, result, missing = (~defects).astype(float), picture.copy(), defects.copy()
+    sound = (~defects).astype(float)
+    sound_picture = np.where(defects, 0.0, picture)
+    result = picture.copy()
+    missing = defects.copy()
     size = 3
     while missing.any():
-        weight, total = (
-            scipy.ndimage.uniform_filter(values, size, mode="constant")
-            for values in (sound, np.where(defects, 0.0, picture))
-        )
-        filled = missing & (weight > 0.5 / size**2)
-        result[filled] = total[filled] / weight[filled]
-        missing &= ~filled
+        weight = scipy.ndimage.uniform_filter(sound, size, mode="constant")
+        total = scipy.ndimage.uniform_filter(sound_picture, size, mode="constant")
+        has_sound = missing & (weight > 0.5 / size**2)
+        result[has_sound] = total[has_sound] / weight[has_sound]
+        missing &= ~has_sound
         size += 2
     return result
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Variance of a corrected pixel over frames and sensors, in e-², by source; each is closed
-    form.
+    """Variance of a corrected pixel over frames and sensors, in e-², by source, in closed form.
 
     temporal : of the picture itself: shot noise of light and dark charge, reset, read and rounding
         noise
-    offsets : what is left of offsets, dark signal and the noise of dark frames and dark rows
+    offsets : remainder of offsets, dark signal and the noise of dark frames and dark rows
     flat : noise of the flat frames
-    gain : what is left of PRNU
+    gain : remainder of PRNU
     """
 
     temporal: Array | float
@@ -238,11 +243,11 @@ def residual_variance_e2(
     readout: Readout,
     correction: Correction,
 ) -> Residual:
-    """Return the closed form of the variance that a correction leaves in even light, without
+    """Return the closed form of the variance that a correction leaves in uniform light, without
     defects, in the shape of the signal.
 
     With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over
-    frames, s the signal, L that of the flat frames, n_d, n_f and n_c the numbers of dark frames,
+    frames, s the signal, L the signal of the flat frames, n_d, n_f and n_c the numbers of dark frames,
     flat frames and dark rows, and V the variance of offsets and dark signal over pixels:
 
     temporal s + T; of dark rows T/n_c more
@@ -264,23 +269,23 @@ def residual_variance_e2(
     >>> round(residual_variance_e2(2e4, 0.01, pixel, Correction()).gain, 6)  # (0.01 · 20000)²
     40000.0
     """
-    p, dark_e = readout, readout.dark_current_e_per_s * integration_s
-    dark_variance = (
-        float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
-    )
-    rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
+    p = readout
+    dark_e = p.dark_current_e_per_s * integration_s
+    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e
+    dark_variance += p.rounding_variance_dn2 / p.dn_per_e**2
+    clamp = 1 / correction.column_clamp if correction.column_clamp else 0.0  # noise of dark rows
+
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
-    offsets: Array | float = float(fixed(along="pixel")) * (1 + rows) + (
-        0.0 if correction.column_clamp else float(fixed(along="column"))
-    )
+    column_e2 = 0.0 if correction.column_clamp else float(fixed(along="column"))
+    offsets: Array | float = float(fixed(along="pixel")) * (1 + clamp) + column_e2
     if correction.dark_frames:
-        offsets = dark_variance * (1 + rows) / correction.dark_frames
+        offsets = dark_variance * (1 + clamp) / correction.dark_frames
     flat: Array | float = 0.0
     gain: Array | float = (p.prnu * signal_e) ** 2
     if correction.flat_frames:
         level_e = flat_light_e(p, correction, integration_s)
-        part = signal_e / level_e
-        offsets *= (1 - part) ** 2
-        flat = part**2 * (level_e + dark_variance * (1 + rows)) / correction.flat_frames
+        ratio = signal_e / level_e
+        offsets *= (1 - ratio) ** 2
+        flat = ratio**2 * (level_e + dark_variance * (1 + clamp)) / correction.flat_frames
         gain = 0.0
-    return Residual(signal_e + dark_variance * (1 + rows), offsets, flat, gain)
+    return Residual(signal_e + dark_variance * (1 + clamp), offsets, flat, gain)

@@ -27,13 +27,11 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import VELOCITIES, Motion
 
-_MAX_CACHED_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
+# Of a light whose transforms are cached, 32 MiB each: a film of 2048².
+_MAX_CACHED_SAMPLES = 1 << 22
 REACH = 3  # cells beyond an interval that its weights reach
-_QUINTIC_B_SPLINE = (
-    66 / 120,
-    52 / 120,
-    2 / 120,
-)  # quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells
+# The quintic B-spline at 0, ±1 and ±2: means of the quartic one over cells.
+_QUINTIC_B_SPLINE = (66 / 120, 52 / 120, 2 / 120)
 
 
 @dataclass(frozen=True)
@@ -60,12 +58,12 @@ class Moving:
         return max(map(abs, self.path_um))
 
     def subexposures(self, count: int) -> list[Moving]:
-        """Return that of each exposure of a burst, which follow one another at once."""
+        """Return the motion in each subexposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)
-        places = np.arange(count) - (count - 1) / 2
+        numbers = np.arange(count) - (count - 1) / 2
         return [
-            Moving((down, across), self.row_um, (place * down, place * across))
-            for place in places.tolist()
+            Moving((down, across), self.row_um, (number * down, number * across))
+            for number in numbers.tolist()
         ]
 
 
@@ -82,12 +80,12 @@ def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) 
 
 @dataclass(frozen=True)
 class _SlantedSpectrum:
-    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `averaged`, for
-    a path of length 1.
+    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², the denominator of
+    `averaged` for a path of length 1.
 
     direction : down and across, the larger one 1 or -1
-    over : 0 where a and ±b are one to `NEAR`
-    near : (rows, columns) of those places
+    over : the quotient, 0 where a and ±b are equal to `NEAR`
+    near : (rows, columns) of these places
     near_spectrum : the spectrum there
     """
 
@@ -98,38 +96,37 @@ class _SlantedSpectrum:
 
     @classmethod
     def of(cls, spectrum: Array, direction: tuple[float, float]) -> _SlantedSpectrum:
-        """Return that of a spectrum (H, W)."""
+        """Return what slanted paths of a direction over a spectrum (H, W) share."""
         down, across = _angles(spectrum.shape, direction)
-        over, near = empty_planes(*spectrum.shape), []
+        over = empty_planes(*spectrum.shape)
+        near: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
         for rows in strips(*spectrum.shape):
-            squares = np.subtract.outer(down[rows] ** 2, across**2)
-            row, column = np.nonzero(
-                np.abs(squares) <= NEAR * np.add.outer(down[rows] ** 2, across**2)
-            )
-            squares[row, column] = np.inf
-            np.divide(spectrum[rows], squares, out=over[rows])
+            difference = np.subtract.outer(down[rows] ** 2, across**2)
+            total = np.add.outer(down[rows] ** 2, across**2)
+            row, column = np.nonzero(np.abs(difference) <= NEAR * total)
+            difference[row, column] = np.inf
+            np.divide(spectrum[rows], difference, out=over[rows])
             near.append((row + rows.start, column))
-        row, column = (np.concatenate(places) for places in zip(*near, strict=True))
+
+        row = np.concatenate([rows for rows, _ in near])
+        column = np.concatenate([columns for _, columns in near])
         return cls(direction, over, (row, column), spectrum[row, column])
 
     def averaged(self, length: float) -> tuple[Array, Array]:
         """Return what a path leaves of the spectrum as products of cosines, and as products of
         sines, (H, W) each.
 
-        The first row of the sines is that of the frequency 1, the last one is 0.
+        The first row of the sines has the frequency 1; the last row is 0.
 
         (sinc(a + b) ± sinc(a - b))/2, of angles a down and b across, has one denominator, a² - b²,
         for all lengths: the numerators are a sin a cos b - b sin b cos a and a cos a sin b - b sin
         a cos b, products of numbers of one axis.
         """
-        (height, _), (unit_down, unit_across) = (
-            self.over.shape,
-            _angles(self.over.shape, self.direction),
-        )
-        down, across = length * unit_down, length * unit_across
-        (sin_down, cos_down), (sin_across, cos_across) = (
-            (np.sin(angle), np.cos(angle)) for angle in (down, across)
-        )
+        unit_down, unit_across = _angles(self.over.shape, self.direction)
+        down = length * unit_down
+        across = length * unit_across
+        cos_down, sin_down = np.cos(down), np.sin(down)
+        cos_across, sin_across = np.cos(across), np.sin(across)
         cosine_factors = (
             unit_down * sin_down / length,
             cos_across,
@@ -142,32 +139,38 @@ class _SlantedSpectrum:
             unit_down * cos_down / length,
             sin_across,
         )
-        cosines, sines = empty_planes(*self.over.shape), empty_planes(*self.over.shape)
-        for rows, spare in strips_of(self.over.shape):
-            _two_products(cosine_factors, rows, spare, cosines[rows])
+
+        height = self.over.shape[0]
+        cosines = empty_planes(*self.over.shape)
+        sines = empty_planes(*self.over.shape)
+        for rows, work in strips_of(self.over.shape):
+            _difference_of_products(cosine_factors, rows, work, cosines[rows])
             cosines[rows] *= self.over[rows]
             later = slice(rows.start + 1, min(rows.stop + 1, height))
             part = sines[rows.start : later.stop - 1]
-            _two_products(sine_factors, later, spare[: len(part)], part)
+            _difference_of_products(sine_factors, later, work[: len(part)], part)
             part *= self.over[later]
         sines[-1] = 0.0
+
+        # Where the denominator vanishes, from the definition.
         row, column = self.near
-        plus, minus = (np.sinc((down[row] + sign * across[column]) / math.pi) for sign in (1, -1))
+        plus = np.sinc((down[row] + across[column]) / math.pi)
+        minus = np.sinc((down[row] - across[column]) / math.pi)
         cosines[self.near] = self.near_spectrum * (plus + minus) / 2
         sines[row - 1, column] = np.where(row, self.near_spectrum * (minus - plus) / 2, 0.0)
         return cosines, sines
 
 
-def _two_products(
-    factors: tuple[Array, Array, Array, Array], rows: slice, spare: Array, out: Array
+def _difference_of_products(
+    factors: tuple[Array, Array, Array, Array], rows: slice, work: Array, out: Array
 ) -> None:
-    """Write down × across - down × across, of the factors in this order, to some rows of a
-    plane.
+    """Write the product of the first two factors, down and across, less that of the last two, to
+    some rows of a plane.
     """
     down, across, other_down, other_across = factors
-    np.multiply(other_down[rows, None], other_across, out=spare)
+    np.multiply(other_down[rows, None], other_across, out=work)
     np.multiply(down[rows, None], across, out=out)
-    out -= spare
+    out -= work
 
 
 @dataclass(frozen=True)
@@ -210,23 +213,27 @@ class LightSpectrum:
     def back(
         self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Array, Array | None]:
-        """Return `spline_dct` of the picture averaged along a path, back down the columns (0) or
-        along the rows: cosines and sines.
+        """Return `spline_dct` of the picture averaged along a path, transformed back down the
+        columns (0) or along the rows (1): cosines and sines.
 
-        None in place of sines that are 0, as along the rows, for which no path is slanted. The
-        pixels of one exposure time share those of its path.
+        Sines are None where they are 0, as along the rows, for which no path is slanted. The pixels
+        of one exposure time share the transforms of its path.
         """
         key = axis, path_cells
-        if (spectra := self._back.get(key)) is not None:
-            return spectra
-        for other in [
-            other for other in self._back if any(path_cells) and any(other[1])
-        ]:  # the still ones stay
-            del self._back[other]  # before the next ones, which take their memory
+        cached = self._back.get(key)
+        if cached is not None:
+            return cached
+
+        # Transforms of another path go first, so that the new ones take their memory; those of the
+        # picture that stands still stay.
+        if any(path_cells):
+            for other in [other for other in self._back if any(other[1])]:
+                del self._back[other]
+
+        spectra: tuple[Array, Array | None]
         if all(path_cells):
-            cosines, sines = self._slanted_along(_direction(path_cells)).averaged(
-                _length(path_cells)
-            )
+            slanted = self._slanted_along(_direction(path_cells))
+            cosines, sines = slanted.averaged(_length(path_cells))
             spectra = _cosines(cosines, axis), _sines(sines, axis)
         else:
             spectra = _cosines(_averaged_along(self.spline_dct, path_cells), axis), None
@@ -235,7 +242,7 @@ class LightSpectrum:
         return spectra
 
     def _slanted_along(self, direction: tuple[float, float]) -> _SlantedSpectrum:
-        """Return what slanted paths of a direction share; the last one is kept."""
+        """Return what slanted paths of a direction share; the last direction is cached."""
         if self._slanted and self._slanted[0].direction == direction:
             return self._slanted[0]
         slanted = _SlantedSpectrum.of(self.spline_dct, direction)
@@ -252,12 +259,10 @@ class LightSpectrum:
             return self.samples
         if not all(path_cells):
             return _cosines(_cosines(_averaged_along(self.samples_dct, path_cells), 0), 1)
-        cosines, sines = _SlantedSpectrum.of(self.samples_dct, _direction(path_cells)).averaged(
-            _length(path_cells)
-        )
-        return _cosines(_cosines(cosines, 0), 1) + _sines(
-            _drop_first_frequency(_sines(sines, 0)), 1
-        )
+        slanted = _SlantedSpectrum.of(self.samples_dct, _direction(path_cells))
+        cosines, sines = slanted.averaged(_length(path_cells))
+        row_sines = _drop_first_frequency(_sines(sines, 0))
+        return _cosines(_cosines(cosines, 0), 1) + _sines(row_sines, 1)
 
     def integrals(
         self,
@@ -271,20 +276,24 @@ class LightSpectrum:
 
         shift_cells : (2, rows) displacement of the light in each row, down and across
         """
-        down, across = path_cells = _rounded(path_cells)
+        path_cells = _rounded(path_cells)
+        down, across = path_cells
         height, width = self.samples.shape
         rows = _cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
         columns = _cell_weights(*x_cells, width)
+
+        # Straight down, the same for all columns: they are integrated first.
         if down and not across and not shift_cells[1].any():
+            spectrum, _ = self.back(1)
             light = empty_planes(height, columns.shape[0])
-            np.multiply(
-                (columns @ transposed(self.back(1)[0])).T,
-                np.sinc(_cycles(height) * down)[:, None],
-                out=light,
-            )
+            sinc = np.sinc(_cycles(height) * down)[:, None]
+            np.multiply((columns @ transposed(spectrum)).T, sinc, out=light)
             return np.asarray(rows @ _cosines(light, 0))
+
         cosines, sines = self.back(0, path_cells if down else (0.0, 0.0))
-        cosines, sines = rows @ cosines, None if sines is None else rows @ sines
+        cosines = rows @ cosines
+        if sines is not None:
+            sines = rows @ sines
         if across and not down:
             cosines *= np.sinc(_cycles(width) * across)
         cosines, sines = _shifted(cosines, sines, shift_cells[1])
@@ -317,9 +326,8 @@ def _angles(shape: tuple[int, ...], path_cells: tuple[float, float]) -> list[Arr
     return [math.pi * _cycles(count) * path for count, path in zip(shape, path_cells, strict=True)]
 
 
-_DIRECTION_DIGITS = (
-    12  # of paths of one velocity and several times, whose directions differ by rounding
-)
+# Of paths of one velocity and several times, whose directions differ by rounding.
+_DIRECTION_DIGITS = 12
 NEAR = 1e-6  # of a² + b², up to which a² - b² has lost too many digits: an error of 2e-10 elsewhere
 
 
@@ -339,24 +347,18 @@ def _rounded(path_cells: tuple[float, float]) -> tuple[float, float]:
     """Return a path, without an axis along which it is shorter than its direction has digits."""
     if not all(path_cells):
         return path_cells
-    down, across = (
-        cells if component else 0.0
-        for cells, component in zip(path_cells, _direction(path_cells), strict=True)
-    )
+    direction = _direction(path_cells)
+    down = path_cells[0] if direction[0] else 0.0
+    across = path_cells[1] if direction[1] else 0.0
     return down, across
 
 
 def _averaged_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
-    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a plane of its
-    own.
-    """
+    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a new plane."""
     down, across = _angles(spectrum.shape, path_cells)
+    sinc = np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi)
     result = empty_planes(*spectrum.shape)
-    np.multiply(
-        spectrum,
-        np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi),
-        out=result,
-    )
+    np.multiply(spectrum, sinc, out=result)
     return result
 
 
@@ -380,9 +382,8 @@ def _phases(shift_angle: Array, count: int) -> NDArray[np.complex128]:
     fine = math.isqrt(count - 1) + 1
     step = np.arange(fine) / (2 * count)
     tables = [np.exp(1j * np.multiply.outer(shift_angle, steps)) for steps in (fine * step, step)]
-    return np.multiply(tables[0][:, :, None], tables[1][:, None, :]).reshape(shift_angle.size, -1)[
-        :, :count
-    ]
+    phases = np.multiply(tables[0][:, :, None], tables[1][:, None, :])
+    return phases.reshape(shift_angle.size, -1)[:, :count]
 
 
 def _cosines(spectrum: Array, axis: int) -> Array:
@@ -422,27 +423,25 @@ def _cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
     width = int((np.floor(high_cells).astype(np.intp) - first).max()) + REACH + 1
     cells = first[:, None] + np.arange(width)
     centre = cells + 0.5
-    weights = _quartic_integral(high_cells[:, None] - centre) - _quartic_integral(
-        low_cells[:, None] - centre
-    )
+    below_high = _quartic_integral(high_cells[:, None] - centre)
+    weights = below_high - _quartic_integral(low_cells[:, None] - centre)
+
     folded = np.mod(cells, 2 * count)
     folded = np.where(folded < count, folded, 2 * count - 1 - folded)
     used = weights != 0
-    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array((weights[used], folded[used], rows), shape=(low_cells.size, count))
+    row_starts = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    return csr_array((weights[used], folded[used], row_starts), shape=(low_cells.size, count))
 
 
 def _quartic_integral(x: Array) -> Array:
     """Return the integral up to x (...) of the centred quartic B-spline of unit knots, whose whole
     integral is 1.
     """
-    at = np.clip(x, -2.5, 2.5)
-    at, total = (
-        -np.abs(at) + 2.5,
-        np.zeros(np.shape(x)),
-    )  # from the nearer end, where the terms are few and small
+    # From the nearer end, where the terms are few and small.
+    distance = -np.abs(np.clip(x, -2.5, 2.5)) + 2.5
+    total = np.zeros(np.shape(x))
     for knot in range(3):
-        total += (-1) ** knot * math.comb(5, knot) * np.maximum(at - knot, 0.0) ** 5
+        total += (-1) ** knot * math.comb(5, knot) * np.maximum(distance - knot, 0.0) ** 5
     total /= 120
     return np.where(x > 0, 1 - total, total)
 
@@ -450,14 +449,14 @@ def _quartic_integral(x: Array) -> Array:
 def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[float, float]:
     """Return the velocity [x, y] of the image on the sensor.
 
-    An object's is that times its image distance over its distance from the lens, as of a thin lens.
+    It is the velocity of an object, times the image distance over the distance of the object from
+    the lens, as for a thin lens.
 
     pitch_um : of the pixels, for `pixels_per_s`
     """
     if motion.velocity_mm_per_s is not None:
-        scale = camera.image_distance_mm / (
-            motion.distance_m or camera.object_distance_m
-        )  # mm/m, and µm/mm
+        object_m = motion.distance_m or camera.object_distance_m
+        scale = camera.image_distance_mm / object_m  # mm/m, and µm/mm
         x, y = motion.velocity_mm_per_s
     else:
         scale = 1.0 if motion.image_um_per_s is not None else pitch_um
@@ -481,15 +480,13 @@ def room_um(
     if motion.margin_um is not None:
         return motion.margin_um
     longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s)
-    rooms = []
+    widths_um = []
     for pitch_um, bin_side in pixels:
         lines = 1e3 * camera.height_mm / (pitch_um * bin_side)
-        rooms.append(
-            (longest_s + lines * exposure.line_time_s)
-            / 2
-            * max(map(abs, velocity_um_per_s(motion, camera, pitch_um)))
-        )
-    return max(rooms)
+        frame_s = longest_s + lines * exposure.line_time_s
+        speed_um_per_s = max(map(abs, velocity_um_per_s(motion, camera, pitch_um)))
+        widths_um.append(frame_s / 2 * speed_um_per_s)
+    return max(widths_um)
 
 
 def border_with_room_um(
@@ -499,20 +496,18 @@ def border_with_room_um(
     camera: Camera,
     pixels: Iterable[tuple[float, int]],
 ) -> float:
-    """Return the width on each side of the die that is not scored: that of pixels, and `room_um`.
+    """Return the width on each side of the die that is not scored: `border_um` and `room_um`.
+
+    border_um : width that pixels leave, `PixelPhysics.border_um`
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um, die_side_um = (
-        room_um(motion, exposure, camera, pixels),
-        1e3 * min(camera.die_mm, camera.height_mm),
-    )
+    spare_um = room_um(motion, exposure, camera, pixels)
+    die_side_um = 1e3 * min(camera.die_mm, camera.height_mm)
     if spare_um and 2 * (border_um + spare_um) >= die_side_um:
-        got = (
-            f"a path of up to {2 * spare_um:.4g} µm on the sensor"
-            if motion.margin_um is None
-            else f"a margin of {spare_um:g} µm"
-        )
+        got = f"a margin of {spare_um:g} µm"
+        if motion.margin_um is None:
+            got = f"a path of up to {2 * spare_um:.4g} µm on the sensor"
         allowed = (
             "one that leaves something to score, a path below"
             f" {max(0.0, die_side_um - 2 * border_um):.4g} µm, twice its margin"
