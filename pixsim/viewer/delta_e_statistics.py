@@ -29,24 +29,28 @@ def percentiles(
     for part in strips(values.size, 1, _COUNTED):
         np.multiply(values[part], scale, out=bins[part], casting="unsafe")
         counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
-    up_to = counts.cumsum()
+
+    # The ranks of the values beside each percentile, 0 for the smallest value, and their bins.
     positions = [percentage / 100 * (values.size - 1) for percentage in percent]
     ranks = np.array(
         [[int(position), min(int(position) + 1, values.size - 1)] for position in positions]
-    )  # 0 for the smallest value
-    rank_bins = np.searchsorted(up_to, ranks, "right")
+    )
+    count_up_to = counts.cumsum()
+    rank_bins = np.searchsorted(count_up_to, ranks, "right")
+
+    # Only the values in these bins are sorted; bins increase with the values.
     needed_bins = np.array(sorted(set(rank_bins.ravel().tolist())))
     is_needed = np.zeros(bins.shape, bool)
     for bin_number in needed_bins.tolist():  # a number of Python does not widen the bins
         is_needed |= bins == bin_number
-    smallest = np.sort(values[is_needed])  # bins increase with the values
-    skipped = (
-        up_to[needed_bins] - counts[needed_bins].cumsum()
-    )  # values in bins that are not wanted, below each one that is
-    ranked_values = smallest.astype(float)[ranks - skipped[np.searchsorted(needed_bins, rank_bins)]]
+    needed_values = np.sort(values[is_needed]).astype(float)
+
+    # Values below each of these bins that are in none of them.
+    skipped = count_up_to[needed_bins] - counts[needed_bins].cumsum()
+    ranked = needed_values[ranks - skipped[np.searchsorted(needed_bins, rank_bins)]]
     return [
         float(low + position % 1 * (high - low))
-        for position, (low, high) in zip(positions, ranked_values, strict=True)
+        for position, (low, high) in zip(positions, ranked, strict=True)
     ]
 
 

@@ -66,16 +66,14 @@ def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     """
     knots, corrections, slope = _inverse_table(gaussian_variance_e2)
     values = np.asarray(values, float)
-    base = values / 2
-    base *= base
-    base -= _OFFSET_E + gaussian_variance_e2
-    base += np.interp(values, knots, corrections)
-    below = values < knots[0]
-    return (
-        np.asarray(np.where(below, slope * (values - knots[0]), base))
-        if below.any()
-        else np.asarray(base)
-    )
+    mean_e = values / 2
+    mean_e *= mean_e
+    mean_e -= _OFFSET_E + gaussian_variance_e2
+    mean_e += np.interp(values, knots, corrections)
+    is_below = values < knots[0]
+    if is_below.any():
+        mean_e = np.where(is_below, slope * (values - knots[0]), mean_e)
+    return np.asarray(mean_e)
 
 
 def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tuple[Array, Array]:
@@ -85,65 +83,80 @@ def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tup
     mean_e : (...) λ, of light and dark together
     gaussian_variance_e2 : σ²
     """
-    flat = np.ravel(np.asarray(mean_e, float))
-    mean, variance = np.empty_like(flat), np.empty_like(flat)
-    is_faint = flat + gaussian_variance_e2 < _SERIES_FROM_E
-    mean[is_faint], variance[is_faint] = _summed(flat[is_faint], gaussian_variance_e2)
-    mean[~is_faint], variance[~is_faint] = _series(flat[~is_faint], gaussian_variance_e2)
-    return mean.reshape(np.shape(mean_e)), variance.reshape(np.shape(mean_e))
+    flat_e = np.ravel(np.asarray(mean_e, float))
+    mean, variance = np.empty_like(flat_e), np.empty_like(flat_e)
+    is_faint = flat_e + gaussian_variance_e2 < _SERIES_FROM_E
+    mean[is_faint], variance[is_faint] = _summed(flat_e[is_faint], gaussian_variance_e2)
+    mean[~is_faint], variance[~is_faint] = _series(flat_e[~is_faint], gaussian_variance_e2)
+    shape = np.shape(mean_e)
+    return mean.reshape(shape), variance.reshape(shape)
 
 
 def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     """Return both moments (n,) by the sum over all numbers of electrons."""
-    from scipy.special import gammaln, ndtr, xlogy
+    from scipy.special import gammaln, xlogy
 
     if not mean_e.size:
         return mean_e, mean_e
     largest = float(mean_e.max())
-    counts = np.arange(math.ceil(largest + _TAIL * math.sqrt(largest) + _TAIL**2 / 2) + 1.0)
-    shares = np.exp(xlogy(counts, mean_e[:, None]) - mean_e[:, None] - gammaln(counts + 1))
-    centres, spread = counts + _OFFSET_E + variance_e2, math.sqrt(variance_e2)
-    if spread:
-        # E √u over Gaussian u > 0, by r = √u, in which the integrand 2 r² φ is smooth
-        ends = np.sqrt(
-            np.maximum(np.stack([centres - _TAIL * spread, centres + _TAIL * spread]), 0.0)
-        )
-        root = ends[0] + (ends[1] - ends[0]) * (
-            np.arange(_GAUSSIAN_STEPS + 1.0)[:, None] / _GAUSSIAN_STEPS
-        )
-        density = np.exp(-(((root**2 - centres) / spread) ** 2) / 2) / (
-            spread * math.sqrt(2 * math.pi)
-        )
-        roots = (2 * root**2 * density).sum(axis=0) * (ends[1] - ends[0]) / _GAUSSIAN_STEPS
-        at = centres / spread
-        squares = centres * ndtr(at) + spread * np.exp(-(at**2) / 2) / math.sqrt(
-            2 * math.pi
-        )  # E u over u > 0
+    last = math.ceil(largest + _TAIL * math.sqrt(largest) + _TAIL**2 / 2)
+    counts = np.arange(last + 1.0)
+    poisson = np.exp(xlogy(counts, mean_e[:, None]) - mean_e[:, None] - gammaln(counts + 1))
+
+    # E √u and E u for each number of electrons, over the Gaussian noise.
+    centres_e = counts + _OFFSET_E + variance_e2
+    sigma_e = math.sqrt(variance_e2)
+    if sigma_e:
+        roots, squares = _gaussian_means(centres_e, sigma_e)
     else:
-        roots, squares = np.sqrt(centres), centres
-    mean = 2 * (shares * roots).sum(axis=1)
-    # about the mean of each, without the difference of two large numbers
+        roots, squares = np.sqrt(centres_e), centres_e
+    mean = 2 * (poisson * roots).sum(axis=1)
+
+    # About the mean of each number, without the difference of two large numbers.
     within = np.maximum(squares - roots**2, 0.0)
-    variance = 4 * (shares * (within + (roots - mean[:, None] / 2) ** 2)).sum(axis=1)
+    between = (roots - mean[:, None] / 2) ** 2
+    variance = 4 * (poisson * (within + between)).sum(axis=1)
     return mean, variance
+
+
+def _gaussian_means(centres: Array, sigma: float) -> tuple[Array, Array]:
+    """Return E √u and E u over u > 0, for Gaussian u about each centre, (n,) each."""
+    from scipy.special import ndtr
+
+    # By r = √u, in which the integrand 2 r² φ is smooth.
+    ends = np.stack([centres - _TAIL * sigma, centres + _TAIL * sigma])
+    first, last = np.sqrt(np.maximum(ends, 0.0))
+    steps = np.arange(_GAUSSIAN_STEPS + 1.0)[:, None] / _GAUSSIAN_STEPS
+    root = first + (last - first) * steps
+    z = (root**2 - centres) / sigma
+    density = np.exp(-(z**2) / 2) / (sigma * math.sqrt(2 * math.pi))
+    roots = (2 * root**2 * density).sum(axis=0) * (last - first) / _GAUSSIAN_STEPS
+
+    at = centres / sigma
+    squares = centres * ndtr(at) + sigma * np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+    return roots, squares
 
 
 def _series(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     """Return both moments (n,) by the series of 2 √u about the mean of u, to the eighth moment."""
-    total, centre = mean_e + variance_e2, mean_e + variance_e2 + _OFFSET_E
+    total = mean_e + variance_e2
+    centre = mean_e + variance_e2 + _OFFSET_E
+
+    # Central moments from cumulants: those of the Gaussian end with the second.
     cumulants = {1: 0.0 * total, 2: total} | dict.fromkeys(range(3, 9), mean_e)
     central = {0: 1.0 + 0.0 * total}
     for order in range(1, 9):
-        terms = (
-            math.comb(order - 1, k - 1) * cumulants[k] * central[order - k]
-            for k in range(1, order + 1)
-        )
-        central[order] = sum(terms, 0.0 * total)
-    relative = {order: moment / centre**order for order, moment in central.items()}
-    root = {order: _binomial(order) * relative[order] for order in range(9)}
-    mean = sum(root.values(), 0.0 * total)  # of √(u / centre)
+        moment = 0.0 * total
+        for k in range(1, order + 1):
+            moment = moment + math.comb(order - 1, k - 1) * cumulants[k] * central[order - k]
+        central[order] = moment
+
+    mean = 0.0 * total  # of √(u / centre)
+    for order in range(9):
+        mean = mean + _binomial(order) * (central[order] / centre**order)
+
+    # E u/centre = 1, so the variance is 1 - mean² = -excess (2 + excess).
     excess = mean - 1
-    # E u/centre = 1, so the variance is 1 - mean² = -excess (2 + excess)
     return 2 * np.sqrt(centre) * mean, -4 * centre * excess * (2 + excess)
 
 

@@ -40,18 +40,19 @@ def _axis_weights(frequency: Array) -> Array:
     if frequency.size > 1 and steps.min() > 0:
         first, last, step = float(ordered[0]), float(ordered[-1]), float(steps[0])
         tolerance = WITHIN * step
+        is_even = frequency.size % 2 == 0
         is_sorted = bool((frequency == ordered).all())
         is_fft_order = not is_sorted and bool((frequency == np.fft.ifftshift(ordered)).all())
+
         # -Nyquist stands for both ends of an even number; an odd one has its ends half a cell
         # inside.
-        misses = first + last + step if frequency.size % 2 == 0 else first + last
-        if (
-            (is_fft_order or (is_sorted and frequency.size % 2 == 0))
-            and abs(misses) <= tolerance
-            and np.ptp(steps) <= tolerance
-        ):
+        asymmetry = first + last + step if is_even else first + last
+        is_fft = is_fft_order or (is_sorted and is_even)
+        if is_fft and abs(asymmetry) <= tolerance and np.ptp(steps) <= tolerance:
             return np.full(frequency.size, step)
-        if is_sorted and (first == 0 or abs(first + last) <= tolerance):
+
+        is_symmetric = abs(first + last) <= tolerance
+        if is_sorted and (first == 0 or is_symmetric):
             trapezium = (np.append(0.0, steps) + np.append(steps, 0.0)) / 2
             return trapezium * (2 if first == 0 else 1)
     hint = (
@@ -149,29 +150,30 @@ def radial_spectrum(
             f"an array of shape {picture.shape}",
             f"{MIN_CELLS} cells or more along each axis",
         )
-    pitch_mm, largest = pitch_um / _UM_PER_MM, float(np.abs(picture).max()) or 1.0
-    windows = [np.hanning(count + 2)[1:-1] for count in picture.shape]
-    weight = windows[0][:, None] * windows[1]
+    pitch_mm = pitch_um / _UM_PER_MM
+    largest = float(np.abs(picture).max()) or 1.0
+
+    # The picture without its weighted mean, in units of its largest value, behind the window.
+    window_y, window_x = (np.hanning(count + 2)[1:-1] for count in picture.shape)
+    window = window_y[:, None] * window_x
     values = np.asarray(picture, float) / largest
-    values = (values - float((values * weight).sum() / weight.sum())) * weight
+    values = (values - float((values * window).sum() / window.sum())) * window
+
     along_y, along_x = np.fft.fftfreq(picture.shape[0]), np.fft.rfftfreq(picture.shape[1])
     blur = np.sinc(along_y)[:, None] * np.sinc(along_x)
-    power = (
-        np.abs(np.fft.rfft2(values) / blur) ** 2
-        * (pitch_mm * largest) ** 2
-        / float((weight**2).sum())
-    )
-    twice = np.where(
-        (along_x == 0) | (along_x == 0.5), 1.0, 2.0
-    )  # for the half of the plane that is left out
+    periodogram = np.abs(np.fft.rfft2(values) / blur) ** 2
+    power = periodogram * (pitch_mm * largest) ** 2 / float((window**2).sum())
+
+    # Rings: half a ring, whatever its rounding, counts up.
     ring_px = 2 / min(picture.shape)
-    ring = (np.hypot(along_y[:, None], along_x) / ring_px + 0.5 + WITHIN).astype(
-        int
-    )  # half a ring, whatever its rounding, counts up
+    ring = (np.hypot(along_y[:, None], along_x) / ring_px + 0.5 + WITHIN).astype(int)
     inside = (ring > 0) & (ring * ring_px <= 0.5 + WITHIN)
-    count = np.bincount(ring[inside], np.broadcast_to(twice, ring.shape)[inside])
-    total = np.bincount(ring[inside], (power * twice)[inside])
-    return np.arange(1, count.size) * ring_px / pitch_mm, total[1:] / count[1:]
+    # Most frequencies stand for their negative, too, in the half of the plane that is left out.
+    multiplicity = np.where((along_x == 0) | (along_x == 0.5), 1.0, 2.0)
+    count = np.bincount(ring[inside], np.broadcast_to(multiplicity, ring.shape)[inside])
+    total = np.bincount(ring[inside], (power * multiplicity)[inside])
+    frequency_cy_per_mm = np.arange(1, count.size) * ring_px / pitch_mm
+    return frequency_cy_per_mm, total[1:] / count[1:]
 
 
 def folded_spectrum(

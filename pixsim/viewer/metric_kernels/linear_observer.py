@@ -71,7 +71,7 @@ def detectability(
     Raises PixsimError if a variance is not positive, or the shapes differ.
 
     >>> disc = np.zeros((32, 32))
-    >>> disc[8:24, 8:24] = 3.0  # 256 pixels, 3 DN above an even background of σ = 12 DN: Δ √N/σ
+    >>> disc[8:24, 8:24] = 3.0  # 256 pixels, 3 DN above a uniform background of σ = 12 DN: Δ √N/σ
     >>> detectability(disc, np.full(disc.shape, 144.0))
     4.0
     """
@@ -84,36 +84,41 @@ def detectability(
     if offset_slopes is not None and offset_slopes.shape != (2, *difference.shape):
         allowed = f"two of the shape of difference, {(2, *difference.shape)}"
         raise invalid("offset_slopes", f"an array of shape {offset_slopes.shape}", allowed)
-    largest, smallest = float(np.abs(difference).max()), float(variance.min())
+    largest = float(np.abs(difference).max())
+    smallest = float(variance.min())
     if not largest or not smallest < math.inf:
         return 0.0
+
+    # In units of the largest difference and of the smallest variance.
     delta = np.divide(difference, largest, dtype=float)
     weight = np.broadcast_to(np.divide(smallest, variance, dtype=float), delta.shape)
     gains = np.ones((1, 1, 1)) if offset_slopes is None else _gains(*offset_slopes)
-    # 1 / variance of the offsets, in the unit of the smallest variance
-    column_precision, row_precision = (
-        smallest / offset_variance if offset_variance > smallest / LARGEST else math.inf
-        for offset_variance in (column_variance, row_variance)
-    )
-    if delta.shape[0] > delta.shape[1]:  # offsets of the rows are solved for, which then are fewer
+    column_precision = _precision(column_variance, smallest)
+    row_precision = _precision(row_variance, smallest)
+
+    # Offsets of the rows are solved for, which are to be the fewer ones.
+    if delta.shape[0] > delta.shape[1]:
         delta, weight, gains = delta.T, weight.T, gains.transpose(0, 2, 1)
         column_precision, row_precision = row_precision, column_precision
-    return (
-        largest
-        / math.sqrt(smallest)
-        * math.sqrt(_squared(delta, weight, gains, column_precision, row_precision))
-    )
+    squared = _d_prime_squared(delta, weight, gains, column_precision, row_precision)
+    return largest / math.sqrt(smallest) * math.sqrt(squared)
+
+
+def _precision(offset_variance: float, unit: float) -> float:
+    """Return 1/variance of an offset in a unit of the variance; inf for none."""
+    return unit / offset_variance if offset_variance > unit / LARGEST else math.inf
 
 
 def _gains(slopes: Array, background_slopes: Array) -> Array:
     """Return the gains m and h of the module, (2, rows, columns), for slopes with and without a
     target; m alone if they agree.
     """
-    mean, half = (slopes + background_slopes) / 2, (slopes - background_slopes) / 2
+    mean = (slopes + background_slopes) / 2
+    half = (slopes - background_slopes) / 2
     return np.stack([mean, half] if half.any() else [mean])
 
 
-def _squared(
+def _d_prime_squared(
     delta: Array, weight: Array, gains: Array, column_precision: float, row_precision: float
 ) -> float:
     """Return d′² for weights up to 1, and the reciprocals of the variances of columns and rows.
@@ -122,45 +127,77 @@ def _squared(
     gains : (n, rows, columns), or (1, 1, 1), with which the n offsets of a line come through
     """
     weighted = weight * gains
-    count = len(weighted)
-    rows = np.zeros(weighted.shape[:2])
-    columns = _columns(delta, weighted, gains, column_precision)
+    row_offsets = np.zeros(weighted.shape[:2])
+    column_offsets = _column_offsets(delta, weighted, gains, column_precision)
     if row_precision < math.inf:
-        normal = (weighted[:, None] * gains).sum(axis=3)  # (n, n, rows)
-        normal[range(count), range(count)] += row_precision
-        diagonal = normal[range(count), range(count)]
-        rest = (weighted * (delta - _through(columns[:, None], gains))).sum(
-            axis=2
-        )  # minus half of the gradient at 0
-        along = step = rest / diagonal
-        size = float((rest * step).sum())
-        enough = _RESIDUAL * float((weight * delta**2).sum())
-        for _ in range(_STEPS_PER_OFFSET * rows.size):
-            if size <= enough:
-                break
-            fitted = _columns(_through(along[..., None], gains), weighted, gains, column_precision)
-            image = (normal * along).sum(axis=1) - (
-                weighted * _through(fitted[:, None], gains)
-            ).sum(axis=2)
-            length = size / float((along * image).sum())
-            rows += length * along
-            rest = rest - length * image
-            step = rest / diagonal
-            size, before = float((rest * step).sum()), size
-            along = step + size / before * along
-        columns = _columns(
-            delta - _through(rows[..., None], gains), weighted, gains, column_precision
+        row_offsets = _row_offsets(
+            delta,
+            weight=weight,
+            weighted=weighted,
+            gains=gains,
+            column_offsets=column_offsets,
+            column_precision=column_precision,
+            row_precision=row_precision,
         )
+        without_rows = delta - _through(row_offsets[..., None], gains)
+        column_offsets = _column_offsets(without_rows, weighted, gains, column_precision)
+
     penalty = sum(
-        reciprocal * float((offsets**2).sum())
-        for reciprocal, offsets in ((column_precision, columns), (row_precision, rows))
-        if reciprocal < math.inf
+        precision * float((offsets**2).sum())
+        for precision, offsets in ((column_precision, column_offsets), (row_precision, row_offsets))
+        if precision < math.inf
     )
-    left = delta - _through(columns[:, None], gains)
-    left -= _through(rows[..., None], gains)
-    left *= left
-    left *= weight
-    return float(left.sum()) + penalty
+    residual = delta - _through(column_offsets[:, None], gains)
+    residual -= _through(row_offsets[..., None], gains)
+    residual *= residual
+    residual *= weight
+    return float(residual.sum()) + penalty
+
+
+def _row_offsets(
+    delta: Array,
+    *,
+    weight: Array,
+    weighted: Array,
+    gains: Array,
+    column_offsets: Array,
+    column_precision: float,
+    row_precision: float,
+) -> Array:
+    """Return the best offsets of rows, (n, rows), by conjugate gradients with a diagonal
+    preconditioner; for each of their values the best offsets of columns are known.
+
+    column_offsets : (n, columns), the best without offsets of rows
+    """
+    count = len(weighted)
+    normal = (weighted[:, None] * gains).sum(axis=3)  # (n, n, rows)
+    normal[range(count), range(count)] += row_precision
+    diagonal = normal[range(count), range(count)]
+
+    row_offsets = np.zeros(weighted.shape[:2])
+    # Minus half of the gradient at 0.
+    without_columns = delta - _through(column_offsets[:, None], gains)
+    gradient = (weighted * without_columns).sum(axis=2)
+    direction = step = gradient / diagonal
+    size = float((gradient * step).sum())
+    tolerance = _RESIDUAL * float((weight * delta**2).sum())
+    for _ in range(_STEPS_PER_OFFSET * row_offsets.size):
+        if size <= tolerance:
+            break
+
+        # The quadratic form along the direction, with the columns fitted to it.
+        moved = _through(direction[..., None], gains)
+        fitted = _column_offsets(moved, weighted, gains, column_precision)
+        of_columns = (weighted * _through(fitted[:, None], gains)).sum(axis=2)
+        image = (normal * direction).sum(axis=1) - of_columns
+        length = size / float((direction * image).sum())
+
+        row_offsets += length * direction
+        gradient = gradient - length * image
+        step = gradient / diagonal
+        size, previous_size = float((gradient * step).sum()), size
+        direction = step + size / previous_size * direction
+    return row_offsets
 
 
 def _through(offsets: Array, gains: Array) -> Array:
@@ -170,7 +207,7 @@ def _through(offsets: Array, gains: Array) -> Array:
     return np.asarray((offsets * gains).sum(axis=0))
 
 
-def _columns(delta: Array, weighted: Array, gains: Array, column_precision: float) -> Array:
+def _column_offsets(delta: Array, weighted: Array, gains: Array, column_precision: float) -> Array:
     """Return the best offsets of columns for a difference (rows, columns), (n, columns); 0 if there
     are none.
 
@@ -184,10 +221,10 @@ def _columns(delta: Array, weighted: Array, gains: Array, column_precision: floa
     normal[range(count), range(count)] += column_precision
     if count == 1:
         return np.asarray(right / normal[0])
+
     # Cramer's rule: the penalty keeps the determinant away from 0.
     (first, mixed), (_, second) = normal
     determinant = first * second - mixed**2
-    return (
-        np.stack([second * right[0] - mixed * right[1], first * right[1] - mixed * right[0]])
-        / determinant
-    )
+    mean = second * right[0] - mixed * right[1]
+    half = first * right[1] - mixed * right[0]
+    return np.stack([mean, half]) / determinant

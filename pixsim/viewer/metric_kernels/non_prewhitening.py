@@ -75,27 +75,20 @@ def npwe(
             f"that of difference, {difference.shape}, or a number",
         )
     eye = _eye_filter(difference.shape, samples_per_deg)
-    largest, highest, loudest = (
-        float(np.abs(difference).max()),
-        float(eye.max()),
-        float(noise_power.max()),
-    )
-    if not largest or not highest:
+    largest_difference = float(np.abs(difference).max())
+    largest_gain = float(eye.max())
+    largest_power = float(noise_power.max())
+    if not largest_difference or not largest_gain:
         return 0.0
-    if not loudest:
+    if not largest_power:
         return math.inf
-    eye /= highest
-    seen = np.abs(np.fft.fft2(difference / largest) * eye) ** 2
-    signal = (
-        float(seen.sum()) / difference.size / samples_per_deg**2
-    )  # of unit cells of frequency, samples_per_deg²/(H W)
-    noise = (
-        float((seen * eye**2 * (noise_power / loudest)).sum())
-        / difference.size
-        / samples_per_deg**2
-    )
-    return (
-        largest / math.sqrt(loudest) * signal / math.sqrt(noise)
-        if noise
-        else (math.inf if signal else 0.0)
-    )
+
+    # All in units of their largest value; a unit cell of frequency is samples_per_deg²/(H W).
+    eye /= largest_gain
+    seen = np.abs(np.fft.fft2(difference / largest_difference) * eye) ** 2
+    signal = float(seen.sum()) / difference.size / samples_per_deg**2
+    seen_noise = seen * eye**2 * (noise_power / largest_power)
+    noise = float(seen_noise.sum()) / difference.size / samples_per_deg**2
+    if not noise:
+        return math.inf if signal else 0.0
+    return largest_difference / math.sqrt(largest_power) * signal / math.sqrt(noise)

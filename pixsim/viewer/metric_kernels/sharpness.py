@@ -120,22 +120,27 @@ def edge_mtf(
 
     Raises PixsimError if both sides are equally bright.
     """
-    frequency, angle = np.asarray(frequency_cy_per_px, float), math.radians(angle_deg)
+    frequency = np.asarray(frequency_cy_per_px, float)
+    angle = math.radians(angle_deg)
     rows, columns = (np.arange(count, dtype=float) for count in picture.shape)
-    distance = (math.cos(angle) * columns + math.sin(angle) * rows[:, None]).ravel()
-    order = np.argsort(distance, kind="stable")
-    away, rise = distance[order], np.diff(np.asarray(picture, float).ravel()[order])
-    middle, width = (away[1:] + away[:-1]) / 2, np.diff(away)
+
+    # The edge spread function: samples in the order of their distance from the edge.
+    distance_px = (math.cos(angle) * columns + math.sin(angle) * rows[:, None]).ravel()
+    order = np.argsort(distance_px, kind="stable")
+    distance_px = distance_px[order]
+    rise = np.diff(np.asarray(picture, float).ravel()[order])
+    middle_px = (distance_px[1:] + distance_px[:-1]) / 2
+    width_px = np.diff(distance_px)
     total = float(rise.sum())
     if not total:
         raise invalid("picture", "no step from one side to the other", "an edge between two levels")
 
     def modulus(cy_per_px: float) -> float:
-        part, phase = rise * np.sinc(cy_per_px * width), 2 * np.pi * cy_per_px * middle
-        return math.hypot(
-            float((part * np.cos(phase)).sum()), float((part * np.sin(phase)).sum())
-        ) / abs(total)
+        weight = rise * np.sinc(cy_per_px * width_px)
+        phase = 2 * np.pi * cy_per_px * middle_px
+        real = float((weight * np.cos(phase)).sum())
+        imaginary = float((weight * np.sin(phase)).sum())
+        return math.hypot(real, imaginary) / abs(total)
 
-    return np.array([modulus(cy_per_px) for cy_per_px in frequency.ravel().tolist()]).reshape(
-        frequency.shape
-    )
+    moduli = [modulus(cy_per_px) for cy_per_px in frequency.ravel().tolist()]
+    return np.array(moduli).reshape(frequency.shape)

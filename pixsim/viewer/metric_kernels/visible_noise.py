@@ -40,8 +40,8 @@ _CHROMA = (
 def visual_noise(
     picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: Positives | None = None
 ) -> float:
-    """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of an even patch behind the eye's filters, a number
-    in units of CIELUV. [ISO]
+    """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of a uniform patch behind the eye's filters, a
+    number in units of CIELUV. [ISO]
 
     The filters keep the mean, and of noise what is near 4 cy/deg, threefold. Below 0 filtered XYZ
     is taken as 0.
@@ -64,33 +64,30 @@ def visual_noise(
         )
     white = checked_white(WHITE_XYZ if white_xyz is None else white_xyz)
     if picture.ndim == 2:
-        return float(
-            _lightness(_filtered(np.asarray(picture, float)[None], samples_per_deg)[0]).std()
-        )
-    adapted = (
-        np.linalg.inv(BRADFORD) @ np.diag(BRADFORD.sum(axis=1) / (BRADFORD @ white)) @ BRADFORD
-    )
-    to_opponent = OPPONENT @ adapted
-    channels = mixed(
-        to_opponent, [np.ascontiguousarray(picture[..., channel], float) for channel in range(3)]
-    )
-    x, y, z = np.maximum(
-        mixed(np.linalg.inv(to_opponent), list(_filtered(channels, samples_per_deg))), 0.0
-    )
-    lightness, sum_of_three, white_sum = (
-        _lightness(y / white[1]),
-        x + 15 * y + 3 * z,
-        white[0] + 15 * white[1] + 3 * white[2],
-    )
-    colour = sum_of_three > 0
+        luminance = _filtered(np.asarray(picture, float)[None], samples_per_deg)[0]
+        return float(_lightness(luminance).std())
+
+    # XYZ adapted to equal energy → opponent channels → the eye's filters → XYZ.
+    cone_ratios = BRADFORD.sum(axis=1) / (BRADFORD @ white)
+    adaptation = np.linalg.inv(BRADFORD) @ np.diag(cone_ratios) @ BRADFORD
+    to_opponent = OPPONENT @ adaptation
+    planes = [np.ascontiguousarray(picture[..., channel], float) for channel in range(3)]
+    filtered = _filtered(mixed(to_opponent, planes), samples_per_deg)
+    x, y, z = np.maximum(mixed(np.linalg.inv(to_opponent), list(filtered)), 0.0)
+
+    # CIELUV: u* and v* are 13 L* times the differences of u′ and v′ from those of the white.
+    lightness = _lightness(y / white[1])
+    denominator = x + 15 * y + 3 * z
+    white_denominator = white[0] + 15 * white[1] + 3 * white[2]
+    has_light = denominator > 0
     deviations = [lightness.std()]
     for plane, factor, white_component in ((x, 4.0, white[0]), (y, 9.0, white[1])):
+        white_chromaticity = white_component / white_denominator
         chromaticity = np.divide(
-            plane, sum_of_three, out=np.full(y.shape, white_component / white_sum), where=colour
+            plane, denominator, out=np.full(y.shape, white_chromaticity), where=has_light
         )
-        deviations.append(
-            (13 * lightness * factor * (chromaticity - white_component / white_sum)).std()
-        )
+        difference = 13 * lightness * factor * (chromaticity - white_chromaticity)
+        deviations.append(difference.std())
     return float(
         sum(weight * deviation for weight, deviation in zip(WEIGHTS, deviations, strict=True))
     )
@@ -109,19 +106,17 @@ def _filtered(channels: Array, samples_per_deg: float) -> Array:
     planes = empty_planes(count, height, width)
     planes[...] = channels
     coefficients = dct(planes)
-    along_y, along_x = (
-        np.arange(samples) / (2 * samples) * samples_per_deg for samples in (height, width)
-    )
+
+    along_y = np.arange(height) / (2 * height) * samples_per_deg
+    along_x = np.arange(width) / (2 * width) * samples_per_deg
     frequency = np.hypot(along_y[:, None], along_x)
     gains = [luminance_csf(frequency)]
     for terms, scale in _CHROMA[: count - 1]:
-        gains.append(
-            sum(
-                (part * np.exp(-decay * frequency**power) for part, decay, power in terms),
-                np.zeros(()),
-            )
-            / scale
-        )
+        gain = np.zeros(())
+        for weight, decay, power in terms:
+            gain = gain + weight * np.exp(-decay * frequency**power)
+        gains.append(gain / scale)
+
     for plane, gain in zip(coefficients, gains, strict=True):
         gain[0, 0] = 1.0
         plane *= gain
