@@ -45,17 +45,15 @@ TYPES_FILE = "types.csv"
 
 @dataclass(frozen=True)
 class Share:
-    """A share of a variance, with its standard error. Both are NaN where the draws do not tell
-    them.
-    """
+    """A share of a variance, with its standard error. Both are NaN where the draws are too few."""
 
     share: float = math.nan
     standard_error: float = math.nan
 
     def __str__(self) -> str:
-        return (
-            "unknown" if math.isnan(self.share) else f"{self.share:.2f} ± {self.standard_error:.2f}"
-        )
+        if math.isnan(self.share):
+            return "unknown"
+        return f"{self.share:.2f} ± {self.standard_error:.2f}"
 
     def as_dict(self) -> dict[str, float | None]:
         """Return the numbers as in summary.json; None for NaN."""
@@ -66,7 +64,7 @@ class Share:
 
 
 def _does_vary(values: Array) -> bool:
-    """Whether results (n,) differ by more than rounding."""
+    """Return whether results (n,) differ by more than rounding."""
     return bool(np.ptp(values) > NEGLIGIBLE * np.abs(values).max())
 
 
@@ -97,18 +95,16 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
     F. Gamboa, J. Nonparametr. Stat. 25 (2013) 573), and that of R² of p terms without any effect,
     √(2p/((n - 1 - p)(n + 1))).
     """
-    if not _does_vary(values):
-        return {name: Share() for name in names}
     count = values.size
+    freedom = count - 1 - DEGREE
+    if freedom < 1 or not _does_vary(values):
+        return {name: Share() for name in names}
+
     deviations = values - values.mean()
     variance = float(np.mean(deviations**2))
-
-    freedom = count - 1 - DEGREE
-    if freedom < 1:
-        return {name: Share() for name in names}
-
     shares = {}
     for name, column in zip(names, coordinates.T, strict=True):
+        # Adjusted R² of a regression on the powers of this input.
         terms = np.column_stack([column**degree for degree in range(1, DEGREE + 1)])
         basis, _ = np.linalg.qr(terms - terms.mean(axis=0))
         fitted = basis @ (basis.T @ deviations)
@@ -118,8 +114,8 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
         # The fit follows a part of the noise too: its variance is taken to be the share.
         fitted *= math.sqrt(share / r_squared)
         influence = (2 * deviations * fitted - fitted**2 - share * deviations**2) / variance
-        without_effect = 2 * DEGREE / (freedom * (count + 1))
-        error = math.sqrt(influence.var() / count + (1 - share) ** 2 * without_effect)
+        null_variance = 2 * DEGREE / (freedom * (count + 1))
+        error = math.sqrt(influence.var() / count + (1 - share) ** 2 * null_variance)
         shares[name] = Share(share, error)
     return shares
 
@@ -160,9 +156,8 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     }
 
 
-_CENTRAL_90 = float(
-    ndtri(0.95)
-)  # half of the central 90 % of a normal distribution, in standard deviations
+# Half of the central 90 % of a normal distribution, in standard deviations.
+_CENTRAL_90 = float(ndtri(0.95))
 NORMAL_95 = float(ndtri(0.975))
 _MIN_SHARE_IN_BOUNDS = 0.5  # of a distribution, within the bounds of its number
 # Quantities that have one draw in all technologies: what makes a foundry's dark current or offsets
@@ -182,9 +177,9 @@ _ORDERED = (
 )
 MIN_DRAWS, MAX_DRAWS = 8, 1 << 16
 MAX_TYPE_EVALUATIONS = 24  # of a sensor type, for each technology and case
-_HALF_CELL = (
-    2.0**-31
-)  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
+# Half a cell of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal
+# distribution.
+_HALF_CELL = 2.0**-31
 _QUANTILES = {"p05": 0.05, "p50": 0.5, "p95": 0.95}
 # an input beside the numbers of the sensor: the frames and the fit of each type
 SCATTER = "scatter of the evaluations"
@@ -197,7 +192,7 @@ class Unknown:
     quantity : field of a technology or a pixel; the name ends in the unit
     value : as stated
     spread : its distribution
-    technology : that has the number, as a study names it; empty for one of a data sheet
+    technology : name of the technology in a study; empty for a number of a data sheet
     allowed : bounds of the quantity, at which the distribution is cut off
     is_data_sheet : whether a data sheet states it; then it shares its draw with no other sensor
     process : name of the technology, if several sensors have it and share the draw
@@ -219,18 +214,12 @@ class Unknown:
                 self.name, f"a lognormal distribution of {self.value:g}", "a number above 0"
             )
         low, high = self.cut
-        if high - low < _MIN_SHARE_IN_BOUNDS:
+        share = high - low
+        if share < _MIN_SHARE_IN_BOUNDS:
             bounds = f"{self.allowed[0]:g} to {self.allowed[1]:g}"
-            got = (
-                f"a {self.spread.kind} distribution of which {percent(high - low)} are within"
-                f" {bounds}"
-            )
-            raise invalid(
-                self.name,
-                got,
-                f"at least {percent(_MIN_SHARE_IN_BOUNDS)}",
-                "Give a narrower spread.",
-            )
+            got = f"a {self.spread.kind} distribution of which {percent(share)} are within {bounds}"
+            allowed = f"at least {percent(_MIN_SHARE_IN_BOUNDS)}"
+            raise invalid(self.name, got, allowed, "Give a narrower spread.")
 
     @property
     def name(self) -> str:
@@ -244,17 +233,21 @@ class Unknown:
         """
         from scipy import stats  # imported here: it takes 0.5 s
 
-        spread, sd = self.spread, self.spread.sd or 0.0
+        spread = self.spread
+        sd = spread.sd or 0.0
         is_log = spread.kind == "lognormal"
         if spread.range is not None:
             low, high = (math.log(end) if is_log else end for end in spread.range)
-            mean, sd = (low + high) / 2, (high - low) / (2 * _CENTRAL_90)
+            mean = (low + high) / 2
+            sd = (high - low) / (2 * _CENTRAL_90)
         elif is_log:
             variance = math.log1p((sd / self.value) ** 2)
-            mean, sd = math.log(self.value) - variance / 2, math.sqrt(variance)
+            mean = math.log(self.value) - variance / 2
+            sd = math.sqrt(variance)
         else:
             mean = self.value
-            low, high = mean - math.sqrt(3) * sd, mean + math.sqrt(3) * sd
+            low = mean - math.sqrt(3) * sd
+            high = mean + math.sqrt(3) * sd
         return stats.uniform(low, high - low) if spread.kind == "uniform" else stats.norm(mean, sd)
 
     @cached_property
@@ -265,10 +258,8 @@ class Unknown:
             low, high = (math.log(end) if end > 0 else -math.inf for end in self.allowed)
         return float(self.distribution.cdf(low)), float(self.distribution.cdf(high))
 
-    def _share(self, quantile: Array) -> Array:
-        """Quantiles of the whole distribution at quantiles of the distribution within its
-        bounds.
-        """
+    def _whole_quantile(self, quantile: Array) -> Array:
+        """Return quantiles of the whole distribution at quantiles within the bounds, (n,)."""
         low, high = self.cut
         return low + quantile * (high - low)
 
@@ -276,13 +267,13 @@ class Unknown:
         """Return the number in a unit in which it is uniform between 0 and 1, or standard normal,
         at quantiles (n,).
         """
-        return (
-            quantile if self.spread.kind == "uniform" else np.asarray(ndtri(self._share(quantile)))
-        )
+        if self.spread.kind == "uniform":
+            return quantile
+        return np.asarray(ndtri(self._whole_quantile(quantile)))
 
     def at(self, quantile: Array) -> Array:
         """Return the values at quantiles (n,) of the distribution within its bounds."""
-        values = self.distribution.ppf(self._share(quantile))
+        values = self.distribution.ppf(self._whole_quantile(quantile))
         if self.spread.kind == "lognormal":
             values = np.exp(values)
         return np.clip(values, *self.allowed)
@@ -300,9 +291,6 @@ def unknowns_of_technology(
 
     name : of the technology in the study
     excluded : numbers that the study sets, which have no range then
-
-    Where the ranges of two numbers would break their order (`_ORDERED`), they end at the other
-    number's value, or at the middle between both values if both are unknown.
     """
     unknowns = {}
     for number, ends in technology.ranges.items():
@@ -313,28 +301,42 @@ def unknowns_of_technology(
             unknowns[number] = Unknown(
                 number, technology.numbers[number], spread, name, _bounds_of(technology, number)
             )
-
     for smaller, larger in _ORDERED:
-        small, large = unknowns.get(smaller), unknowns.get(larger)
-        if smaller not in technology.numbers or larger not in technology.numbers:
-            continue
-        small_value, large_value = technology.numbers[smaller], technology.numbers[larger]
-        highest = float(small.at(np.array([1 - _HALF_CELL]))[0]) if small else small_value
-        lowest = float(large.at(np.array([_HALF_CELL]))[0]) if large else large_value
-        if highest <= lowest:
-            continue
-        limit = (
-            (small_value + large_value) / 2
-            if small and large
-            else small_value
-            if large
-            else large_value
-        )
-        if small:
-            unknowns[smaller] = replace(small, allowed=(small.allowed[0], limit))
-        if large:
-            unknowns[larger] = replace(large, allowed=(limit, large.allowed[1]))
+        if smaller in technology.numbers and larger in technology.numbers:
+            _keep_order(unknowns, smaller, larger, technology.numbers)
     return list(unknowns.values())
+
+
+def _keep_order(
+    unknowns: dict[str, Unknown], smaller: str, larger: str, numbers: Mapping[str, float]
+) -> None:
+    """Shorten the ranges of two numbers so that the first never exceeds the second.
+
+    They end at the other number's value, or, if both are unknown, at the middle between both.
+
+    unknowns : of a technology, by number
+    smaller, larger : names of the numbers
+    numbers : stated values
+    """
+    small = unknowns.get(smaller)
+    large = unknowns.get(larger)
+    small_value = numbers[smaller]
+    large_value = numbers[larger]
+    highest = float(small.at(np.array([1 - _HALF_CELL]))[0]) if small else small_value
+    lowest = float(large.at(np.array([_HALF_CELL]))[0]) if large else large_value
+    if highest <= lowest:
+        return
+
+    if small and large:
+        limit = (small_value + large_value) / 2
+    elif large:
+        limit = small_value
+    else:
+        limit = large_value
+    if small:
+        unknowns[smaller] = replace(small, allowed=(small.allowed[0], limit))
+    if large:
+        unknowns[larger] = replace(large, allowed=(limit, large.allowed[1]))
 
 
 def unknowns_of_sheet(
@@ -352,33 +354,26 @@ def unknowns_of_sheet(
     unknowns = []
     for name, spread in uncertainty.items():
         value = getattr(pixel, name, None)
+        key = f"pixel.uncertainty.{name}"
         if isinstance(value, bool) or not isinstance(value, int | float):
-            field_names = sorted(
-                field
-                for field in pixel.model_fields_set
-                if isinstance(getattr(pixel, field), float)
-            )
-            raise invalid(
-                f"pixel.uncertainty.{name}",
-                "no such number",
-                ", ".join(field_names) or "none",
-                did_you_mean(name, field_names),
-            )
+            stated = [field for field in pixel.model_fields_set if _is_float(pixel, field)]
+            allowed = ", ".join(sorted(stated)) or "none"
+            raise invalid(key, "no such number", allowed, did_you_mean(name, sorted(stated)))
         if not spread.holds({name: value}, name):
             low, high = spread.range or (value, value)
+            got = f"range = [{low:g}, {high:g}]"
             hint = "Give the uncertainty of that number."
-            raise invalid(
-                f"pixel.uncertainty.{name}",
-                f"range = [{low:g}, {high:g}]",
-                f"a range that holds {value:g}",
-                hint,
-            )
+            raise invalid(key, got, f"a range that holds {value:g}", hint)
         unknowns.append(
             Unknown(
                 name, float(value), spread, technology, _bounds_of(pixel, name), is_data_sheet=True
             )
         )
     return unknowns
+
+
+def _is_float(record: Record, field: str) -> bool:
+    return isinstance(getattr(record, field), float)
 
 
 @lru_cache
@@ -397,19 +392,17 @@ def _bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, f
     else:
         kind = Junction if number in Junction.model_fields else Technology
     schema = _properties(kind)[number]
-    schema = next(
-        (option for option in schema.get("anyOf", ()) if option.get("type") == "number"), schema
-    )
+    alternatives = schema.get("anyOf", ())
+    schema = next((option for option in alternatives if option.get("type") == "number"), schema)
 
     low = schema.get("minimum", schema.get("exclusiveMinimum", -math.inf))
     if low == 0 and "exclusiveMinimum" in schema:
         low = MIN_FRACTION
     high = schema.get("maximum", math.inf)
-    if (
-        number == "quantum_efficiency"
-        and isinstance(record, PixelOptions)
-        and record.quantum_efficiency_nm is not None
-    ):
+
+    # Silicon of finite depth cannot absorb more light of a wavelength.
+    is_efficiency = number == "quantum_efficiency" and isinstance(record, PixelOptions)
+    if is_efficiency and record.quantum_efficiency_nm is not None:
         depth_um = record.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
         high = float(absorbed_share(record.quantum_efficiency_nm, depth_um))
     return low, high
@@ -418,10 +411,10 @@ def _bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, f
 def unknowns_of_process(
     pixel: PixelOptions, technology: Technology, name: str, excluded: Iterable[str] = ()
 ) -> list[Unknown]:
-    """Return the numbers of a technology with a range that neither a pixel gives in its place nor
-    are known otherwise.
+    """Return the numbers of a technology that have a range and that a pixel does not replace.
 
     name : of the sensor
+    excluded : further numbers that are not drawn
     """
     stated = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
     stated = stated.union(excluded, excluded_by(stated), _replaced_by_pixel(pixel))
@@ -429,17 +422,15 @@ def unknowns_of_process(
 
 
 def _replaced_by_pixel(pixel: PixelOptions) -> set[str]:
-    """Return the numbers of a technology that a pixel replaces by other names: of its stack, and
-    with its read noise.
+    """Return the numbers of a technology that a pixel replaces by fields of other names: those of
+    its stack, and its read noise.
     """
     replaced = set() if pixel.read_noise_e is None else {"read_noise_after_gain_e"}
     if pixel.stack is None:
         return replaced
-    stated = (
-        set(StackOptions.model_fields)
-        if not pixel.stack.enabled
-        else set(pixel.stack.model_dump(exclude_none=True))
-    )
+    stated = set(StackOptions.model_fields)
+    if pixel.stack.enabled:
+        stated = set(pixel.stack.model_dump(exclude_none=True))
     return replaced | {f"stack_{name}" for name in stated | restated_by(StackOptions, stated)}
 
 
@@ -456,15 +447,18 @@ def settings_of(
     process: dict[str, dict[str, float]] = {}
     names = {unknown.name for unknown in unknowns}
     for unknown in unknowns:
-        number, value = unknown.quantity, draw[unknown.name]
+        number = unknown.quantity
+        value = draw[unknown.name]
         if unknown.technology:
-            sensor = study.sensors.get(unknown.technology)
-            tables = process if sensor is None or getattr(sensor, number, None) is None else sensors
+            sheet = study.sensors.get(unknown.technology)
+            is_of_sheet = sheet is not None and getattr(sheet, number, None) is not None
+            tables = sensors if is_of_sheet else process
             tables.setdefault(unknown.technology, {})[number] = value
             continue
 
         pixel[number] = value
-        for name, sheet in study.sensors.items():  # that have the number from [pixel]
+        # Data sheets that have the number from [pixel] follow it.
+        for name, sheet in study.sensors.items():
             if getattr(sheet, number, None) == unknown.value and f"{name} {number}" not in names:
                 sensors.setdefault(name, {})[number] = value
     tables_by_name = {"pixel": pixel, "sensors": sensors, "process": process}
@@ -510,22 +504,22 @@ class Sample:
             `SCATTER`; NaN where it is not known
         total : whether the types are those of `sobol_points`, which tell the `total` shares too
         """
+        names = list(self.inputs)
         scatter = _scatter_share(values, scatter_variances)
         if total:
-            return total_indices(values, list(self.inputs)) | {
-                SCATTER: {"first": scatter, "total": scatter}
-            }
+            shares = total_indices(values, names)
+            return shares | {SCATTER: {"first": scatter, "total": scatter}}
+
         unknowns = zip(self.inputs.values(), self.quantiles.T, strict=True)
         coordinates = np.column_stack(
             [members[0].coordinate(quantile) for members, quantile in unknowns]
         )
-        first = first_order(coordinates, values, list(self.inputs)) | {SCATTER: scatter}
+        first = first_order(coordinates, values, names) | {SCATTER: scatter}
         return {name: {"first": share} for name, share in first.items()}
 
 
 def _scatter_share(values: Array, scatter_variances: Array) -> Share:
-    """Return the share of the variance of results (n,) that their own variances (n,) can explain at
-    most.
+    """Return the largest share of the variance of results (n,) that their scatter can explain.
 
     It is an upper end, since types share random numbers, and so a part of their errors, which does
     not scatter.
@@ -550,18 +544,19 @@ def _inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
         raise invalid(
             "unknowns", "none", "at least one number with a range or an uncertainty", hint
         )
-    draws: dict[tuple[bool, str], list[Unknown]] = {}
+    members: dict[tuple[bool, str], list[Unknown]] = {}
     for unknown in unknowns:
         is_shared = unknown.quantity in SHARED and not unknown.is_data_sheet
-        process_number = (
-            f"{unknown.process} {unknown.quantity}" if unknown.process else unknown.name
-        )
-        draws.setdefault((is_shared, unknown.quantity if is_shared else process_number), []).append(
-            unknown
-        )
+        if is_shared:
+            name = unknown.quantity
+        elif unknown.process:
+            name = f"{unknown.process} {unknown.quantity}"
+        else:
+            name = unknown.name
+        members.setdefault((is_shared, name), []).append(unknown)
     return {
-        members[0].name if len(members) == 1 else name: tuple(members)
-        for (_, name), members in draws.items()
+        input_unknowns[0].name if len(input_unknowns) == 1 else name: tuple(input_unknowns)
+        for (_, name), input_unknowns in members.items()
     }
 
 
@@ -611,10 +606,11 @@ class Probability:
 
     @classmethod
     def of(cls, holds: Sequence[float]) -> Probability:
-        """Return the probability from whether it holds in each draw, as 1, 0, or 0.5 where that is
-        open.
+        """Return the probability from draws in which the verdict holds (1), does not (0), or is
+        open (0.5).
         """
-        n, k = len(holds), sum(map(float, holds))
+        n = len(holds)
+        k = sum(map(float, holds))
         low = float(betaincinv(k + 0.5, n - k + 0.5, 0.025)) if k else 0.0
         high = float(betaincinv(k + 0.5, n - k + 0.5, 0.975)) if k < n else 1.0
         return cls(k / n, low, high, n)
@@ -642,7 +638,7 @@ class ResultDistribution:
 
 @dataclass(frozen=True)
 class UncertaintyResult:
-    """Distribution of an optimum and of its least ΔE over sensor types.
+    """Distribution over sensor types of an optimum and of the mean ΔE there.
 
     sample : the sensor types
     table : column -> values of all types, (n,): `optimum_um` within the sizes tried, the least ΔE
@@ -685,8 +681,8 @@ class UncertaintyResult:
 
     @property
     def optimum(self) -> ResultDistribution:
-        """Distribution of the optimal pitch. One at an end of the sizes tried counts as that
-        size.
+        """Distribution of the optimal pitch; an optimum beyond the sizes tried counts as the end
+        of them.
         """
         return ResultDistribution(self.table["optimum_um"])
 
@@ -772,10 +768,8 @@ FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
 MIN_PITCHES = 5  # of a curve that can be fitted
 # Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
 # 1 % (5 % on a flat curve), as their intervals say, also if it lies a quarter beside the base's.
-FEW_PITCHES_RATIO = (
-    2.0,
-    4.0,
-)  # ratio of the few pitches' ends to the base optimum, whose half interval counts three times
+# Ratio of the few pitches' ends to the base optimum, whose half interval counts three times.
+FEW_PITCHES_RATIO = (2.0, 4.0)
 PITCH_DIGITS = 5  # significant ones
 
 
@@ -805,17 +799,17 @@ def few_pitches_um(
         for end in interval_um
     ]
     ratio = float(np.clip(max(ratios) ** 3, *FEW_PITCHES_RATIO))
-    first, last = max(low, optimum_um / ratio), min(high, optimum_um * ratio)
-    pitches = [
-        float(f"{pitch:.{PITCH_DIGITS}g}")
-        for pitch in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist()
-    ]
-    sensor_counts = dict.fromkeys((min(max(pitch, low), high) for pitch in pitches), FEW_SENSORS)
-    if len(sensor_counts) < MIN_PITCHES:
-        raise invalid(
-            "range_um", f"{low:g} to {high:g}", f"a range of {MIN_PITCHES} different pitches"
-        )
-    return sensor_counts
+    first = max(low, optimum_um / ratio)
+    last = min(high, optimum_um * ratio)
+
+    sizes: dict[float, int] = {}
+    for pitch_um in np.geomspace(first, last, evaluations // FEW_SENSORS).tolist():
+        rounded_um = float(f"{pitch_um:.{PITCH_DIGITS}g}")
+        sizes[min(max(rounded_um, low), high)] = FEW_SENSORS
+    if len(sizes) < MIN_PITCHES:
+        allowed = f"a range of {MIN_PITCHES} different pitches"
+        raise invalid("range_um", f"{low:g} to {high:g}", allowed)
+    return sizes
 
 
 # --- types of the sensors of a study or of a comparison -------------------------------------------
