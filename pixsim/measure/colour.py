@@ -37,7 +37,9 @@ LAMP = "D55"  # the default of ISO 17321-1
 _WHITE_SHARE = 0.13 / 0.18  # of saturation
 GREY = 0.18  # reflectance
 PAIRS = 2  # frames of each field
-_LEAST_WHITE = 5.0  # standard errors of a channel's white: with fewer, its balance is not known
+_MIN_WHITE_SIGMAS = (
+    5.0  # standard errors of a channel's white: with fewer, its balance is not known
+)
 _ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
 # of the measured means within their standard errors, for those of what follows: known to 15 %
 _REDRAWS = 24
@@ -97,13 +99,14 @@ class Colour:
 
     @cached_property
     def redrawn(self) -> list[Rendition]:
-        """The same with the means of patches and white redrawn within their standard errors."""
-        draws, rng = [], stream("datasheet", self.seed, "colour errors")
+        """The measured chart, with the means of patches and white redrawn within their errors."""
+        rng = stream("datasheet", self.seed, "colour errors")
+        draws = []
         for _ in range(_REDRAWS):
-            patches = self.patches_dn + self.patches_error_dn * rng.standard_normal(
-                self.patches_dn.shape
-            )
-            white = self.white_dn + self.white_error_dn * rng.standard_normal(self.white_dn.shape)
+            patch_deviation = rng.standard_normal(self.patches_dn.shape)
+            white_deviation = rng.standard_normal(self.white_dn.shape)
+            patches = self.patches_dn + self.patches_error_dn * patch_deviation
+            white = self.white_dn + self.white_error_dn * white_deviation
             draws.append(replace(self.measured, responses=np.maximum(patches / white, 0.0)))
         return draws
 
@@ -111,22 +114,21 @@ class Colour:
         """Return a quantity of the measured chart, with the spread of its redraws as standard
         error.
         """
-        return Estimate(
-            quantity(self.measured), float(np.std([quantity(one) for one in self.redrawn], ddof=1))
-        )
+        redrawn = [quantity(rendition) for rendition in self.redrawn]
+        return Estimate(quantity(self.measured), float(np.std(redrawn, ddof=1)))
 
     @cached_property
     def white_balance(self) -> list[Estimate]:
         """Gain of each channel that makes white equal in all, relative to the channel that white
         fills most, (C,).
         """
-        most = int(np.argmax(self.truth.white_e))
+        brightest = int(np.argmax(self.truth.white_e))
         errors = np.hypot(self.white_error_dn, self.white_dn * self.gain_error)
         signals = [
             Estimate(*pair) for pair in zip(self.white_dn.tolist(), errors.tolist(), strict=True)
         ]
         return [
-            Estimate(1.0) if number == most else signals[most] / signal
+            Estimate(1.0) if number == brightest else signals[brightest] / signal
             for number, signal in enumerate(signals)
         ]
 
@@ -145,26 +147,26 @@ class Colour:
         count = noise.shape[1]
         together = variances[1] + variances[2]
         # Of a sum of two variances, with their covariance; normal noise.
-        spread = math.sqrt(
-            2
-            * (variances[1] ** 2 + variances[2] ** 2 + 2 * float(np.mean(noise[1] * noise[2])) ** 2)
-            / count
-        )
+        covariance = float(np.mean(noise[1] * noise[2]))
+        spread = math.sqrt(2 * (variances[1] ** 2 + variances[2] ** 2 + 2 * covariance**2) / count)
         if not min(variances[0], together) > 0:  # below the rounding of the ADC
             return Estimate(math.nan, math.nan), Estimate(math.nan, math.nan)
-        ratios = luminance / math.sqrt(variances[0]), luminance / math.sqrt(together)
-        return Estimate(ratios[0], ratios[0] / math.sqrt(2 * count)), Estimate(
-            ratios[1], ratios[1] * spread / together / 2
+        snr_luminance = luminance / math.sqrt(variances[0])
+        snr_chrominance = luminance / math.sqrt(together)
+        return (
+            Estimate(snr_luminance, snr_luminance / math.sqrt(2 * count)),
+            Estimate(snr_chrominance, snr_chrominance * spread / together / 2),
         )
 
     def true_snr(self) -> tuple[float, float]:
-        """The same from the parameters, mean temporal variance of the pixels."""
-        p, opponent = self.readout, _opponents(self.truth.rendition)
+        """The ratios of `snr` by the parameters, with the mean temporal variance of the pixels."""
+        p = self.readout
+        opponent = _opponents(self.truth.rendition)
         variance = frame_variance_dn2(
             GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False
         )
-        of_white = variance / (self.truth.white_e * p.dn_per_e) ** 2
-        luminance, *chrominance = (opponent**2 * of_white).sum(axis=1)
+        relative_variance = variance / (self.truth.white_e * p.dn_per_e) ** 2
+        luminance, *chrominance = (opponent**2 * relative_variance).sum(axis=1)
         # The matrix need not keep white.
         mean = GREY * float(opponent[0].sum())
         return mean / math.sqrt(luminance), mean / math.sqrt(sum(chrominance))
@@ -205,18 +207,15 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
     Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix
     amplifies noise too much.
     """
-    physics, power = readout.physics, illuminant(LAMP, STANDARD_NM)
-    responses = np.stack(
-        [
-            one.quantum_efficiency(STANDARD_NM) * photons_per_joule(STANDARD_NM)
-            for one in physics.channels
-        ],
-        axis=1,
-    )
+    physics = readout.physics
+    power = illuminant(LAMP, STANDARD_NM)
+    photons = photons_per_joule(STANDARD_NM)
+    curves = [channel.quantum_efficiency(STANDARD_NM) * photons for channel in physics.channels]
+    responses = np.stack(curves, axis=1)
     xyz, white_xyz = chart_xyz(STANDARD_NM, power)
-    seen = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
+    patch_responses = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
     rates = (power[:, None] * responses).sum(axis=0)
-    rendition = Rendition(seen, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
+    rendition = Rendition(patch_responses, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
     layout = Layout.unbinned(physics.pixel)
     assert layout is not None
     lights = [emva_illumination(STANDARD_NM, power * curve) for curve in responses.T]
@@ -268,26 +267,21 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
 
     def means(frames: list[Frames]) -> tuple[Array, Array]:
         """Means of the channels, and their variances."""
-        total = (
-            np.bincount(numbers.ravel(), np.sum(frames, axis=0, dtype=float).ravel())
-            / counts
-            / PAIRS
-        )
-        squares = (
-            np.bincount(numbers.ravel(), np.square((frames[0] - frames[1]).astype(float)).ravel())
-            / counts
-            / 2
-        )
-        return total, squares / counts / PAIRS
+        total = np.sum(frames, axis=0, dtype=float)
+        squares = np.square((frames[0] - frames[1]).astype(float))
+        mean = np.bincount(numbers.ravel(), total.ravel()) / counts / PAIRS
+        variance = np.bincount(numbers.ravel(), squares.ravel()) / counts / 2
+        return mean, variance / counts / PAIRS
 
     dark, dark_variance = means(field_of("colour dark", np.zeros(len(layout.channels))))
     fields = [
-        means(field_of(f"patch {index}", truth.white_e * seen))
-        for index, seen in enumerate(truth.rendition.responses)
+        means(field_of(f"patch {index}", truth.white_e * response))
+        for index, response in enumerate(truth.rendition.responses)
     ]
     white, white_variance = means(field_of("white", truth.white_e))
-    signal, error = white - dark, np.sqrt(white_variance + dark_variance)
-    faint = np.flatnonzero(signal <= _LEAST_WHITE * np.maximum(error, _ROUNDING_DN))
+    signal = white - dark
+    error = np.sqrt(white_variance + dark_variance)
+    faint = np.flatnonzero(signal <= _MIN_WHITE_SIGMAS * np.maximum(error, _ROUNDING_DN))
     if faint.size:
         first = int(faint[0])
         got = (
@@ -299,11 +293,11 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
             " or gain."
         )
         raise invalid(
-            "colour", got, f"more than {_LEAST_WHITE:g} standard errors in each channel", hint
+            "colour", got, f"more than {_MIN_WHITE_SIGMAS:g} standard errors in each channel", hint
         )
     grey = field_of("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)
-    least = int(counts.min())
+    min_count = int(counts.min())
     return Colour(
         readout,
         time_s,
@@ -315,7 +309,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         gain_error=gain_spread / np.sqrt(counts),
         grey_dn=means(grey)[0] - dark,
         grey_noise_dn=np.stack(
-            [difference[numbers == number][:least] for number in range(len(counts))], axis=1
+            [difference[numbers == number][:min_count] for number in range(len(counts))], axis=1
         ),
         seed=experiment.seed,
     )

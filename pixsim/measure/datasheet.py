@@ -61,9 +61,8 @@ from pixsim.viewer.without_effect import (
     warn_of_settings_without_effect,
 )
 
-_LEAST_NOISE_DN = (
-    0.1  # of light at saturation: below it, most frames of even light have one code and no noise
-)
+# Of light at saturation: below it, most frames of uniform light have one code and no noise.
+_MIN_NOISE_DN = 0.1
 _GREY_FRAMES = 16  # ISO 15739 requires at least 8
 _GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
 
@@ -74,11 +73,16 @@ def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> t
 
     Shot noise is approximated by a normal distribution, as in `pixsim.sensor.saturation`.
     """
-    p, dark_e = readout, readout.dark_current_e_per_s * integration_s
+    p = readout
     mean, variance = level_moments(
-        mean_e, dark_e, p.adc_range_e, lambda generated: stored_signal_e(generated, integration_s, p),
-        noise_e=p.noise_floor_e, gain_spread=p.prnu, offset_spread_e=p.offset_e,
-    )  # fmt: skip
+        mean_e,
+        p.dark_current_e_per_s * integration_s,
+        p.adc_range_e,
+        lambda generated: stored_signal_e(generated, integration_s, p),
+        noise_e=p.noise_floor_e,
+        gain_spread=p.prnu,
+        offset_spread_e=p.offset_e,
+    )
     return mean * p.dn_per_e + p.adc.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
 
 
@@ -110,11 +114,11 @@ def dark_map_e(experiment: Experiment) -> Array:
     """(rows, columns) mean dark signal of the device's pixels: pixel offsets, column offsets and
     dark charge, e-.
     """
-    sensor, map_e = experiment.sensor, np.zeros(experiment.sensor.shape)
+    sensor = experiment.sensor
+    map_e = np.zeros(sensor.shape)
     if sensor.dark_gain is not None:
-        map_e = map_e + sensor.dark_gain * (
-            experiment.readout.dark_current_e_per_s * experiment.integration_s
-        )
+        dark_e = experiment.readout.dark_current_e_per_s * experiment.integration_s
+        map_e = map_e + sensor.dark_gain * dark_e
     for offset_e in (sensor.offset_e, sensor.column_offset_e):
         if offset_e is not None:
             map_e = map_e + offset_e
@@ -166,11 +170,15 @@ class DataSheet(Result):
     @cached_property
     def transfer(self) -> PhotonTransfer:
         """Gain, responsivity, dark noise and saturation from the light series."""
-        spread = (
-            0.0 if math.isnan(self.prnu.value) else self.prnu.value
-        )  # NaN: too small to be seen
+        # NaN: too small to be seen.
+        spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value
         return estimators.photon_transfer(
-            self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread, self.of_rows
+            self.light,
+            self.dark.mean_dn,
+            self.dark.variance_dn2,
+            self.pixels,
+            spread,
+            _row_noise(self.experiment),
         )
 
     @property
@@ -208,7 +216,7 @@ class DataSheet(Result):
     def dark_currents(self) -> tuple[Estimate, Estimate]:
         """Dark current from the mean and from the variance, e-/s."""
         return estimators.dark_current(
-            self.dark_series, self.transfer.gain_dn_per_e, self.pixels, self.of_rows
+            self.dark_series, self.transfer.gain_dn_per_e, self.pixels, _row_noise(self.experiment)
         )
 
     @cached_property
@@ -218,7 +226,7 @@ class DataSheet(Result):
         """
         gain = Estimate(self.transfer.gain_dn_per_e.value)
         currents = [
-            estimators.dark_current(warm, gain, self.pixels, self.of_rows)[0]
+            estimators.dark_current(warm, gain, self.pixels, _row_noise(self.experiment))[0]
             for warm in self.warm.values()
         ]
         return np.array(list(self.warm)), currents
@@ -242,9 +250,8 @@ class DataSheet(Result):
             return 0.0
         dark = dark_map_e(self.experiment)
         light = self.bright_photons * self.experiment.efficiency * self.experiment.sensor.gain
-        return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(
-            light.mean()
-        )
+        variance_e2 = max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)
+        return math.sqrt(variance_e2) / float(light.mean())
 
     @cached_property
     def expected(self) -> tuple[Array, Array]:
@@ -278,8 +285,13 @@ class DataSheet(Result):
     def entries(self) -> list[Entry]:
         """All lines of the data sheet, grouped by standard."""
         return [
-            *(*sensitivity(self), *channels(self), *spatial(self), *dark(self)),
-            *(*noise(self), *speed(self), *colour(self)),
+            *_sensitivity_entries(self),
+            *_channel_entries(self),
+            *_spatial_entries(self),
+            *_dark_entries(self),
+            *_noise_entries(self),
+            *_speed_entries(self),
+            *_colour_entries(self),
         ]
 
     def __repr__(self) -> str:
@@ -337,7 +349,7 @@ def datasheet(
 
 # A data sheet is of single exposures of even light, as they are read. Camera and lens stand in a
 # sensor's file for other commands.
-NOT_OF_SHEETS = (
+UNUSED_SETTINGS = (
     *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
     *fields_of("exposure", Exposure, "integration_s", "gain_db"),
     *(
@@ -366,10 +378,10 @@ def datasheet_settings(
     """
     files = listed(config)
     if isinstance(pixel, Pixel) and (
-        given := [name for name, value in (("file", file), ("config", files)) if value]
+        given_files := [name for name, value in (("file", file), ("config", files)) if value]
     ):
         raise invalid(
-            ", ".join(given),
+            ", ".join(given_files),
             "with a Pixel",
             "fields of a pixel beside a file",
             "Set these values in the Pixel instead.",
@@ -393,7 +405,7 @@ def datasheet_settings(
     )
     imaging = Imaging.of(settings, Camera())
     stated = UserSettings.from_setting(
-        imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False
+        imaging, settings, not_taken=UNUSED_SETTINGS, makes_frames=False
     )
     warn_of_settings_without_effect({"": [stated]})
     return settings
@@ -425,48 +437,55 @@ def measure(
         float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False))
         - QUANTISATION_DN2
     )
-    if largest_dn2 < _LEAST_NOISE_DN**2:
+    if largest_dn2 < _MIN_NOISE_DN**2:
         got = (
             f"{p.adc.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from"
             " which K is measured"
         )
         allowed = (
-            f"codes of at most {1 / _LEAST_NOISE_DN:g} standard deviations of the temporal noise at"
+            f"codes of at most {1 / _MIN_NOISE_DN:g} standard deviations of the temporal noise at"
             " saturation"
         )
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
-    def pairs(name: str, photons: Array, of: Experiment = experiment) -> PairSeries:
-        report_fraction, measured = report_progress(name), []
+    def pairs(name: str, photons: Array, channel: Experiment = experiment) -> PairSeries:
+        report_fraction = report_progress(name)
+        measured = []
         for index, level in enumerate(photons.tolist()):
-            measured.append(estimators.pair(*of.frames(2, level, name, index)))
+            first, second = channel.frames(2, level, name, index)
+            measured.append(estimators.pair(first, second))
             report_fraction((index + 1) / photons.size)
         return estimators.series(photons, measured)
 
     light = pairs("light series", experiment.photons)
     dim = pairs("dim light", experiment.dim_photons)
+
     report_progress("stacks")
     saturation = float(light.at[estimators.saturation_index(light.variance_dn2)])
-    bright, grey = saturation / 2, _GREY_SHARE * saturation
+    bright = saturation / 2
+    grey = _GREY_SHARE * saturation
     count = experiment.stack_frames
-    stacks = [
-        estimators.stack(experiment.frames(count, level, name))
-        for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
-    ]
-    others = experiment.physics.layout.channels if experiment.physics.layout else ()
-    channels: dict[str, tuple[Experiment, PhotonTransfer]] = {}
-    pixels, measured_prnu = math.prod(experiment.sensor.shape), estimators.prnu(*stacks).value
+    dark_stack = estimators.stack(experiment.frames(count, 0.0, "dark stack"))
+    bright_stack = estimators.stack(experiment.frames(count, bright, "bright stack"))
+
+    pixels = math.prod(experiment.sensor.shape)
+    measured_prnu = estimators.prnu(dark_stack, bright_stack).value
     spread = 0.0 if math.isnan(measured_prnu) else measured_prnu
     dark = estimators.pair(*experiment.frames(2, 0.0, "dark"))
-    for letter in (each for each in others if each != experiment.physics.channel):
-        own = experiment.of_channel(letter, wavelength_nm)
-        series_ = pairs(f"channel {letter}", own.photons, own)
-        channels[letter] = (
-            own,
-            estimators.photon_transfer(
-                series_, dark.mean_dn, dark.variance_dn2, pixels, spread, _row_noise(own)
-            ),
+    layout = experiment.physics.layout
+    letters = [] if layout is None else list(layout.channels)
+    channels: dict[str, tuple[Experiment, PhotonTransfer]] = {}
+    for letter in letters:
+        if letter == experiment.physics.channel:
+            continue
+        channel_experiment = experiment.for_channel(letter, wavelength_nm)
+        channel_light = pairs(f"channel {letter}", channel_experiment.photons, channel_experiment)
+        row_noise = _row_noise(channel_experiment)
+        transfer = estimators.photon_transfer(
+            channel_light, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise
         )
+        channels[letter] = channel_experiment, transfer
+
     report_progress("dark series")
     return DataSheet(
         experiment,
@@ -478,8 +497,8 @@ def measure(
             temperature_k: experiment.dark_series(temperature_k)
             for temperature_k in experiment.temperatures_k
         },
-        dark_stack=stacks[0],
-        bright_stack=stacks[1],
+        dark_stack=dark_stack,
+        bright_stack=bright_stack,
         grey=np.stack([*experiment.frames(_GREY_FRAMES, grey, "grey")]).astype(float),
         grey_photons=grey,
         bright_photons=bright,
@@ -533,18 +552,15 @@ class Entry:
         """Relative deviation, measured/true - 1; NaN if there is no true value or it is 0 within
         rounding.
         """
-        return (
-            self.measured / self.true - 1
-            if abs(self.true) > ROUNDING * abs(self.measured)
-            else math.nan
-        )
+        has_true = abs(self.true) > ROUNDING * abs(self.measured)
+        return self.measured / self.true - 1 if has_true else math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Return the line for JSON, with None for NaN and infinity."""
         return plain(asdict(self) | {"off": self.off})
 
 
-def line(
+def _entry(
     standard: str,
     name: str,
     symbol: str,
@@ -554,7 +570,14 @@ def line(
     source: str,
     note: str = "",
 ) -> Entry:
+    """Return an entry of a measured value beside the true one, whose source is stated in words."""
     return Entry(standard, name, symbol, unit, measured.value, measured.error, true, source, note)
+
+
+_emva_entry = partial(_entry, EMVA)
+_noise_entry = partial(_entry, NOISE)
+_speed_entry = partial(_entry, SPEED)
+_colour_entry = partial(_entry, COLOUR)
 
 
 def _decibel(ratio: Estimate) -> Estimate:
@@ -562,10 +585,14 @@ def _decibel(ratio: Estimate) -> Estimate:
     return Estimate(20 * math.log10(ratio.value), 20 / math.log(10) * ratio.error / ratio.value)
 
 
-def sensitivity(sheet: DataSheet) -> list[Entry]:
+def _sensitivity_entries(sheet: DataSheet) -> list[Entry]:
     """Gain, quantum efficiency, dark noise, saturation, SNR, dynamic range and linearity."""
-    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.readout, sheet.true_linearity
-    eta, dn2 = e.efficiency, p.dn_per_e**2
+    t = sheet.transfer
+    e = sheet.experiment
+    p = e.readout
+    true = sheet.true_linearity
+    eta = e.efficiency
+    dn2 = p.dn_per_e**2
     saturation_e = variance_peak_e(p, e.integration_s, float(e.photons[-1]) * eta)
     dark_dn2 = sheet.true_dark_noise_e**2 * dn2 + QUANTISATION_DN2
     threshold_e = math.sqrt(dark_dn2 / dn2) + 0.5
@@ -574,92 +601,208 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     peak = "peak of the model's expected variance"
     straight = e.pixel.conversion == "linear" and e.pixel.well_limit == "swing"
     span = "full well" if e.pixel.adc_full_scale_e is None else "adc_full_scale_e"
-    of_gain = (
+    gain_source = (
         f"(2^bits - 1 - black) / {span}" if p.adc.gain_e_per_dn is None else "1 / gain_e_per_dn"
     )
-    of_gain += f" · 10^({p.gain_db:g} dB / 20)" if p.gain_db else ""
-    of_line = "straight line" if straight else "the model's expected curve"
+    gain_source += f" · 10^({p.gain_db:g} dB / 20)" if p.gain_db else ""
+    line_source = "straight line" if straight else "the model's expected curve"
     return [
-        line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, of_gain),
-        line(EMVA, "responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
-        line(EMVA, "quantum efficiency", "η", "%", t.efficiency * 100, 100 * eta, "QE(λ) · fill factor, for the whole pixel"),
-        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, sheet.true_dark_noise_e, "√(reset² + read² + dark)",
-             limited),
-        line(EMVA, "absolute sensitivity threshold", "μ_p.min", "p", t.threshold_p, threshold_e / eta,
-             "(√(σ_d² + σ_q²/K²) + ½) / η", limited),
-        line(EMVA, "absolute sensitivity threshold", "μ_e.min", "e-", t.threshold_e, threshold_e, "η μ_p.min", limited),
-        line(EMVA, "saturation capacity", "μ_p.sat", "p", t.saturation_p, saturation_e / eta, peak, step),
-        line(EMVA, "saturation capacity", "μ_e.sat", "e-", t.saturation_e, saturation_e, peak, step),
-        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", _decibel(t.snr_max), 10 * math.log10(saturation_e),
-             "√μ_e.sat"),
-        line(EMVA, "dynamic range", "DR", "dB", _decibel(t.dynamic_range), 20 * math.log10(saturation_e / threshold_e),
-             "μ_p.sat / μ_p.min", limited),
-        line(EMVA, "linearity error, mean", "LE", "%", _linearity_estimate(sheet, "error"), 100 * true.error, of_line),
-        line(EMVA, "linearity error, lowest", "LE_min", "%", _linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
-        line(EMVA, "linearity error, highest", "LE_max", "%", _linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
-    ]  # fmt: skip
+        _emva_entry("overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, gain_source),
+        _emva_entry("responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
+        _emva_entry(
+            "quantum efficiency",
+            "η",
+            "%",
+            t.efficiency * 100,
+            100 * eta,
+            "QE(λ) · fill factor, for the whole pixel",
+        ),
+        _emva_entry(
+            "temporal dark noise",
+            "σ_d",
+            "e-",
+            t.dark_noise_e,
+            sheet.true_dark_noise_e,
+            "√(reset² + read² + dark)",
+            limited,
+        ),
+        _emva_entry(
+            "absolute sensitivity threshold",
+            "μ_p.min",
+            "p",
+            t.threshold_p,
+            threshold_e / eta,
+            "(√(σ_d² + σ_q²/K²) + ½) / η",
+            limited,
+        ),
+        _emva_entry(
+            "absolute sensitivity threshold",
+            "μ_e.min",
+            "e-",
+            t.threshold_e,
+            threshold_e,
+            "η μ_p.min",
+            limited,
+        ),
+        _emva_entry(
+            "saturation capacity", "μ_p.sat", "p", t.saturation_p, saturation_e / eta, peak, step
+        ),
+        _emva_entry(
+            "saturation capacity", "μ_e.sat", "e-", t.saturation_e, saturation_e, peak, step
+        ),
+        _emva_entry(
+            "maximum signal-to-noise ratio",
+            "SNR_max",
+            "dB",
+            _decibel(t.snr_max),
+            10 * math.log10(saturation_e),
+            "√μ_e.sat",
+        ),
+        _emva_entry(
+            "dynamic range",
+            "DR",
+            "dB",
+            _decibel(t.dynamic_range),
+            20 * math.log10(saturation_e / threshold_e),
+            "μ_p.sat / μ_p.min",
+            limited,
+        ),
+        _emva_entry(
+            "linearity error, mean",
+            "LE",
+            "%",
+            _linearity_estimate(sheet, "error"),
+            100 * true.error,
+            line_source,
+        ),
+        _emva_entry(
+            "linearity error, lowest",
+            "LE_min",
+            "%",
+            _linearity_estimate(sheet, "lowest"),
+            100 * true.lowest,
+            line_source,
+        ),
+        _emva_entry(
+            "linearity error, highest",
+            "LE_max",
+            "%",
+            _linearity_estimate(sheet, "highest"),
+            100 * true.highest,
+            line_source,
+        ),
+    ]
 
 
-def channels(sheet: DataSheet) -> list[Entry]:
+def _channel_entries(sheet: DataSheet) -> list[Entry]:
     """Responsivity, quantum efficiency, threshold and saturation of the other channels of a colour
     sensor.
     """
     lines = []
     for letter, (e, t) in sheet.channels.items():
-        k, eta, at = e.readout.dn_per_e, e.efficiency, f"channel {letter}, {e.wavelength_nm:g} nm"
+        k = e.readout.dn_per_e
+        eta = e.efficiency
+        at = f"channel {letter}, {e.wavelength_nm:g} nm"
         dark_e = math.sqrt(sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / k**2)
         saturation_e = variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * eta)
         lines += [
-            line(EMVA, f"responsivity, {at}", f"R_{letter}", "DN/p", t.responsivity_dn_per_p, k * eta, "K η"),
-            line(EMVA, f"quantum efficiency, {at}", f"η_{letter}", "%", t.efficiency * 100, 100 * eta,
-                 "QE(λ) · fill factor, for the whole pixel"),
-            line(EMVA, f"sensitivity threshold, {at}", f"μ_p.min.{letter}", "p", t.threshold_p, (dark_e + 0.5) / eta,
-                 "(√(σ_d² + σ_q²/K²) + ½) / η", "quantisation-limited: an upper bound" if t.limited else ""),
-            line(EMVA, f"saturation capacity, {at}", f"μ_p.sat.{letter}", "p", t.saturation_p, saturation_e / eta,
-                 "peak of the model's expected variance", "standard error: one exposure step"),
-        ]  # fmt: skip
+            _emva_entry(
+                f"responsivity, {at}",
+                f"R_{letter}",
+                "DN/p",
+                t.responsivity_dn_per_p,
+                k * eta,
+                "K η",
+            ),
+            _emva_entry(
+                f"quantum efficiency, {at}",
+                f"η_{letter}",
+                "%",
+                t.efficiency * 100,
+                100 * eta,
+                "QE(λ) · fill factor, for the whole pixel",
+            ),
+            _emva_entry(
+                f"sensitivity threshold, {at}",
+                f"μ_p.min.{letter}",
+                "p",
+                t.threshold_p,
+                (dark_e + 0.5) / eta,
+                "(√(σ_d² + σ_q²/K²) + ½) / η",
+                "quantisation-limited: an upper bound" if t.limited else "",
+            ),
+            _emva_entry(
+                f"saturation capacity, {at}",
+                f"μ_p.sat.{letter}",
+                "p",
+                t.saturation_p,
+                saturation_e / eta,
+                "peak of the model's expected variance",
+                "standard error: one exposure step",
+            ),
+        ]
     return lines
 
 
-def colour(sheet: DataSheet) -> list[Entry]:
+def _colour_entries(sheet: DataSheet) -> list[Entry]:
     """SMI, noise gains of the colour matrix, white balance, and SNR of luminance and chrominance of
     a colour sensor.
     """
     c = sheet.colour
     if not isinstance(c, Colour):
         return []
-    true, row = (
-        c.truth.rendition,
-        "norm of the row of the matrix from balanced channels to the display's linear light",
-    )
+    true = c.truth.rendition
+    row = "norm of the row of the matrix from balanced channels to the display's linear light"
+    gains = [
+        (name, partial(colours.noise_gain, primary=index)) for index, name in enumerate(PRIMARIES)
+    ]
     balance = zip(c.channels, c.white_balance, c.true_white_balance.tolist(), strict=True)
     grey = "from the parameters: 18 % grey with white at 72 % of saturation"
     lines = [
-        line(COLOUR, "sensitivity metamerism index", "SMI", "", c.estimate(colours.smi), colours.smi(true),
-             "100 - 5.5 · mean ΔE*ab of patches 1-18, least mean ΔE"),
-        *(
-            line(COLOUR, f"noise gain of {name}", f"G_{name[0].upper()}", "", c.estimate(gain), gain(true), row)
-            for name, gain in ((name, partial(colours.noise_gain, primary=at)) for at, name in enumerate(PRIMARIES))
+        _colour_entry(
+            "sensitivity metamerism index",
+            "SMI",
+            "",
+            c.estimate(colours.smi),
+            colours.smi(true),
+            "100 - 5.5 · mean ΔE*ab of patches 1-18, least mean ΔE",
         ),
         *(
-            line(COLOUR, f"white balance, channel {letter}", f"WB_{letter}", "", gain, true_gain, "largest signal of white over it")
+            _colour_entry(
+                f"noise gain of {name}",
+                f"G_{name[0].upper()}",
+                "",
+                c.estimate(gain),
+                gain(true),
+                row,
+            )
+            for name, gain in gains
+        ),
+        *(
+            _colour_entry(
+                f"white balance, channel {letter}",
+                f"WB_{letter}",
+                "",
+                gain,
+                true_gain,
+                "largest signal of white over it",
+            )
             for letter, gain, true_gain in balance
         ),
-    ]  # fmt: skip
+    ]
     names = (
         ("signal over noise of luminance", "SNR_Y", "Y"),
         ("signal over noise of chrominance", "SNR_C", "R - Y and B - Y together"),
     )
-    for (name, symbol, of), measured, expected in zip(names, c.snr(), c.true_snr(), strict=True):
+    for (name, symbol, noise), measured, expected in zip(names, c.snr(), c.true_snr(), strict=True):
         lines.append(
-            line(
-                COLOUR,
+            _colour_entry(
                 name,
                 symbol,
                 "dB",
                 _decibel(measured),
                 20 * math.log10(expected),
-                f"{grey}; temporal noise of {of}",
+                f"{grey}; temporal noise of {noise}",
             )
         )
     return lines
@@ -669,48 +812,66 @@ def _linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
     """A linearity error in per cent; its standard error is the mean (LE) or largest one of the
     fitted signals.
     """
-    within, light = sheet.linearity.within, sheet.light
-    error = np.sqrt(light.variance_dn2[within] / (2 * sheet.pixels)) / sheet.signal_dn[within]
-    return Estimate(
-        100 * getattr(sheet.linearity, name),
-        100 * float(error.mean() if name == "error" else error.max()),
-    )
+    within = sheet.linearity.within
+    variance_dn2 = sheet.light.variance_dn2[within]
+    errors = np.sqrt(variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn[within]
+    error = float(errors.mean() if name == "error" else errors.max())
+    return Estimate(100 * getattr(sheet.linearity, name), 100 * error)
 
 
-def spatial(sheet: DataSheet) -> list[Entry]:
+def _spatial_entries(sheet: DataSheet) -> list[Entry]:
     """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not
     positive), and PRNU1288.
     """
-    p, map_e, k = (
-        sheet.experiment.readout,
-        dark_map_e(sheet.experiment),
-        sheet.transfer.gain_dn_per_e,
-    )
+    p = sheet.experiment.readout
+    map_e = dark_map_e(sheet.experiment)
+    k = sheet.transfer.gain_dn_per_e
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
     nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
     dsnu = (
         "from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) ="
         f" {nominal:.4g}"
     )
-    of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    whole = estimators.parts(FrameStack(1, map_e, np.zeros_like(map_e)))
+    gain_source = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
+    whole = estimators.spatial_parts(FrameStack(1, map_e, np.zeros_like(map_e)))
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [
         replace(part, value=part.value + left_e2 * (name == "of rows"))
         for part, (name, _) in zip(whole, PARTS, strict=True)
     ]
-    split = zip(PARTS, estimators.parts(sheet.dark_stack, sheet.of_rows), true_e2, strict=True)
-    kept = f"{SPLIT}, and the row noise that {sheet.dark_stack.frames} frames leave"
+    measured = estimators.spatial_parts(sheet.dark_stack, _row_noise(sheet.experiment))
+    split = zip(PARTS, measured, true_e2, strict=True)
+    row_source = f"{SPLIT}, and the row noise that {sheet.dark_stack.frames} frames leave"
     return [
-        line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.dsnu_e, float(map_e.std(ddof=1)), dsnu),
+        _emva_entry(
+            "dark signal non-uniformity",
+            "DSNU_1288",
+            "e-",
+            sheet.dsnu_e,
+            float(map_e.std(ddof=1)),
+            dsnu,
+        ),
         *(
-            line(EMVA, f"DSNU, {name}", f"DSNU_1288.{short}", "e-", root(variance, 0.0) / k, root(true, 0.0).value,
-                 kept if left_e2 and name == "of rows" else SPLIT)
+            _emva_entry(
+                f"DSNU, {name}",
+                f"DSNU_1288.{short}",
+                "e-",
+                root(variance, 0.0) / k,
+                root(true, 0.0).value,
+                row_source if left_e2 and name == "of rows" else SPLIT,
+            )
             for (name, short), variance, true in split
         ),
-        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.prnu * 100, 100 * sheet.true_prnu, of_gain)
-    ]  # fmt: skip
+        _emva_entry(
+            "photo response non-uniformity",
+            "PRNU_1288",
+            "%",
+            sheet.prnu * 100,
+            100 * sheet.true_prnu,
+            gain_source,
+        ),
+    ]
 
 
 def _doubling_from(physics: PixelPhysics) -> str:
@@ -723,147 +884,167 @@ def _doubling_from(physics: PixelPhysics) -> str:
     )
 
 
-def dark(sheet: DataSheet) -> list[Entry]:
+def _dark_entries(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
-    p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
-    current, unit, gain = (
-        sheet.experiment.readout.dark_current_e_per_s,
-        "e-/s",
-        sheet.experiment.sensor.dark_gain,
-    )
+    p = sheet.experiment.physics
+    from_mean, from_variance = sheet.dark_currents
+    current = sheet.experiment.readout.dark_current_e_per_s
+    gain = sheet.experiment.sensor.dark_gain
+    unit = "e-/s"
     at = f"mean of the pixels at {p.pixel.temperature_k:g} K"
-    if (
-        p.hot_pixel_fraction and gain is not None
-    ):  # few pixels have much of it: that of one device differs from the stated mean
+    if p.hot_pixel_fraction and gain is not None:
+        # Few pixels have much of it: the mean of a device differs from the stated one.
         at = (
             f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give"
             f" {current:.4g}"
         )
         current *= float(gain.mean())
     entries = [
-        line(EMVA, "dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
-        line(EMVA, "dark current, from the variance", "μ_I.var", unit, from_variance, current, at),
+        _emva_entry("dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
+        _emva_entry("dark current, from the variance", "μ_I.var", unit, from_variance, current, at),
     ]
     temperatures, warm = sheet.warm_currents
     if warm and current:
-        doubling = estimators.doubling_k(
-            temperatures, *np.array([(current.value, current.error) for current in warm]).T
-        )
+        values, errors = np.array([(current.value, current.error) for current in warm]).T
+        doubling = estimators.doubling_k(temperatures, values, errors)
         name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
-        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, _doubling_from(p)))
+        entries.append(_emva_entry(name, "ϑ_d", "K", doubling, true_k, _doubling_from(p)))
     return entries
 
 
 def mean_offset_e(experiment: Experiment) -> float:
     """Mean offset of the device's pixels: that of a few columns need not be 0."""
     offsets = experiment.sensor.offset_e, experiment.sensor.column_offset_e
-    return float(sum(each.mean() for each in offsets if each is not None))
+    return float(sum(offset.mean() for offset in offsets if offset is not None))
 
 
 def _highest_dn(experiment: Experiment) -> float:
     """Full scale of the device in DN: the ADC's top code, or the level of a full well below it."""
     p = experiment.readout
     full_e = p.full_well_e + mean_offset_e(experiment)
-    return (
-        float(p.adc.top_code_dn)
-        if p.adc_range_e <= full_e
-        else p.adc.black_level_dn + full_e * p.dn_per_e
-    )
+    if p.adc_range_e <= full_e:
+        return float(p.adc.top_code_dn)
+    return p.adc.black_level_dn + full_e * p.dn_per_e
 
 
 def _largest_light_e(experiment: Experiment) -> float:
-    """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset
-    leave of well and ADC range.
+    """Mean photo-electrons at the full scale of the device: well or ADC range, less its mean dark
+    charge and offset.
     """
-    p, gain = experiment.readout, experiment.sensor.dark_gain
-    dark_e = (
-        p.dark_current_e_per_s
-        * experiment.integration_s
-        * (1.0 if gain is None else float(gain.mean()))
-    )
+    p = experiment.readout
+    gain = experiment.sensor.dark_gain
+    mean_gain = 1.0 if gain is None else float(gain.mean())
+    dark_e = p.dark_current_e_per_s * experiment.integration_s * mean_gain
     return min(p.full_well_e, p.adc_range_e - mean_offset_e(experiment)) - dark_e
 
 
-def noise(sheet: DataSheet) -> list[Entry]:
+def _noise_entries(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise and S/N at 13 % of saturation, and dynamic range."""
-    e, p, k = sheet.experiment, sheet.experiment.readout, sheet.experiment.readout.dn_per_e
-    (temporal, fixed, total), signal_e = (
-        estimators.noise_15739(sheet.grey, sheet.of_rows),
-        sheet.grey_photons * e.efficiency,
-    )
+    e = sheet.experiment
+    p = e.readout
+    k = p.dn_per_e
+    row_noise = _row_noise(e)
+    temporal, fixed, total = estimators.noise_15739(sheet.grey, row_noise)
+
+    # The same by the parameters, and by the maps of the device.
+    signal_e = sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
     temporal_dn2 = (
         k**2 * float(variance_e2(p, signal_e + dark_e, is_temporal=True)) + QUANTISATION_DN2
     )
     fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
-    row_dn2, rows = sheet.of_rows.variance_dn2, sheet.of_rows.rows
-    of_mean_dn = math.sqrt((temporal_dn2 - row_dn2) / sheet.pixels + row_dn2 / rows)
-    signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, of_mean_dn)
+
+    row_dn2 = row_noise.variance_dn2
+    rows = row_noise.rows
+    mean_error_dn = math.sqrt((temporal_dn2 - row_dn2) / sheet.pixels + row_dn2 / rows)
+    signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, mean_error_dn)
     dark_dn2 = temporal_dn2 - k**2 * signal_e
-    more = sheet.dark_stack.frames - 1
-    of_variance_dn2 = float(
-        estimators.variance_error(dark_dn2, sheet.pixels * more, sheet.of_rows.in_frames(more))
+    independent_frames = sheet.dark_stack.frames - 1
+    variance_error_dn2 = float(
+        estimators.variance_error(
+            dark_dn2, sheet.pixels * independent_frames, row_noise.in_frames(independent_frames)
+        )
     )
     dark_noise = Estimate(
-        math.sqrt(sheet.dark_stack.temporal_dn2), of_variance_dn2 / (2 * math.sqrt(dark_dn2))
+        math.sqrt(sheet.dark_stack.temporal_dn2), variance_error_dn2 / (2 * math.sqrt(dark_dn2))
     )
     full_dn = Estimate(_highest_dn(e) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [
-        line(NOISE, "temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
-        line(NOISE, "fixed-pattern noise", "σ_fp", "DN", fixed, math.sqrt(fixed_dn2), "from this device's maps, at 13 %"),
-        line(NOISE, "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at),
-        line(NOISE, "signal over total noise at 13 %", "Q", "dB", _decibel(signal / total),
-             20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "from the parameters and this device's maps"),
-        line(NOISE, "dynamic range", "DR_ISO", "dB", _decibel(full_dn / dark_noise),
-             20 * math.log10(k * _largest_light_e(e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise",
-             "quantisation-limited: the codes hide the noise" if sheet.transfer.limited else "")
-    ]  # fmt: skip
+        _noise_entry("temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
+        _noise_entry(
+            "fixed-pattern noise",
+            "σ_fp",
+            "DN",
+            fixed,
+            math.sqrt(fixed_dn2),
+            "from this device's maps, at 13 %",
+        ),
+        _noise_entry(
+            "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at
+        ),
+        _noise_entry(
+            "signal over total noise at 13 %",
+            "Q",
+            "dB",
+            _decibel(signal / total),
+            20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)),
+            "from the parameters and this device's maps",
+        ),
+        _noise_entry(
+            "dynamic range",
+            "DR_ISO",
+            "dB",
+            _decibel(full_dn / dark_noise),
+            20 * math.log10(k * _largest_light_e(e) / math.sqrt(dark_dn2)),
+            "full scale over temporal dark noise",
+            "quantisation-limited: the codes hide the noise" if sheet.transfer.limited else "",
+        ),
+    ]
 
 
-def speed(sheet: DataSheet) -> list[Entry]:
+def _speed_entries(sheet: DataSheet) -> list[Entry]:
     """ISO 12232: saturation-based and noise-based speed in daylight (CIE D65)."""
-    e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.readout
+    e = sheet.experiment
+    p = e.readout
+    rising = sheet.rising
     per_lx_s = estimators.daylight_e_per_lx_s(e.physics)
     lx_s_per_photon = e.efficiency / per_lx_s
     top = Estimate(_highest_dn(e) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
-    of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
+    daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
-        line(SPEED, "saturation-based speed", "S_sat", "", Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
-             estimators.SATURATION_SPEED_LX_S * per_lx_s / _largest_light_e(e), f"78 / H_sat; {of_daylight}")
-    ]  # fmt: skip
-    lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
+        _speed_entry(
+            "saturation-based speed",
+            "S_sat",
+            "",
+            Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
+            estimators.SATURATION_SPEED_LX_S * per_lx_s / _largest_light_e(e),
+            f"78 / H_sat; {daylight}",
+        )
+    ]
+
+    lx_s = rising.at[:-1] * lx_s_per_photon
+    mean = rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])
     dark_dn2 = (
         float(dark_map_e(e).var(ddof=1))
         + sheet.true_dark_noise_e**2
         + QUANTISATION_DN2 / p.dn_per_e**2
     )
-    for wanted in estimators.SIGNAL_TO_NOISE:
+    for snr in estimators.SIGNAL_TO_NOISE:
         exposure = estimators.exposure_at_snr(
-            lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels)
+            lx_s, mean, deviation, snr, 1 / math.sqrt(2 * sheet.pixels)
         )
-        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
-        true = (
-            estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.saturation_e else math.nan
-        )
+        true_e = signal_at_snr_e(snr, dark_dn2, sheet.true_prnu)
+        true = math.nan
+        if true_e < p.saturation_e:
+            true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e
         note = "" if math.isfinite(exposure.value) else "not reached below saturation"
-        name, speed = (
-            f"noise-based speed, S/N {wanted:g}",
-            Estimate(estimators.NOISE_SPEED_LX_S) / exposure,
-        )
+        name = f"noise-based speed, S/N {snr:g}"
+        speed = Estimate(estimators.NOISE_SPEED_LX_S) / exposure
         entries.append(
-            line(
-                SPEED,
-                name,
-                f"S_noise{wanted:g}",
-                "",
-                speed,
-                true,
-                f"10 / H_S/N; {of_daylight}",
-                note,
-            )
+            _speed_entry(name, f"S_noise{snr:g}", "", speed, true, f"10 / H_S/N; {daylight}", note)
         )
     return entries

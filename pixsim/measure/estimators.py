@@ -77,10 +77,14 @@ class FrameStack:
 
 def stack(frames: Iterable[Frames]) -> FrameStack:
     """Mean and variance of each pixel; raises PixsimError for fewer than two frames."""
-    count, total, squares = 0, np.zeros((), np.int64), np.zeros((), np.int64)
+    count = 0
+    total = np.zeros((), np.int64)
+    squares = np.zeros((), np.int64)
     for frame in frames:
         wide = frame.astype(np.int64)  # sums of squared 24-bit codes are exact up to 2^15 frames
-        count, total, squares = count + 1, total + wide, squares + wide * wide
+        count += 1
+        total = total + wide
+        squares = squares + wide * wide
     if count < 2:
         raise invalid("frames of a stack", count, "2 or more")
     sum_of_squares = (count * squares - total * total).astype(float) / count
@@ -126,12 +130,13 @@ class Estimate:
         return Estimate(self.value * factor, self.error * factor)
 
 
-def root(square: Estimate, of_none: float = math.nan) -> Estimate:
-    """Square root of a variance; `of_none` if the estimate is not positive: NaN, as in EMVA 1288,
-    or 0.
+def root(square: Estimate, otherwise: float = math.nan) -> Estimate:
+    """Square root of a variance, with its standard error.
+
+    otherwise : value where the variance is not positive: NaN, as in EMVA 1288, or 0
     """
     if square.value <= 0:
-        return Estimate(of_none, math.sqrt(square.error))
+        return Estimate(otherwise, math.sqrt(square.error))
     value = math.sqrt(square.value)
     return Estimate(value, square.error / (2 * value))
 
@@ -149,11 +154,11 @@ class RowNoise:
     rows: int = 1
 
     def in_frames(self, count: int) -> RowNoise:
-        """Return that of the rows of several frames together."""
+        """Return the noise of the rows of several frames together."""
         return replace(self, rows=count * self.rows)
 
     def in_mean(self, frames: int) -> RowNoise:
-        """Return what a mean of frames keeps of it."""
+        """Return the noise of the rows of a mean of frames."""
         return replace(self, variance_dn2=self.variance_dn2 / frames)
 
 
@@ -161,26 +166,27 @@ _NO_ROW_NOISE = RowNoise()
 
 
 def variance_error(
-    variance: float | Array, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE
+    variance: float | Array, pixels: int, row_noise: RowNoise = _NO_ROW_NOISE
 ) -> Array:
-    """Standard error of the temporal variance from one pair of frames: √(2 [(o² + 2 o r)/pixels +
-    r²/rows]) of the own part o.
+    """Standard error of the temporal variance from one pair of frames, √(2 [(p² + 2 p r)/pixels +
+    r²/rows]), with the part p of single pixels and the part r of rows.
 
-    of_rows : with its variance r
+    row_noise : states r
     """
-    if not of_rows.variance_dn2:
+    if not row_noise.variance_dn2:
         return np.asarray(variance * math.sqrt(2 / pixels))
-    row, own = of_rows.variance_dn2, np.maximum(variance - of_rows.variance_dn2, 0.0)
-    return np.asarray(np.sqrt(2 * (own**2 + 2 * own * row) / pixels + 2 * row**2 / of_rows.rows))
-
-
-def mean_error(variance: float | Array, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE) -> Array:
-    """Standard error of the mean of one pair of frames. The arguments are those of
-    `variance_error`.
-    """
-    row = of_rows.variance_dn2
+    row = row_noise.variance_dn2
+    pixel = np.maximum(variance - row, 0.0)
     return np.asarray(
-        np.sqrt(np.maximum(variance - row, 0.0) / (2 * pixels) + row / (2 * of_rows.rows))
+        np.sqrt(2 * (pixel**2 + 2 * pixel * row) / pixels + 2 * row**2 / row_noise.rows)
+    )
+
+
+def mean_error(variance: float | Array, pixels: int, row_noise: RowNoise = _NO_ROW_NOISE) -> Array:
+    """Standard error of the mean of one pair of frames; arguments as in `variance_error`."""
+    row = row_noise.variance_dn2
+    return np.asarray(
+        np.sqrt(np.maximum(variance - row, 0.0) / (2 * pixels) + row / (2 * row_noise.rows))
     )
 
 
@@ -202,10 +208,12 @@ def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimat
     middle = x - x.mean()
     power = float(np.sum(middle**2))
     slope = float(np.sum(middle * y)) / power
-    of_slope = middle / power
-    of_zero = 1 / x.size - x.mean() * of_slope
-    errors = (math.sqrt(float(np.sum((weight * y_error) ** 2))) for weight in (of_slope, of_zero))
-    return Estimate(slope, next(errors)), Estimate(float(y.mean() - slope * x.mean()), next(errors))
+    slope_weights = middle / power
+    intercept_weights = 1 / x.size - x.mean() * slope_weights
+    slope_error = math.sqrt(float(np.sum((slope_weights * y_error) ** 2)))
+    intercept_error = math.sqrt(float(np.sum((intercept_weights * y_error) ** 2)))
+    intercept = float(y.mean() - slope * x.mean())
+    return Estimate(slope, slope_error), Estimate(intercept, intercept_error)
 
 
 @dataclass(frozen=True)
@@ -251,11 +259,8 @@ def saturation_index(variance_dn2: Array) -> int:
     """
     v = variance_dn2
     for index in range(len(v) - 2, 1, -1):
-        if (
-            v[index] > v.max() / 2
-            and v[index] >= v[index + 1]
-            and v[index] > max(v[index - 1], v[index - 2])
-        ):
+        is_peak = v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2])
+        if is_peak and v[index] > v.max() / 2:
             return index
     return int(np.argmax(v))
 
@@ -266,45 +271,50 @@ def photon_transfer(
     dark_variance_dn2: float,
     pixels: int,
     gain_spread: float = 0.0,
-    of_rows: RowNoise = _NO_ROW_NOISE,
+    row_noise: RowNoise = _NO_ROW_NOISE,
 ) -> PhotonTransfer:
     """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with
     that many pixels.
 
-    of_rows : for the standard errors
+    row_noise : for the standard errors
     gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels,
         which the standard errors of R and η include
     """
-    signal, excess = light.mean_dn - dark_mean_dn, light.variance_dn2 - dark_variance_dn2
+    signal = light.mean_dn - dark_mean_dn
+    excess = light.variance_dn2 - dark_variance_dn2
     saturated = saturation_index(light.variance_dn2)
     fitted = signal <= _SENSITIVITY_SHARE * signal[saturated]
     fitted[saturated:] = False
-    x, y, p = signal[fitted], excess[fitted], light.at[fitted]
-    dark_error = float(variance_error(dark_variance_dn2, pixels, of_rows))
+
+    # K is the slope of variance over signal, R of signal over photons.
+    fitted_dn2 = light.variance_dn2[fitted]
+    dark_error = float(variance_error(dark_variance_dn2, pixels, row_noise))
     gain = slope_through_origin(
-        x, y, variance_error(light.variance_dn2[fitted], pixels, of_rows), dark_error
+        signal[fitted], excess[fitted], variance_error(fitted_dn2, pixels, row_noise), dark_error
     )
-    of_means = mean_error(light.variance_dn2[fitted], pixels, of_rows)
+    dark_mean_error = float(mean_error(dark_variance_dn2, pixels, row_noise))
     response = slope_through_origin(
-        p, x, of_means, float(mean_error(dark_variance_dn2, pixels, of_rows))
+        light.at[fitted], signal[fitted], mean_error(fitted_dn2, pixels, row_noise), dark_mean_error
     )
     efficiency = response / gain
+
     limited = dark_variance_dn2 < _LIMITED_DN2
     dark_variance = Estimate(max(dark_variance_dn2, _LIMITED_DN2), dark_error)
     dark_noise = root(Estimate(dark_variance.value - QUANTISATION_DN2, dark_variance.error)) / gain
     threshold_e = root(dark_variance) / gain
     threshold_e = Estimate(threshold_e.value + 0.5, threshold_e.error)
+
     # The peak lies anywhere between two exposures, so their distance bounds its standard error.
     saturation_p = Estimate(float(light.at[saturated]), float(np.diff(light.at)[saturated - 1]))
     type_error = gain_spread / math.sqrt(pixels)  # relative
 
-    def of_type(estimate: Estimate) -> Estimate:
+    def with_type_error(estimate: Estimate) -> Estimate:
         return Estimate(estimate.value, math.hypot(estimate.error, estimate.value * type_error))
 
     return PhotonTransfer(
         gain_dn_per_e=gain,
-        responsivity_dn_per_p=of_type(response),
-        efficiency=of_type(efficiency),
+        responsivity_dn_per_p=with_type_error(response),
+        efficiency=with_type_error(efficiency),
         dark_noise_e=dark_noise,
         saturation_p=saturation_p,
         saturation_e=Estimate(
@@ -353,7 +363,7 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
 
 
 def _spatial_error(variance: float, residual: float, count: int) -> float:
-    """Standard error of the spatial variance of `count` given pixels, each with a residual temporal
+    """Standard error of the spatial variance of `count` pixels, each with a residual temporal
     variance.
     """
     return math.sqrt((4 * max(variance, 0.0) * residual + 2 * residual**2) / count)
@@ -382,8 +392,8 @@ def prnu(dark: FrameStack, bright: FrameStack) -> Estimate:
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
-def parts(
-    images: FrameStack, of_rows: RowNoise = _NO_ROW_NOISE
+def spatial_parts(
+    images: FrameStack, row_noise: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0,
     section 8.3).
@@ -392,46 +402,47 @@ def parts(
     noise. Standard errors come from the residual temporal noise in the means of columns, rows and
     pixels.
 
-    of_rows : of a frame, for the standard errors. The standard takes what the mean image keeps of
-        it for a fixed pattern
+    row_noise : of a frame, for the standard errors. What the mean image keeps of it counts as
+        fixed pattern in the standard
     """
     rows, columns = images.mean_dn.shape
-    mean, noise = images.mean_dn, images.temporal_dn2 / images.frames
-    of_columns = float(mean.mean(axis=0).var()) - noise / rows
+    mean = images.mean_dn
+    noise = images.temporal_dn2 / images.frames
+    total = images.spatial_dn2
+    columns_dn2 = float(mean.mean(axis=0).var()) - noise / rows
     rows_dn2 = float(mean.mean(axis=1).var()) - noise / columns
-    kept_dn2 = of_rows.in_mean(images.frames).variance_dn2
-    total, rest = images.spatial_dn2, rows * columns - rows - columns
-    column_dn2 = ((rows * columns - rows) * of_columns - columns * (total - rows_dn2)) / rest
-    row_dn2 = ((rows * columns - columns) * rows_dn2 - rows * (total - of_columns)) / rest
-    pixel_dn2 = rows * columns * (total - of_columns - rows_dn2) / rest
+    row_noise_dn2 = row_noise.in_mean(images.frames).variance_dn2
+    freedom = rows * columns - rows - columns
+    column_dn2 = ((rows * columns - rows) * columns_dn2 - columns * (total - rows_dn2)) / freedom
+    row_dn2 = ((rows * columns - columns) * rows_dn2 - rows * (total - columns_dn2)) / freedom
+    pixel_dn2 = rows * columns * (total - columns_dn2 - rows_dn2) / freedom
     return (
         # Temporal noise adds to the means themselves, with what single pixels leave in them.
-        Estimate(column_dn2, _spatial_error(of_columns, noise / rows, columns)),
-        Estimate(row_dn2, _spatial_error(rows_dn2, noise / columns + kept_dn2, rows)),
+        Estimate(column_dn2, _spatial_error(columns_dn2, noise / rows, columns)),
+        Estimate(row_dn2, _spatial_error(rows_dn2, noise / columns + row_noise_dn2, rows)),
         Estimate(pixel_dn2, _spatial_error(pixel_dn2, noise, rows * columns)),
     )
 
 
 def dark_current(
-    dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = _NO_ROW_NOISE
+    dark: PairSeries, gain: Estimate, pixels: int, row_noise: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate]:
     """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided
     by K and K² (section 7.1).
 
-    of_rows : for the standard errors
+    row_noise : for the standard errors
     """
-    of_mean, _ = straight_line(
-        dark.at, dark.mean_dn, mean_error(dark.variance_dn2, pixels, of_rows)
+    mean_slope, _ = straight_line(
+        dark.at, dark.mean_dn, mean_error(dark.variance_dn2, pixels, row_noise)
     )
-    of_variance, _ = straight_line(
-        dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, of_rows)
+    variance_slope, _ = straight_line(
+        dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, row_noise)
     )
-    variance = of_variance / gain
+    variance = variance_slope / gain
     # K² doubles the relative error of K.
-    error = math.hypot(
-        of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value
-    )
-    return of_mean / gain, Estimate(variance.value / gain.value, error)
+    gain_error = 2 * variance.value / gain.value * gain.error / gain.value
+    error = math.hypot(variance_slope.error / gain.value**2, gain_error)
+    return mean_slope / gain, Estimate(variance.value / gain.value, error)
 
 
 def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Array) -> Estimate:
@@ -446,9 +457,8 @@ def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Arra
     return Estimate(1 / slope.value, slope.error / slope.value**2)
 
 
-SATURATION_SPEED_LX_S = (
-    78.0  # ISO 12232: S = 78/H_sat, with half a stop of headroom above 18 % grey
-)
+# ISO 12232: S = 78/H_sat, with half a stop of headroom above 18 % grey.
+SATURATION_SPEED_LX_S = 78.0
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H, with H at the given S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
 _MIN_FRAMES = 8
@@ -457,7 +467,7 @@ _DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
 def noise_15739(
-    frames: Array, of_rows: RowNoise = _NO_ROW_NOISE
+    frames: Array, row_noise: RowNoise = _NO_ROW_NOISE
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO
     15739, section 6.2.3).
@@ -466,7 +476,7 @@ def noise_15739(
     average frame: temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). Standard errors
     come from temporal noise alone, for a given fixed pattern.
 
-    of_rows : for the standard errors
+    row_noise : for the standard errors
 
     Raises PixsimError for n < 8.
     """
@@ -478,7 +488,9 @@ def noise_15739(
     difference_dn2 = float(np.mean([(frame - average).var() for frame in frames]))
     temporal_dn2 = n / (n - 1) * difference_dn2
     fixed_dn2 = float(average.var(ddof=1)) - difference_dn2 / (n - 1)
-    temporal_error = float(variance_error(temporal_dn2, pixels * (n - 1), of_rows.in_frames(n - 1)))
+    temporal_error = float(
+        variance_error(temporal_dn2, pixels * (n - 1), row_noise.in_frames(n - 1))
+    )
     fixed_error = _spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
     total = Estimate(temporal_dn2 + fixed_dn2, math.hypot(temporal_error, fixed_error))
     return (
@@ -506,16 +518,15 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
 
 
 def exposure_at_snr(
-    exposure: Array, signal: Array, noise: Array, wanted: float, relative_error: float
+    exposure: Array, signal: Array, noise: Array, min_snr: float, relative_error: float
 ) -> Estimate:
-    """Lowest exposure that reaches the wanted S/N, by log-log interpolation; NaN if it is not
-    reached.
+    """Lowest exposure that reaches an S/N, by log-log interpolation; NaN if it is not reached.
 
-    `relative_error` is that of one S/N.
+    relative_error : standard error of one S/N over it
     """
-    quiet = noise <= 0  # at so little light no pixel collects an electron
-    known = np.maximum(signal, TINY) / np.where(quiet, 1.0, noise)
-    ratio = np.log(np.where(quiet, TINY, known) / wanted)
+    is_noiseless = noise <= 0  # at so little light no pixel collects an electron
+    snr = np.maximum(signal, TINY) / np.where(is_noiseless, 1.0, noise)
+    ratio = np.log(np.where(is_noiseless, TINY, snr) / min_snr)
     reached = np.flatnonzero((ratio[1:] >= 0) & (ratio[:-1] < 0))
     if not reached.size:
         return Estimate(math.nan, math.nan)

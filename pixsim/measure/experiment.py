@@ -44,19 +44,12 @@ SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % fo
 MIN_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
 _DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
-_BEYOND_SATURATION = (
-    1.1  # of the light that fills the well, so that the series spans the peak of the variance
-)
+# Of the light that fills the well, so that the series spans the peak of the variance.
+_BEYOND_SATURATION = 1.1
 STACK = 64  # frames; the standard requires at least 16
 DARK_TIMES = 8  # the standard requires at least 6
-_TEMPERATURE_STEPS_K = (
-    0.0,
-    5.0,
-    10.0,
-    15.0,
-    20.0,
-    25.0,
-)  # of the dark series, from the pixel's temperature
+# Of the dark series, from the pixel's temperature.
+_TEMPERATURE_STEPS_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 _MAX_TEMPERATURE_K = 400.0
 _USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
 # of saturation: limit of the dark charge in the light series, if no integration time is given
@@ -87,7 +80,7 @@ class Experiment:
     dim_photons: Array = field(repr=False)
     dark_times_s: Array = field(repr=False)
     temperatures_k: tuple[float, ...]
-    asked_black_dn: float
+    stated_black_dn: float
     stack_frames: int = STACK
     seed: int = 0
 
@@ -121,7 +114,7 @@ class Experiment:
         mean_e = np.full(exposed.shape, photons * self.efficiency)
         return read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
 
-    def of_channel(self, letter: str, wavelength_nm: float | None) -> Experiment:
+    def for_channel(self, letter: str, wavelength_nm: float | None) -> Experiment:
         """The light series of the same device under the filter of another channel, to the same
         electrons.
 
@@ -145,17 +138,20 @@ class Experiment:
         that the well does not fill.
         """
         key: tuple[object, ...] = ("dark series",)
-        sensor, times = self.sensor, self.dark_times_s
+        sensor = self.sensor
+        times_s = self.dark_times_s
         if temperature_k is not None:
-            key, sensor = ("temperature", round(1e6 * temperature_k)), self.warmed(temperature_k)
-            times = times * min(
-                self.readout.dark_current_e_per_s / sensor.readout.dark_current_e_per_s, 1.0
-            )
-        frames = (
-            (self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2))
-            for number, time_s in enumerate(times.tolist())
-        )
-        return series(times, [pair(*two) for two in frames])
+            key = ("temperature", round(1e6 * temperature_k))
+            sensor = self.warmed(temperature_k)
+            ratio = self.readout.dark_current_e_per_s / sensor.readout.dark_current_e_per_s
+            times_s = times_s * min(ratio, 1.0)
+
+        pairs = []
+        for number, time_s in enumerate(times_s.tolist()):
+            first = self.frame(0.0, time_s, *key, number, 0, sensor=sensor)
+            second = self.frame(0.0, time_s, *key, number, 1, sensor=sensor)
+            pairs.append(pair(first, second))
+        return series(times_s, pairs)
 
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""
@@ -179,19 +175,17 @@ def _checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """`pixel_efficiency`; raises PixsimError at a wavelength without response."""
     efficiency = pixel_efficiency(physics, wavelength_nm) if 0 < wavelength_nm < math.inf else 0.0
     if not efficiency > 0:
-        such = f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm"
-        of_channel = f" of channel {physics.channel}" if physics.channel else ""
-        raise invalid(setting("wavelength_nm"), f"{wavelength_nm:g}", f"{such}{of_channel}")
+        allowed = f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm"
+        channel_words = f" of channel {physics.channel}" if physics.channel else ""
+        raise invalid(setting("wavelength_nm"), f"{wavelength_nm:g}", f"{allowed}{channel_words}")
     return efficiency
 
 
 def _most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
     """A colour pixel with the channel that has the most pixels; a monochrome one as it is."""
-    return (
-        physics
-        if physics.layout is None
-        else physics.channels[int(np.argmax(physics.layout.shares))]
-    )
+    if physics.layout is None:
+        return physics
+    return physics.channels[int(np.argmax(physics.layout.shares))]
 
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:
@@ -204,9 +198,8 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
 
 # spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
 _FINE_DN = 0.6
-_MIDWAY_DN = (
-    0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
-)
+# Above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes.
+_MIDWAY_DN = 0.25
 
 
 def with_black_level(readout: Readout, integration_s: float) -> Readout:
@@ -217,17 +210,17 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
     between two codes, and its measured temporal noise depends on that place (at σ = 0.46 DN by ±4
     %). The level is then set where it does not.
     """
-    adc, least = readout.adc, least_black_level_dn(readout, integration_s)
-    if adc.black_level_dn >= least:
+    adc = readout.adc
+    min_level_dn = least_black_level_dn(readout, integration_s)
+    if adc.black_level_dn >= min_level_dn:
         return readout
-    if least > MAX_BLACK * adc.top_code_dn:
+    if min_level_dn > MAX_BLACK * adc.top_code_dn:
         room = (
-            f"for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the"
-            " codes"
+            f"for a black level of 6 σ of the dark noise ({min_level_dn} DN) in the lower half of"
+            " the codes"
         )
-        if (
-            readout.gain_db
-        ):  # where the ADC spans a given charge, more bits would make finer codes only
+        # Where the ADC spans a stated charge, more bits would make finer codes only.
+        if readout.gain_db:
             hint = "Lower exposure.gain_db, or reduce the dark noise."
             raise invalid(
                 "exposure.gain_db", f"{readout.gain_db:g}", f"a gain with room {room}", hint
@@ -238,38 +231,37 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
             f"enough bits {room}",
             "Raise pixel.bits, or reduce the dark noise.",
         )
-    raised = replace(readout, adc=replace(adc, black_level_dn=float(least)))
+    raised = replace(readout, adc=replace(adc, black_level_dn=float(min_level_dn)))
     if dark_spread_e(raised, integration_s) * raised.dn_per_e >= _FINE_DN:
         return raised
-    mean_dn = least + raised.dark_current_e_per_s * integration_s * raised.dn_per_e
-    level_dn = round(least + (_MIDWAY_DN - mean_dn) % 1.0, 2)
+    mean_dn = min_level_dn + raised.dark_current_e_per_s * integration_s * raised.dn_per_e
+    level_dn = round(min_level_dn + (_MIDWAY_DN - mean_dn) % 1.0, 2)
     return replace(readout, adc=replace(adc, black_level_dn=level_dn))
 
 
 def _usual_integration_s(readout: Readout, exposure: Exposure) -> float:
-    """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of
-    saturation.
+    """The integration time of the exposure; by default 30 ms, or less to keep dark charge below 2 %
+    of saturation.
 
     Raises PixsimError if dark charge would fill half the well.
     """
     dark = readout.dark_current_e_per_s
-    chosen = exposure.integration_s
-    if chosen is None:
-        return (
-            min(_USUAL_INTEGRATION_S, _DARK_SHARE * readout.saturation_e / dark)
-            if dark
-            else _USUAL_INTEGRATION_S
-        )
-    if dark * chosen > readout.saturation_e / 2:
+    integration_s = exposure.integration_s
+    if integration_s is None and dark:
+        return min(_USUAL_INTEGRATION_S, _DARK_SHARE * readout.saturation_e / dark)
+    if integration_s is None:
+        return _USUAL_INTEGRATION_S
+    if dark * integration_s > readout.saturation_e / 2:
         expected = (
             f"at most {rounded(readout.saturation_e / 2 / dark, 3)} s, which fills half of the well"
         )
         raise invalid(
             "exposure.integration_s",
-            f"{chosen:g} s, which collects {rounded(dark * chosen, 3)} e- of dark charge",
+            f"{integration_s:g} s, which collects {rounded(dark * integration_s, 3)} e- of dark"
+            " charge",
             expected,
         )
-    return chosen
+    return integration_s
 
 
 def _filling_light_e(readout: Readout, integration_s: float) -> float:
@@ -288,10 +280,10 @@ def dark_times_s(readout: Readout, integration_s: float) -> Array:
     hour.
     """
     dark = readout.dark_current_e_per_s
-    longest = (
-        min(_MAX_DARK_SHARE * readout.saturation_e / dark, _MAX_DARK_S) if dark else _MAX_DARK_S
-    )
-    return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
+    longest_s = _MAX_DARK_S
+    if dark:
+        longest_s = min(_MAX_DARK_SHARE * readout.saturation_e / dark, _MAX_DARK_S)
+    return np.linspace(integration_s, max(longest_s, 2 * integration_s), DARK_TIMES)
 
 
 def temperatures_k(pixel: Pixel) -> tuple[float, ...]:
@@ -353,7 +345,7 @@ def make_experiment(
         ),
         dark_times_s=dark_times_s(readout, time_s),
         temperatures_k=temperatures_k(pixel),
-        asked_black_dn=pixel.black_level_dn,
+        stated_black_dn=pixel.black_level_dn,
         stack_frames=stack_frames,
         seed=seed,
     )

@@ -45,16 +45,16 @@ _MTF_POINTS = 61
 MTF_LINES = ("tangential", "sagittal")
 _PSF_SPOTS = 6  # rms radii along a side of a PSF
 _PSF_SAMPLES = 3  # of the width λN along a side
-MOST_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
-MOST_FINE = 3000  # samples along a side, on which waves interfere
-_MOST_WIDTHS = (
+MAX_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+MAX_FINE_WAVES = 3000  # samples along a side, on which waves interfere
+_MAX_WIDTHS = (
     300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
 )
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 _RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
 # rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28
 # surfaces
-_MOST_TRACED = 5e6
+_MAX_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
 CUT_FIELDS, CUT_HEIGHTS = (0.0, 0.7, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
 _CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
@@ -139,9 +139,7 @@ class LensData(Result):
 
     @property
     def focused_ghost(self) -> Ghost | None:
-        """The one whose light is closest together on the sensor; None without two surfaces that
-        reflect.
-        """
+        """The ghost with the smallest blur; None without two surfaces that reflect."""
         return min(self.ghosts, key=lambda ghost: ghost.blur_mm, default=None)
 
     @property
@@ -183,15 +181,13 @@ class LensData(Result):
         """
         low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
         nm = np.linspace(low, high, _CURVE_FIELDS) if high > low else np.array([low])
-        focus_mm = np.array(
-            [self.lens.first_order(float(each)).back_focal_length_mm for each in nm]
-        )
-        return nm, 1e3 * (focus_mm - self.primary.back_focal_length_mm)
+        foci_mm = [self.lens.first_order(float(line)).back_focal_length_mm for line in nm]
+        return nm, 1e3 * (np.array(foci_mm) - self.primary.back_focal_length_mm)
 
     @property
     def asked_lp_per_mm(self) -> tuple[float, ...]:
         """Frequencies of the tables: 10, 30 and 60 lp/mm, and the pixel's Nyquist frequency."""
-        return _asked_frequencies(self.pitch_um)
+        return _table_frequencies(self.pitch_um)
 
     def mtf_at(self, frequency_lp_per_mm: float) -> Array:
         """Return the tangential and sagittal MTF at one frequency of the tables, (F, 2), 1 for full
@@ -213,7 +209,7 @@ class LensData(Result):
         )
 
 
-def _asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:
+def _table_frequencies(pitch_um: float | None) -> tuple[float, ...]:
     """Return the frequencies of the tables in lp/mm."""
     return _FREQUENCIES if pitch_um is None else tuple(sorted({*_FREQUENCIES, 500 / pitch_um}))
 
@@ -240,53 +236,52 @@ def lens_data(
     largest = lens.max_field_deg
     fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
     curve = np.linspace(0.0, largest, _CURVE_FIELDS) if largest else np.zeros(1)
-    x, y = spot_points()
     illumination = lens.projected_solid_angle_sr(curve, primary)
     dark = np.asarray(illumination[:: (_CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
     if dark[0]:
-        got = "no light on the axis"
         raise invalid(
             f"lens '{lens.prescription.name}'",
-            got,
+            "no light on the axis",
             "light on the axis",
             "Check its clear apertures and semi-diameters.",
         )
-    spots = []
-    for angle, none in zip(fields, dark, strict=True):
-        waves = lens.wavefront(angle, wavelengths, x, y)
-        seen = waves.passed & np.isfinite(waves.opd_waves) & ~none
-        off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
-        spots.append(
-            Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off)))
-        )
-    asked = _asked_frequencies(pitch_um)
-    shortest, f_number = float(wavelengths.min()), lens.working_f_number
+    spots = [
+        _spot(lens, float(angle), wavelengths, bool(is_dark))
+        for angle, is_dark in zip(fields, dark, strict=True)
+    ]
+
+    # Frequencies up to the highest of the tables, or on to the cutoff.
+    table_frequencies = _table_frequencies(pitch_um)
+    shortest = float(wavelengths.min())
+    f_number = lens.working_f_number
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
-    highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
-    frequency = np.unique(np.concatenate([np.linspace(0.0, highest, _MTF_POINTS), asked]))
-    dark = dark | np.array(
-        [math.isnan(spot.rms_um) for spot in spots]
-    )  # or too little light for a ray
-    side = _PSF_SPOTS * max(spot.rms_um for spot, none in zip(spots, dark, strict=True) if not none)
-    geometric = side > _MOST_WIDTHS * 1e-3 * shortest * f_number
+    last = max(table_frequencies)
+    highest = max(1.1 * last, min(cutoff, 1.5 * last, 150.0))
+    steps = np.linspace(0.0, highest, _MTF_POINTS)
+    frequency = np.unique(np.concatenate([steps, table_frequencies]))
+
+    # A field with too little light for a ray is dark too.
+    dark = dark | np.array([math.isnan(spot.rms_um) for spot in spots])
+    lit_fields = fields[~dark]
+    side = _PSF_SPOTS * max(
+        spot.rms_um for spot, is_dark in zip(spots, dark, strict=True) if not is_dark
+    )
+    geometric = side > _MAX_WIDTHS * 1e-3 * shortest * f_number
     pitch = min(
-        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MOST_SAMPLES),
+        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MAX_SAMPLES),
         500 / min(highest, 1.05 * cutoff),
     )
-    seen_fields = fields[~dark]
     if not geometric:
-        psfs = _point_spreads(lens, seen_fields, wavelengths, pitch, side)
+        psfs = _point_spreads(lens, lit_fields, wavelengths, pitch, side)
         geometric = not psfs
     if geometric:
-        pitch = side / MOST_SAMPLES
-        psfs, mtf = ray_spreads(lens, seen_fields, wavelengths, pitch, frequency)
+        pitch = side / MAX_SAMPLES
+        psfs, mtf = ray_spreads(lens, lit_fields, wavelengths, pitch, frequency)
     else:
-        mtf = np.array(
-            [
-                [line_mtf(psf.sum(axis=1 - axis), pitch, frequency) for axis in (0, 1)]
-                for psf in psfs
-            ]
-        )
+        mtf = np.empty((len(psfs), 2, frequency.size))
+        for index, psf in enumerate(psfs):
+            mtf[index, 0] = line_mtf(psf.sum(axis=1), pitch, frequency)
+            mtf[index, 1] = line_mtf(psf.sum(axis=0), pitch, frequency)
     for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
         psfs.insert(int(index), np.zeros_like(psfs[0]))
         mtf = np.insert(mtf, index, np.nan, axis=0)
@@ -324,21 +319,29 @@ def lens_data(
     )
 
 
+def _spot(lens: Lens, field_deg: float, wavelength_nm: Array, is_dark: bool) -> Spot:
+    """Return the rays of a field in the image plane; NaN for all of them if the field is dark."""
+    x, y = spot_points()
+    waves = lens.wavefront(field_deg, wavelength_nm, x, y)
+    is_traced = waves.passed & np.isfinite(waves.opd_waves) & (not is_dark)
+    off_mm = waves.chief_y_mm[:, None] - lens.chief_ray(field_deg, lens.primary_nm).height_mm
+    return Spot(
+        np.where(is_traced, 1e3 * waves.x_mm, np.nan),
+        np.where(is_traced, 1e3 * (waves.y_mm + off_mm), np.nan),
+    )
+
+
 def spot_points() -> tuple[Array, Array]:
     """Return points of the stop of about equal areas, (rays,) each."""
-    radius = np.concatenate(
-        [[0.0], *(np.full(6 * ring, ring / _SPOT_RINGS) for ring in range(1, _SPOT_RINGS + 1))]
-    )
+    radii = [np.zeros(1)]
+    angles = [np.zeros(1)]
+    for ring in range(1, _SPOT_RINGS + 1):
+        points = 6 * ring
+        radii.append(np.full(points, ring / _SPOT_RINGS))
+        angles.append((np.arange(points) + 0.5) / (3 * ring) * np.pi)
+    radius = np.concatenate(radii)
     radius *= _SPOT_RINGS / (_SPOT_RINGS + 0.5)  # a ring is the middle of its area
-    angle = np.concatenate(
-        [
-            [0.0],
-            *(
-                (np.arange(6 * ring) + 0.5) / (3 * ring) * np.pi
-                for ring in range(1, _SPOT_RINGS + 1)
-            ),
-        ]
-    )
+    angle = np.concatenate(angles)
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
@@ -348,17 +351,16 @@ def _rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
     """
     x, y = spot_points()
     waves = lens.wavefront(field_deg, lens.primary_nm, x, y)
-    found = []
+    rms_waves = []
     for opd, passed, cosines in zip(waves.opd_waves, waves.passed, waves.cosines, strict=True):
-        seen = passed & np.isfinite(opd)
-        basis = np.column_stack([np.ones(int(seen.sum())), cosines[seen]])
-        residual = (
-            opd[seen] - basis @ np.linalg.lstsq(basis, opd[seen], rcond=None)[0]
-            if seen.sum() > basis.shape[1]
-            else [math.nan]
-        )
-        found.append(float(np.std(residual)))
-    return np.array(found)
+        is_traced = passed & np.isfinite(opd)
+        basis = np.column_stack([np.ones(int(is_traced.sum())), cosines[is_traced]])
+        if len(basis) <= basis.shape[1]:
+            rms_waves.append(math.nan)
+            continue
+        coefficients = np.linalg.lstsq(basis, opd[is_traced], rcond=None)[0]
+        rms_waves.append(float(np.std(opd[is_traced] - basis @ coefficients)))
+    return np.array(rms_waves)
 
 
 def _point_spreads(
@@ -375,47 +377,52 @@ def _point_spreads(
     heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
     rays = pupil_rays(lens, field_deg, wavelength_nm)
     fronts = [
-        fit_wavefronts(float(nm), heights, of_nm)
-        for nm, of_nm in zip(wavelength_nm, rays, strict=True)
+        fit_wavefronts(float(nm), heights, traced_rays)
+        for nm, traced_rays in zip(wavelength_nm, rays, strict=True)
     ]
     light = ChannelWavefronts(fronts, np.full(len(fronts), 1 / len(fronts)))
-    found = []
+    psfs = []
     for height in heights:
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
+        diameters = [2 * float(front.at(float(height))[:2].max()) for front in fronts]
         widest_per_nm = max(
-            2 * float(front.at(float(height))[:2].max()) / front.wavelength_nm for front in fronts
+            diameter / front.wavelength_nm
+            for diameter, front in zip(diameters, fronts, strict=True)
         )
-        if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MOST_FINE:
+        if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MAX_FINE_WAVES:
             return []
-        found.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
-    return found
+        psfs.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
+    return psfs
 
 
 def ray_spreads(
     lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: float, frequency_lp_per_mm: Array
 ) -> tuple[list[Array], Array]:
-    """Return PSFs of rays, as `_point_spreads` does, and MTFs (F, 2, n): those of the rays times the
-    limit of diffraction.
+    """Return PSFs of rays, as `_point_spreads` does, and MTFs (F, 2, n), times the limit of
+    diffraction.
     """
     rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
-    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(_MOST_TRACED / rays))))
-    x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
+    grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(_MAX_TRACED / rays))))
+    grid_x, grid_y = np.meshgrid(grid, grid)
+    is_in_stop = np.hypot(grid_x, grid_y) <= 1
+    x, y = grid_x[is_in_stop], grid_y[is_in_stop]
     limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
-    edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
+    edges = (np.arange(MAX_SAMPLES + 2) - (MAX_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:
         waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)
-        seen = waves.passed & np.isfinite(waves.opd_waves)
+        is_traced = waves.passed & np.isfinite(waves.opd_waves)
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
-        across, along = 1e3 * waves.x_mm[seen], 1e3 * (waves.y_mm + off)[seen]
+        across, along = 1e3 * waves.x_mm[is_traced], 1e3 * (waves.y_mm + off)[is_traced]
         counts = np.histogram2d(along, across, [edges, edges])[0]
         psfs.append(counts / max(along.size, 1))
         lines = []
         for values in (along, across):
-            reach = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
-            line, _ = np.histogram(values, LINE_BINS, (-reach, reach))
+            half_width_um = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
+            line, _ = np.histogram(values, LINE_BINS, (-half_width_um, half_width_um))
             lines.append(
-                line_mtf(line.astype(float), 2 * reach / LINE_BINS, frequency_lp_per_mm) * limit
+                line_mtf(line.astype(float), 2 * half_width_um / LINE_BINS, frequency_lp_per_mm)
+                * limit
             )
         mtf.append(lines)
     return psfs, np.array(mtf)
@@ -423,12 +430,8 @@ def ray_spreads(
 
 def _diffraction_mtf(frequency_lp_per_mm: Array, wavelength_nm: Array, f_number: float) -> Array:
     """Return the MTF of diffraction (n,), the mean over the wavelengths."""
-    return np.asarray(
-        np.mean(
-            [diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm],
-            axis=0,
-        )
-    )
+    otfs = [diffraction_otf(frequency_lp_per_mm, float(nm), f_number) for nm in wavelength_nm]
+    return np.asarray(np.mean(otfs, axis=0))
 
 
 def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
@@ -464,41 +467,42 @@ def cross_section(lens: Lens) -> _CrossSection:
     """Return a lens cut along the y-z plane, with rays through the centre of the stop, its edges
     and halfway between.
     """
-    surfaces, heights = lens.prescription.surfaces, np.array(CUT_HEIGHTS)
+    surfaces = lens.prescription.surfaces
+    heights = np.array(CUT_HEIGHTS)
     vertices = np.cumsum([0.0, *(surface.thickness_mm for surface in surfaces)])
     length_mm = float(vertices[-1])
-    fields = [
-        share * lens.max_field_deg
-        for share in (CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1])
-    ]
+    shares = CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1]
+    fields = [share * lens.max_field_deg for share in shares]
     paths = [lens.ray_points(angle, lens.primary_nm, 0 * heights, CUT_HEIGHTS) for angle in fields]
     reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
     outlines = []
-    for surface, vertex, most in zip(surfaces, vertices, reached, strict=False):
-        edge = surface.semi_diameter_mm or _CUT_EDGE * float(most)
+    for surface, vertex, max_height in zip(surfaces, vertices, reached, strict=False):
+        edge = surface.semi_diameter_mm or _CUT_EDGE * float(max_height)
         y = np.linspace(-edge, edge, CUT_POINTS)
         with np.errstate(invalid="ignore"):
             sag, _ = sag_and_slope(surface, np.square(y))
         outlines.append((vertex + sag, y))
-    stop, semi = lens.prescription.stop, lens.stop_semi_diameter_mm
-    at = vertices[stop] + float(sag_and_slope(surfaces[stop], np.array(semi**2))[0])
+
+    stop = lens.prescription.stop
+    stop_radius_mm = lens.stop_semi_diameter_mm
+    stop_sag, _ = sag_and_slope(surfaces[stop], np.array(stop_radius_mm**2))
+    stop_z_mm = float(vertices[stop] + float(stop_sag))
+
     rays: dict[float, list[tuple[float, Array, Array]]] = {}
     for angle, path in zip(fields, paths, strict=True):
-        passed = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS).passed[
-            0
-        ]
+        waves = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS)
+        passed = waves.passed[0]
         z, y = path[passed, :, 2], path[passed, :, 1]
         if math.isinf(lens.object_distance_mm):
             before = _BEFORE_LENS * length_mm
             z = np.column_stack([z[:, 0] - before, z])
             y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
-    return _CrossSection(
-        length_mm, outlines, [surface.glass != AIR for surface in surfaces], (float(at), semi), rays
-    )
+    glass_behind = [surface.glass != AIR for surface in surfaces]
+    return _CrossSection(length_mm, outlines, glass_behind, (stop_z_mm, stop_radius_mm), rays)
 
 
-_LEAST_LENGTH = 1e-6  # of an argument, in its unit; its reciprocal is the most
+_MIN_ARGUMENT = 1e-6  # of an argument, in its unit; its reciprocal is the most
 _MAX_WAVELENGTHS = 24  # as in design programs
 _MANY_TO_TRACE = 150  # surfaces times wavelengths, which take more than about 5 s
 
@@ -555,18 +559,16 @@ def lens(
         ("focal_length_mm", focal_length_mm),
         ("f_number", f_number),
         ("object_distance_m", object_distance_m),
-    ]
-    positive += [
         ("focus_nm", focus_nm),
         ("pitch_um", pitch_um),
         *(("wavelength_nm", nm) for nm in wavelength_nm),
     ]
     for name, value in positive:
-        if value is not None and not _LEAST_LENGTH <= value <= 1 / _LEAST_LENGTH:
+        if value is not None and not _MIN_ARGUMENT <= value <= 1 / _MIN_ARGUMENT:
             raise invalid(
                 setting(name),
                 f"{value:g}",
-                f"a number above 0, {_LEAST_LENGTH:g} to {1 / _LEAST_LENGTH:g}",
+                f"a number above 0, {_MIN_ARGUMENT:g} to {1 / _MIN_ARGUMENT:g}",
             )
     if len(wavelength_nm) > _MAX_WAVELENGTHS:
         raise invalid(
@@ -577,26 +579,21 @@ def lens(
     if reflectance is not None and not 0 <= reflectance < 1:
         raise invalid(setting("reflectance"), f"{reflectance:g}", "a number from 0 to below 1")
     with collected_notes() as notes:
-        own = load_lens(
+        file_lens = load_lens(
             file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass
         )
-        chosen = _chosen_lens(
-            own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm
+        changed_lens = _changed_lens(
+            file_lens, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm
         )
     if progress:
-        surfaces, wavelengths = (
-            len(chosen.prescription.surfaces),
-            len(wavelength_nm or chosen.prescription.wavelengths_nm),
-        )
-        progress(
-            f"trace {surfaces} surfaces at {wavelengths} wavelengths"
-            if surfaces * wavelengths > _MANY_TO_TRACE
-            else "trace"
-        )
-    return lens_data(chosen, wavelength_nm, pitch_um, tuple(notes), reflectance)
+        surfaces = len(changed_lens.prescription.surfaces)
+        wavelengths = len(wavelength_nm or changed_lens.prescription.wavelengths_nm)
+        is_slow = surfaces * wavelengths > _MANY_TO_TRACE
+        progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if is_slow else "trace")
+    return lens_data(changed_lens, wavelength_nm, pitch_um, tuple(notes), reflectance)
 
 
-def _chosen_lens(
+def _changed_lens(
     lens: Lens,
     focal_length_mm: float | None,
     f_number: float | None,

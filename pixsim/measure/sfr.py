@@ -64,9 +64,8 @@ _CENTROID_HALF_PX = 8.0
 _FIT_ROUNDS = 4
 _MAX_DEGREE = 5  # ISO 12233:2023
 _DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a curve
-_MIN_BEND_PX = (
-    0.01  # RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %
-)
+# RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %.
+_MIN_BEND_PX = 0.01
 # RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
 _MAX_MISFIT_PX = 0.1
 PHASES = 8  # of the edge within a pixel
@@ -74,25 +73,20 @@ _MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which
 MIN_CONTRAST = 0.05  # Michelson contrast of linear data
 _MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
 _MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
-_MIN_LINES = (
-    0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
-)
-_MAX_BELOW_BLACK = (
-    0.01  # of the step: level of the dark side below black, which dark subtraction leaves
-)
+# Share of the lines that the polynomial crosses in the picture, with an edge there.
+_MIN_LINES = 0.9
+# Of the step: level of the dark side below black, which dark subtraction leaves.
+_MAX_BELOW_BLACK = 0.01
 _MAX_SATURATED = 1e-3  # of a region's pixels
 _SHARPENS = "this sharpens the edge"  # what clipping does
-LUMINANCE, LUMINANCE_WEIGHTS = (
-    "luminance",
-    {"R": 0.2126, "G": 0.7152, "B": 0.0722},
-)  # ISO 12233, of ITU-R BT.709
+LUMINANCE = "luminance"
+LUMINANCE_WEIGHTS = {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
 FINER = 4  # frequencies for each of the DFT
-_POOLED_BINS = (
-    9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
-)
-# without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
-# to nobody
+# Neighbours whose residuals give one variance: the noise varies slowly with the signal.
+_POOLED_BINS = 9
+# Without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
+# to nobody.
 _MAX_SFR = 1.02
 _LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
 # A side that clips keeps the codes below its top: more pixels have the top code than noise as on
@@ -106,22 +100,19 @@ _MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
 # and pixel fade out.
 _KINK_LEVEL = 1e-3  # of the step, or 1.5 codes, from a side: where the edge is taken to begin
 _KINK_PX = 0.15  # along the normal, of pixels that give the slope there
-_MAX_KINK = (
-    0.2  # of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26
-)
-_MIN_KINK_RATIO = (
-    3.0  # to the slope at the other side: an edge that no lens blurs has a kink at both
-)
+# Of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26.
+_MAX_KINK = 0.2
+# To the slope at the other side: an edge that no lens blurs has a kink at both.
+_MIN_KINK_RATIO = 3.0
 _SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
 _MAX_SHADING = 0.02  # of the step, within half of the window
 _SHADING_SIGMAS = 4.0
 _MIN_NOISE = 1e-4  # of the step, less tells nothing
 _MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
 _UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
-MAX_PARITY, PARITY_SIGMAS = (
-    0.01,
-    6.0,
-)  # differences of the means of a cell's places on a side: of the step, and of their noise
+# Differences of the means of a cell's places on a side: of the step, and of their noise.
+MAX_PARITY = 0.01
+PARITY_SIGMAS = 6.0
 
 
 @checked_methods
@@ -209,8 +200,7 @@ class EdgeResponse(Result):
 
 
 class _ChannelGrid(NamedTuple):
-    """Pixels of one channel at one place of the unit cell, which are a grid of their own in the
-    region.
+    """Pixels of one channel at one place of the unit cell, a grid within the region.
 
     data : (M, K)
     row, x : (M,) and (K,) pixels of the region
@@ -220,15 +210,23 @@ class _ChannelGrid(NamedTuple):
     row: Array
     x: Array
 
-    def turned(self) -> _ChannelGrid:
+    def transposed(self) -> _ChannelGrid:
         return _ChannelGrid(self.data.T, self.x, self.row)
 
 
 class _WeightedChannel(NamedTuple):
-    """Grids of one channel, and the weight of the channel in what is measured."""
+    """Grids of one channel, and the weight of the channel in the sum that is measured."""
 
     weight: float
     grids: list[_ChannelGrid]
+
+    def transposed(self) -> _WeightedChannel:
+        return _WeightedChannel(self.weight, [grid.transposed() for grid in self.grids])
+
+
+def _all_grids(channels: Sequence[_WeightedChannel]) -> list[_ChannelGrid]:
+    """Return the grids of all channels."""
+    return [grid for channel in channels for grid in channel.grids]
 
 
 def edge_response(
@@ -277,83 +275,104 @@ def edge_response(
     >>> y, x = np.mgrid[:200, :200] - 99.5
     >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
     >>> t = np.clip(distance, -1, 1)
-    >>> edge = edge_response((0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)  # blurred by a pixel twice: sinc²(f)
+
+    Blurred by a pixel twice, the edge has the SFR sinc²(f):
+
+    >>> edge = edge_response((0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)
     >>> bool(abs(edge.at_nyquist - (2 / np.pi) ** 2) < 0.005), round(edge.angle_deg, 1)
     (True, 5.0)
     """
-    parts, period, name = parts_of(picture, region, layout, channel)
+    channels, period, name = _measured_channels(picture, region, layout, channel)
     if saturation is not None:
-        _check_saturation(
-            np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation
-        )
-    turned = is_turned(parts)
-    if turned:
-        parts = [
-            _WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts
-        ]
+        values = np.concatenate([grid.data.ravel() for grid in _all_grids(channels)])
+        _check_saturation(values, saturation)
+
+    # Turn the picture so that the edge is near-vertical.
+    is_transposed = _runs_along_rows(channels)
+    if is_transposed:
+        channels = [weighted.transposed() for weighted in channels]
         period = period[::-1]
+    spacing = period[1]
+
     if name is None:
-        _check_mosaic(parts[0].grids[0].data)
-    contrast = _contrast_of(parts)
-    for part in parts:
-        _check_clipping(part.grids, is_unclipped)
-    parts = balanced(parts)
-    grids = [grid for part in parts for grid in part.grids]
-    fit = _fit_edge(grids, np.sign(contrast), period[1])
-    rows, half_px = _rows_and_window(grids, fit, half_window_px, period[1])
-    parts = [
-        _WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts
+        _check_mosaic(channels[0].grids[0].data)
+    contrast = _contrast(channels)
+    for weighted in channels:
+        _check_clipping(weighted.grids, is_unclipped)
+
+    # Fit the edge to the channels together, and take the rows that contain its whole window.
+    channels = _balanced_channels(channels)
+    grids = _all_grids(channels)
+    fit = _fit_edge(grids, np.sign(contrast), spacing)
+    rows, half_px = _rows_and_window(grids, fit, half_window_px, spacing)
+    channels = [
+        _WeightedChannel(weight, [_rows_within(grid, rows) for grid in channel_grids])
+        for weight, channel_grids in channels
     ]
-    for bins_a_pixel in _bins_of(period[1]):
-        binned = [edge_spread(part.grids, fit, half_px, bins_a_pixel) for part in parts]
-        if all((one.pixels > 0).all() for one in binned):
-            break
-    else:
-        pixels = np.concatenate([one.pixels for one in binned])
-        got = (
-            f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at"
-            f" {np.degrees(np.arctan(fit.slope)):.2f}°"
-        )
-        raise invalid(
-            "edge picture",
-            got,
-            "pixels in every bin",
-            "This angle samples too few phases of the pixels: use 5°.",
-        )
-    for part, one in zip(parts, binned, strict=True):
-        _check_kinks(part.grids, fit, one, is_unclipped)
-    distance_px = binned[0].distance_px
-    spread = np.asarray(
-        sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True))
-    )
-    variance = np.asarray(
-        sum(part.weight**2 * one.variance for part, one in zip(parts, binned, strict=True))
-    )
-    frequency, sfr = response(spread, bins_a_pixel)
-    shown = frequency <= bins_a_pixel / BINS_A_PIXEL
-    frequency, sfr = frequency[shown], sfr[shown]
-    angle = float(
-        np.degrees(np.arctan(fit.slope))
-    )  # anticlockwise, as y points down; clockwise if transposed
+
+    bins_a_pixel, spreads = _finest_spreads(channels, fit, half_px, spacing)
+    for weighted, channel_spread in zip(channels, spreads, strict=True):
+        _check_kinks(weighted.grids, fit, channel_spread, is_unclipped)
+    distance_px = spreads[0].distance_px
+    weights = [weighted.weight for weighted in channels]
+    spread = np.zeros(distance_px.size)
+    variance = np.zeros(distance_px.size)
+    for weight, channel_spread in zip(weights, spreads, strict=True):
+        spread += weight * channel_spread.mean
+        variance += weight**2 * channel_spread.variance
+
+    frequency, sfr = _sfr_of_spread(spread, bins_a_pixel)
+    is_resolved = frequency <= bins_a_pixel / BINS_A_PIXEL
+    frequency = frequency[is_resolved]
+    sfr = sfr[is_resolved]
+    # Anticlockwise, as y points down; clockwise if transposed.
+    angle = float(np.degrees(np.arctan(fit.slope)))
+    nyquist = min(_nyquist_cy_per_px(weighted.grids, period) for weighted in channels)
     edge = EdgeResponse(
         frequency,
         sfr,
-        np.stack(interval(spread, variance, bins_a_pixel, frequency)),
+        np.stack(_sfr_bounds(spread, variance, bins_a_pixel, frequency)),
         distance_px,
         spread,
-        angle_deg=90.0 + angle if turned else -angle,
+        angle_deg=90.0 + angle if is_transposed else -angle,
         rows_used=rows.size,
         contrast=min(abs(contrast), 1.0),
         edge_degree=fit.curve.degree(),
         edge_sagitta_px=_sagitta_px(fit, rows),
         mtf50_interval_cy_per_px=_mtf50_interval(spread, variance, bins_a_pixel, frequency),
-        nyquist_cy_per_px=min(_nyquist_of(part.grids, period) for part in parts),
+        nyquist_cy_per_px=nyquist,
         channel=name,
     )
     _warn_of_curve(edge)
     _warn_of_shading(distance_px, spread, variance)
-    _warn_of_correlation([grid for part in parts for grid in part.grids], fit, distance_px, spread)
+    _warn_of_correlation(_all_grids(channels), fit, distance_px, spread)
     return edge
+
+
+def _finest_spreads(
+    channels: Sequence[_WeightedChannel], fit: _EdgeFit, half_px: float, spacing: int
+) -> tuple[int, list[EdgeSpread]]:
+    """Return the finest bins, a number a pixel, that all have pixels, and the edge spread of each
+    channel in them.
+
+    Raises PixsimError if even the coarsest bins have gaps.
+    """
+    for bins_a_pixel in _bins_a_pixel_to_try(spacing):
+        spreads = [edge_spread(weighted.grids, fit, half_px, bins_a_pixel) for weighted in channels]
+        if all((spread.pixels > 0).all() for spread in spreads):
+            return bins_a_pixel, spreads
+
+    pixels = np.concatenate([spread.pixels for spread in spreads])
+    got = (
+        f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at"
+        f" {np.degrees(np.arctan(fit.slope)):.2f}°"
+    )
+    raise invalid(
+        "edge picture",
+        got,
+        "pixels in every bin",
+        "This angle samples too few phases of the pixels: use 5°.",
+    )
 
 
 def _check_saturation(data: Array, saturation: float) -> None:
@@ -368,7 +387,7 @@ def _check_saturation(data: Array, saturation: float) -> None:
         )
 
 
-def parts_of(
+def _measured_channels(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
 ) -> tuple[list[_WeightedChannel], tuple[int, int], str | None]:
     """The pixels to measure, the rows and columns after which they repeat, and the name of their
@@ -378,33 +397,31 @@ def parts_of(
     unknown channel.
     """
     whole = np.asarray(picture)
-    known = None
+    mosaic = None
     if layout is not None:
         try:
-            known = Layout.parse(layout)
+            mosaic = Layout.parse(layout)
         except ValueError as error:
             raise PixsimError(f"layout: {error}.") from None
-    if known is not None and known.planes > 1:
-        if whole.ndim != 2 or whole.shape[0] % known.planes:
+    if mosaic is not None and mosaic.planes > 1:
+        if whole.ndim != 2 or whole.shape[0] % mosaic.planes:
             raise invalid(
                 setting("layout"),
                 f"{layout} for a picture of shape {whole.shape}",
-                f"rows that {known.planes} planes divide",
+                f"rows that {mosaic.planes} planes divide",
             )
-        planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
-        wanted = _named_channels(known, channel)
-        return (
-            [
-                _WeightedChannel(weight, [_grid_of(cropped(planes[letter], region))])
-                for letter, weight in wanted
-            ],
-            (1, 1),
-            channel,
-        )
-    data = cropped(whole, region)
-    if channel is None and (known is None or len(known.channels) == 1):
-        return [_WeightedChannel(1.0, [_grid_of(data)])], (1, 1), None
-    period = (2, 2) if known is None else known.period
+        planes = dict(zip(mosaic.channels, np.split(whole, mosaic.planes), strict=True))
+        channels = [
+            _WeightedChannel(weight, [_channel_grid(_cropped(planes[letter], region))])
+            for letter, weight in _named_channels(mosaic, channel)
+        ]
+        return channels, (1, 1), channel
+
+    data = _cropped(whole, region)
+    if channel is None and (mosaic is None or len(mosaic.channels) == 1):
+        return [_WeightedChannel(1.0, [_channel_grid(data)])], (1, 1), None
+
+    period = (2, 2) if mosaic is None else mosaic.period
     if min(data.shape) < _MIN_SIDE_PX * max(period):
         got = f"{data.shape[1]} × {data.shape[0]} pixels"
         raise invalid(
@@ -414,9 +431,9 @@ def parts_of(
         )
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
-    def grids(places: list[tuple[int, int]]) -> list[_ChannelGrid]:
+    def grids(places: Sequence[tuple[int, int]]) -> list[_ChannelGrid]:
         return [
-            _grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period)
+            _channel_grid(data, ((row - y0) % period[0], (column - x0) % period[1]), period)
             for row, column in places
         ]
 
@@ -429,24 +446,22 @@ def parts_of(
                 f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}",
             )
         return [_WeightedChannel(1.0, grids([(row, column)]))], period, channel
-    if known is None:
-        return (
-            [_WeightedChannel(1.0, grids(_green_places(data, channel or "", (y0, x0))))],
-            period,
-            channel,
-        )
-    cell = [
-        (row, column, letter)
-        for row, line in enumerate(known.cell)
-        for column, letter in enumerate(line)
+    if mosaic is None:
+        green = _find_green(data, channel or "", (y0, x0))
+        return [_WeightedChannel(1.0, grids(green))], period, channel
+
+    places: dict[str, list[tuple[int, int]]] = {}
+    for row, letters in enumerate(mosaic.cell):
+        for column, letter in enumerate(letters):
+            places.setdefault(letter, []).append((row, column))
+    channels = [
+        _WeightedChannel(weight, grids(places[letter]))
+        for letter, weight in _named_channels(mosaic, channel)
     ]
-    return [
-        _WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
-        for wanted, weight in _named_channels(known, channel)
-    ], period, channel  # fmt: skip
+    return channels, period, channel
 
 
-def _grid_of(
+def _channel_grid(
     data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)
 ) -> _ChannelGrid:
     """The pixels at one place (row, column) of the unit cells of a picture."""
@@ -466,23 +481,21 @@ def _named_channels(layout: Layout, channel: str | None) -> list[tuple[str, floa
     has_luminance = set(LUMINANCE_WEIGHTS) <= set(layout.channels)
     if channel == LUMINANCE and has_luminance:
         return list(LUMINANCE_WEIGHTS.items())
-    known = [
-        *layout.channels,
-        *([LUMINANCE] if has_luminance else []),
-        *([] if layout.is_stacked else ["a place as 0,1 (row,column)"]),
-    ]
+    names = list(layout.channels)
+    if has_luminance:
+        names.append(LUMINANCE)
+    if not layout.is_stacked:
+        names.append("a place as 0,1 (row,column)")
     if channel is not None:
-        raise invalid(setting("channel"), f"'{channel}' of the layout {layout}", ", ".join(known))
-    most = layout.channels[int(np.argmax(layout.shares))]
+        raise invalid(setting("channel"), f"'{channel}' of the layout {layout}", ", ".join(names))
+    dominant = layout.channels[int(np.argmax(layout.shares))]
     got = f"a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
-    hint = (
-        f"As in --channel {most} (channel='{most}'); also"
-        f" {', '.join(one for one in known if one != most)}."
-    )
+    others = ", ".join(name for name in names if name != dominant)
+    hint = f"As in --channel {dominant} (channel='{dominant}'); also {others}."
     raise invalid("edge picture", got, "one channel", hint)
 
 
-def _green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
+def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple[int, int]]:
     """Places of green in a mosaic that states no layout: the diagonal of 2 × 2 pixels whose steps
     agree, where the other's do not.
 
@@ -505,31 +518,34 @@ def _green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tup
     steps = {}
     for row in (0, 1):
         for column in (0, 1):
-            part = _grid_of(data, ((row - start[0]) % 2, (column - start[1]) % 2), (2, 2)).data
-            steps[row, column] = max(
-                abs(np.subtract(*_outer_quarters(one))) for one in (part, part.T)
-            )
-    apart = {
-        pair: abs(steps[pair[0]] - steps[pair[1]]) / max(steps[pair[0]] + steps[pair[1]], 1e-300)
-        for pair in (((0, 0), (1, 1)), ((0, 1), (1, 0)))
-    }
-    alike, other = sorted(apart, key=lambda pair: apart[pair])
-    if not (apart[alike] < MAX_PARITY and apart[other] > 5 * max(apart[alike], MAX_PARITY / 5)):
+            place = (row - start[0]) % 2, (column - start[1]) % 2
+            part = _channel_grid(data, place, (2, 2)).data
+            step_y = abs(np.subtract(*_outer_quarters(part)))
+            step_x = abs(np.subtract(*_outer_quarters(part.T)))
+            steps[row, column] = max(step_y, step_x)
+
+    differences = {}
+    for diagonal in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
+        first, second = steps[diagonal[0]], steps[diagonal[1]]
+        differences[diagonal] = abs(first - second) / max(first + second, 1e-300)
+    green, other = sorted(differences, key=lambda diagonal: differences[diagonal])
+    difference = differences[green]
+    if not (difference < MAX_PARITY and differences[other] > 5 * max(difference, MAX_PARITY / 5)):
         got = (
             "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels"
             " stands out as green"
         )
         raise invalid(setting("channel"), got, "row,column", hint)
-    places = " and ".join(f"{row},{column}" for row, column in alike)
+    places = " and ".join(f"{row},{column}" for row, column in green)
     words = (
         f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2"
         " pixels"
     )
     warn(Note("file_as_read", words=f"{words}, which agree with each other"))
-    return list(alike)
+    return list(green)
 
 
-def _nyquist_of(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -> float:
+def _nyquist_cy_per_px(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -> float:
     """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to
     the nearest of their replicas.
 
@@ -540,16 +556,16 @@ def _nyquist_of(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -> float
     for grid in grids:
         cell[int(grid.row[0]) % period[0], int(grid.x[0]) % period[1]] = 1.0
     strength = np.abs(np.fft.fft2(cell)) / cell.sum()
-    found = [NYQUIST_CY_PER_PX]
+    frequencies = [NYQUIST_CY_PER_PX]
     for row in range(-(period[0] // 2), period[0] // 2 + 1):
         for column in range(1, period[1] + 1):
             if strength[row % period[0], column % period[1]] > 1e-6:
                 u, v = column / period[1], row / period[0]
-                found.append((u * u + v * v) / (2 * u))
-    return min(found)
+                frequencies.append((u * u + v * v) / (2 * u))
+    return min(frequencies)
 
 
-def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
+def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     """The region as float64; raises PixsimError if it is not one channel, too small or not
     finite.
     """
@@ -589,43 +605,42 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
             f"{np.count_nonzero(~np.isfinite(data))} values that are NaN or infinite",
             "finite values",
         )
+    # So that squares are numbers; a black picture has no contrast, which is said later.
     largest = np.abs(data).max()
-    if (
-        largest and not SMALLEST <= largest <= LARGEST
-    ):  # so that squares are numbers; a black picture has no contrast, said later
+    if largest and not SMALLEST <= largest <= LARGEST:
         got, allowed = f"a largest value of {largest:g}", f"{SMALLEST:g} to {LARGEST:g} in size"
         raise invalid("edge picture", got, allowed, "Scale the picture.")
     return data
 
 
-def is_turned(parts: Sequence[_WeightedChannel]) -> bool:
+def _runs_along_rows(channels: Sequence[_WeightedChannel]) -> bool:
     """Whether the edge runs along the rows."""
     steps = [
-        abs(sum(part.weight * _step_of(part.grids, axis) for part in parts)) for axis in (0, 1)
+        abs(sum(channel.weight * _step(channel.grids, axis) for channel in channels))
+        for axis in (0, 1)
     ]
     return bool(steps[1] < steps[0])
 
 
-def _step_of(grids: Sequence[_ChannelGrid], axis: int) -> float:
+def _step(grids: Sequence[_ChannelGrid], axis: int) -> float:
     """Mean of the last quarter less that of the first, along an axis."""
-    low, high = _sides_of(grids, axis)
+    low, high = _side_means(grids, axis)
     return high - low
 
 
-def _sides_of(grids: Sequence[_ChannelGrid], axis: int = 1) -> tuple[float, float]:
+def _side_means(grids: Sequence[_ChannelGrid], axis: int = 1) -> tuple[float, float]:
     """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
-    sides = np.array([_outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(
-        axis=0
-    )
-    return float(sides[0]), float(sides[1])
+    sides = [_outer_quarters(grid.data.T if axis else grid.data) for grid in grids]
+    first, last = np.array(sides).mean(axis=0)
+    return float(first), float(last)
 
 
-def _contrast_of(parts: Sequence[_WeightedChannel]) -> float:
+def _contrast(channels: Sequence[_WeightedChannel]) -> float:
     """Michelson contrast of a near-vertical edge, negative if bright on the left.
 
     Raises PixsimError if it is too low in itself or for the noise.
     """
-    sides = [(part.weight, *_sides_of(part.grids)) for part in parts]
+    sides = [(channel.weight, *_side_means(channel.grids)) for channel in channels]
     low, high = (sum(side[0] * side[at] for side in sides) for at in (1, 2))
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
     if not MIN_CONTRAST <= abs(contrast) < np.inf:
@@ -637,11 +652,11 @@ def _contrast_of(parts: Sequence[_WeightedChannel]) -> float:
         raise invalid(
             "edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint
         )
-    for part, (_, low, high) in zip(parts, sides, strict=True):
+    for channel, (_, low, high) in zip(channels, sides, strict=True):
         noise = max(
             np.diff(side, axis=0).std() / np.sqrt(2)
-            for grid in part.grids
-            for side in outer(grid.data)
+            for grid in channel.grids
+            for side in _outer_columns(grid.data)
         )
         if abs(high - low) < _MIN_STEP_SIGMAS * noise:
             hint = "Average several frames, or use more light."
@@ -657,7 +672,7 @@ def _contrast_of(parts: Sequence[_WeightedChannel]) -> float:
     return float(contrast)
 
 
-def outer(data: Array) -> tuple[Array, Array]:
+def _outer_columns(data: Array) -> tuple[Array, Array]:
     """The first and the last quarter of the columns."""
     quarter = data.shape[1] // 4
     return data[:, :quarter], data[:, -quarter:]
@@ -669,15 +684,15 @@ def _outer_quarters(data: Array) -> tuple[float, float]:
     return float(data[:quarter].mean()), float(data[-quarter:].mean())
 
 
-def balanced(parts: list[_WeightedChannel]) -> list[_WeightedChannel]:
+def _balanced_channels(channels: list[_WeightedChannel]) -> list[_WeightedChannel]:
     """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel
     is left as it is.
     """
-    if len(parts) == 1:
-        return parts
-    sides = [_sides_of(part.grids) for part in parts]
+    if len(channels) == 1:
+        return channels
+    sides = [_side_means(channel.grids) for channel in channels]
     low, high = (
-        sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True))
+        sum(channel.weight * side[at] for channel, side in zip(channels, sides, strict=True))
         for at in (0, 1)
     )
     return [
@@ -688,11 +703,11 @@ def balanced(parts: list[_WeightedChannel]) -> list[_WeightedChannel]:
                 for grid in grids
             ],
         )
-        for (weight, grids), (dark, light) in zip(parts, sides, strict=True)
+        for (weight, grids), (dark, light) in zip(channels, sides, strict=True)
     ]
 
 
-def sampled(side: Array) -> Array:
+def _sampled_rows(side: Array) -> Array:
     """Whole rows of a side, of at most `_SAMPLED` pixels, evenly spread pairs of neighbours."""
     pairs = side[: len(side) // 2 * 2].reshape(-1, 2, side.shape[1])
     return pairs[:: max(1, -(-side.size // _SAMPLED))].reshape(-1, side.shape[1])
@@ -706,24 +721,32 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
     side would leave in it.
     """
     for grid in grids:
-        dark, light = sorted((sampled(side) for side in outer(grid.data)), key=np.mean)
-        for name, side, other, sign in (("bright", light, dark, 1.0), ("dark", dark, light, -1.0)):
+        dark, light = sorted(
+            (_sampled_rows(side) for side in _outer_columns(grid.data)), key=np.mean
+        )
+        for name, side, other_side, sign in (
+            ("bright", light, dark, 1.0),
+            ("dark", dark, light, -1.0),
+        ):
             code = min(
-                (step for one in (side, other) if (step := _smallest_step(one)) > 0.0), default=0.0
+                (step for one in (side, other_side) if (step := _smallest_step(one)) > 0.0),
+                default=0.0,
             )
-            noise = 0.0 if code == 0.0 else noise_of(other, code) / code
+            noise = 0.0 if code == 0.0 else _noise_sigma(other_side, code) / code
             if noise < _MIN_NOISE_CODES or noise * code < _MIN_NOISE * abs(
                 float(light.mean() - dark.mean())
             ):  # of rounding
                 continue
             top, at_top = _highest_code(sign * side)
             if name == "bright":
-                natural = (
+                max_at_top = (
                     _MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
                 )
             else:  # without clipping it may have less noise than the bright side, yet not none
-                natural = _MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - _MAX_SATURATED
-            if at_top <= natural:
+                max_at_top = (
+                    _MAX_AT_TOP if _noise_sigma(side, code) >= code else 1.0 - _MAX_SATURATED
+                )
+            if at_top <= max_at_top:
                 continue
             got = (
                 f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g}"
@@ -752,25 +775,26 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
 
 
 def _check_kinks(
-    grids: Sequence[_ChannelGrid], fit: _EdgeFit, binned: Binned, is_unclipped: bool
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, spread: EdgeSpread, is_unclipped: bool
 ) -> None:
     """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if
     it has kinks at both sides.
     """
     sides = [
-        np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)
+        np.concatenate([_sampled_rows(_outer_columns(grid.data)[at]).ravel() for grid in grids])
+        for at in (0, 1)
     ]
     levels = [float(np.median(side)) for side in sides]
-    code = max(_smallest_step(sampled(grid.data)) for grid in grids)
+    code = max(_smallest_step(_sampled_rows(grid.data)) for grid in grids)
     tolerance = max(1.5 * code, _KINK_LEVEL * abs(levels[1] - levels[0]))
     if max(float(side.std()) for side in sides) > tolerance / 4:  # `_check_clipping` looks at noise
         return
 
     distance = np.concatenate([_distance_from_edge(grid, fit).ravel() for grid in grids])
     value = np.concatenate([grid.data.ravel() for grid in grids])
-    steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
+    steepest = float(np.abs(np.gradient(spread.mean, spread.distance_px)).max())
     kinks = [
-        _kink_of(outwards * distance, value - level, tolerance) / steepest
+        _kink_slope(outwards * distance, value - level, tolerance) / steepest
         for outwards, level in zip((-1, 1), levels, strict=True)
     ]
     clipped = [
@@ -813,7 +837,7 @@ def _check_kinks(
     )
 
 
-def _kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
+def _kink_slope(distance_px: Array, departure: Array, tolerance: float) -> float:
     """Slope, per pixel along the normal, at which an edge runs into a side at positive distances; 0
     without pixels between.
 
@@ -838,15 +862,14 @@ def _smallest_step(side: Array) -> float:
     return float(np.diff(values).min()) if values.size > 1 else 0.0
 
 
-def noise_of(side: Array, code: float) -> float:
+def _noise_sigma(side: Array, code: float) -> float:
     """Standard deviation of a side's noise, from differences between rows; a few outliers, as of
     the edge, do not count.
     """
     difference = np.diff(side, axis=0)
-    return float(
-        difference[np.abs(difference) <= 6 * max(float(np.median(np.abs(difference))), code)].std()
-        / np.sqrt(2)
-    )
+    size = np.abs(difference)
+    limit = 6 * max(float(np.median(size)), code)
+    return float(difference[size <= limit].std() / np.sqrt(2))
 
 
 def _highest_code(side: Array) -> tuple[float, float]:
@@ -860,7 +883,7 @@ def _check_mosaic(data: Array) -> None:
     """Raise PixsimError if a picture looks like a colour mosaic: the means of the places of a unit
     cell differ on a side.
     """
-    sides = [side[: max(_SAMPLED // side.shape[1], _MIN_SIDE_PX)] for side in outer(data)]
+    sides = [side[: max(_SAMPLED // side.shape[1], _MIN_SIDE_PX)] for side in _outer_columns(data)]
     step = abs(sides[1].mean() - sides[0].mean())
     for cell in _UNIT_CELLS:
         if min(sides[0].shape) < 2 * cell:
@@ -905,60 +928,65 @@ def _fit_edge(grids: Sequence[_ChannelGrid], sign: float, spacing: int) -> _Edge
     spacing : of the columns of each grid, in pixels
     """
     derivatives = [sign * np.gradient(grid.data, axis=1) for grid in grids]
-    row = np.concatenate([grid.row for grid in grids])
-    order = np.argsort(row, kind="stable")
-    steepest = np.concatenate(
-        [
-            grid.x[
-                uniform_filter1d(derivative, _EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1
-            ]
-            for grid, derivative in zip(grids, derivatives, strict=True)
-        ]
-    )[order]
-    row = row[order]
-    half = (
-        len(row) // 2
-    )  # medians over pairs of rows half the picture apart are robust against outliers
-    slope = float(
-        np.median(
-            (steepest[half:] - steepest[: len(row) - half]) / (row[half:] - row[: len(row) - half])
-        )
-    )
-    curve = Polynomial([float(np.median(steepest - slope * row)), slope])
+    curve, row_count = _first_line(grids, derivatives)
     reach_px = _CENTROID_HALF_PX * spacing
 
     variances = [_noise_variance(grid.data) for grid in grids]
     for _ in range(_FIT_ROUNDS):
         measured = [
-            _row_edges(*parts, curve, reach_px)
-            for parts in zip(grids, derivatives, variances, strict=True)
+            _row_edges(grid, derivative, variance, curve, reach_px)
+            for grid, derivative, variance in zip(grids, derivatives, variances, strict=True)
         ]
-        rows, centres, noises = (np.concatenate(parts) for parts in zip(*measured, strict=True))
-        if rows.size < row.size / 2:
-            raise _no_edge(f"an edge in {rows.size} of {row.size} lines")
+        rows, centres, noises = (np.concatenate(arrays) for arrays in zip(*measured, strict=True))
+        if rows.size < row_count / 2:
+            raise _no_edge(f"an edge in {rows.size} of {row_count} lines")
         slope, intercept = np.polyfit(rows, centres, 1)
         degree = _degree_of_edge(rows, centres)
-        curve = (
-            Polynomial([intercept, slope]) if degree == 1 else Polynomial.fit(rows, centres, degree)
-        )
+        if degree == 1:
+            curve = Polynomial([intercept, slope])
+        else:
+            curve = Polynomial.fit(rows, centres, degree)
 
-    margins_px = [
-        np.minimum(curve(grid.row) - grid.x[0], grid.x[-1] - curve(grid.row)) for grid in grids
-    ]
-    lines = sum(np.count_nonzero(margin_px >= reach_px) for margin_px in margins_px)
+    lines = 0
+    for grid in grids:
+        edge_px = curve(grid.row)
+        margin_px = np.minimum(edge_px - grid.x[0], grid.x[-1] - edge_px)
+        lines += np.count_nonzero(margin_px >= reach_px)
     if rows.size < _MIN_LINES * lines:
         raise _no_edge(f"an edge in {rows.size} of {lines} lines")
     residual = float(np.sqrt(np.mean((centres - curve(rows)) ** 2)))
     if residual > _MAX_RESIDUAL_PX * spacing:
         raise _no_edge(f"an edge {residual:.2g} px (RMS) from a polynomial of degree {degree}")
-    scatter = np.concatenate(
-        [
-            _without_sampling(centre - curve(rows), curve(rows) / spacing)
-            for rows, centre, _ in measured
-        ]
-    )
-    _warn_of_misfit(scatter, noises, degree, spacing)
+
+    scatter = [
+        _without_sampling_error(grid_centres - curve(grid_rows), curve(grid_rows) / spacing)
+        for grid_rows, grid_centres, _ in measured
+    ]
+    _warn_of_misfit(np.concatenate(scatter), noises, degree, spacing)
     return _EdgeFit(curve, float(slope))
+
+
+def _first_line(
+    grids: Sequence[_ChannelGrid], derivatives: Sequence[Array]
+) -> tuple[Polynomial, int]:
+    """Return a straight line through the steepest points of the smoothed rows, and the number of
+    rows.
+    """
+    places = []
+    for grid, derivative in zip(grids, derivatives, strict=True):
+        smoothed = uniform_filter1d(derivative, _EDGE_SEARCH_PX, axis=1)
+        places.append(grid.x[smoothed[:, 1:-1].argmax(axis=1) + 1])
+    row = np.concatenate([grid.row for grid in grids])
+    order = np.argsort(row, kind="stable")
+    steepest = np.concatenate(places)[order]
+    row = row[order]
+
+    # Medians over pairs of rows half the picture apart are robust against outliers.
+    half = len(row) // 2
+    rise = steepest[half:] - steepest[: len(row) - half]
+    run = row[half:] - row[: len(row) - half]
+    slope = float(np.median(rise / run))
+    return Polynomial([float(np.median(steepest - slope * row)), slope]), row.size
 
 
 def _row_edges(
@@ -969,8 +997,10 @@ def _row_edges(
 
     derivative, variance : (M, K) along the rows, and of the noise of each pixel
     """
-    away = grid.x - curve(grid.row)[:, None]
-    window = np.where(np.abs(away) < reach_px, np.cos(np.pi * away / (2 * reach_px)) ** 2, 0.0)
+    distance = grid.x - curve(grid.row)[:, None]
+    window = np.where(
+        np.abs(distance) < reach_px, np.cos(np.pi * distance / (2 * reach_px)) ** 2, 0.0
+    )
     weight = window * derivative
     total = weight.sum(axis=1)
     valid = total > 0
@@ -989,8 +1019,8 @@ def _noise_variance(data: Array) -> Array:
     """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of
     the two sides.
     """
-    sides = [sampled(side) for side in outer(data)]
-    variances = [noise_of(side, _smallest_step(side)) ** 2 for side in sides]
+    sides = [_sampled_rows(side) for side in _outer_columns(data)]
+    variances = [_noise_sigma(side, _smallest_step(side)) ** 2 for side in sides]
     levels = [float(side.mean()) for side in sides]
     if levels[0] == levels[1]:
         return np.full(data.shape, max(variances))
@@ -1004,9 +1034,8 @@ def _degree_of_edge(row: Array, centre: Array) -> int:
     """
     scaled = 2 * (row - row.min()) / np.ptp(row) - 1
     basis = np.linalg.qr(legvander(scaled, _MAX_DEGREE))[0]
-    coefficient = (
-        basis.T @ centre
-    )  # independent of each other, and as uncertain as the edge of a row
+    # Independent of each other, and as uncertain as the edge of a row.
+    coefficient = basis.T @ centre
     freedom = row.size - basis.shape[1]
     sigma = math.sqrt(float(np.sum((centre - basis @ coefficient) ** 2)) / freedom)
     chance = _DEGREE_FALSE_ALARM / (_MAX_DEGREE - 1)
@@ -1015,7 +1044,7 @@ def _degree_of_edge(row: Array, centre: Array) -> int:
     return 2 + int(curved[-1]) if curved.size else 1
 
 
-def _without_sampling(residual_px: Array, place: Array) -> Array:
+def _without_sampling_error(residual_px: Array, place: Array) -> Array:
     """The rows' distances from the edge (px), less their mean at each place of the edge within a
     pixel, an error of sampling.
 
@@ -1036,9 +1065,9 @@ def _warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: i
     noise_px : (N,) standard deviations of the rows' edges by the noise of the pixels
     spacing : of the columns of the channel, in pixels
     """
-    scatter = float(np.quantile(np.abs(residual_px), COVERAGE)) / float(
-        ndtri((1 + COVERAGE) / 2)
-    )  # few outliers do not count
+    # By a quantile, so that few outliers do not count.
+    sigmas = float(ndtri((1 + COVERAGE) / 2))
+    scatter = float(np.quantile(np.abs(residual_px), COVERAGE)) / sigmas
     noise = float(np.sqrt(np.mean(noise_px**2)))
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
     if misfit > _MAX_MISFIT_PX * spacing and scatter**2 > _MIN_MISFIT_RATIO * noise**2:
@@ -1112,7 +1141,7 @@ def _rows_and_window(
             expected,
             "Without a slant the edge samples only one phase of the pixels.",
         )
-    grain = min(_bins_of(spacing))
+    grain = min(_bins_a_pixel_to_try(spacing))
     half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
     if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
@@ -1135,20 +1164,20 @@ def _rows_and_window(
     return inside[max(start, 0) : max(start, 0) + count], half_px
 
 
-def _bins_of(spacing: int) -> list[int]:
+def _bins_a_pixel_to_try(spacing: int) -> list[int]:
     """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are
     `spacing` apart.
     """
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
 
-def within(grid: _ChannelGrid, rows: Array) -> _ChannelGrid:
+def _rows_within(grid: _ChannelGrid, rows: Array) -> _ChannelGrid:
     """The rows of a grid in a range of rows."""
     inside = (grid.row >= rows[0]) & (grid.row <= rows[-1])
     return _ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
 
 
-class Binned(NamedTuple):
+class EdgeSpread(NamedTuple):
     """An edge spread function: (N,) distances of the bins, numbers of pixels, their means, and the
     variances of the means.
     """
@@ -1161,11 +1190,11 @@ class Binned(NamedTuple):
 
 def edge_spread(
     grids: Sequence[_ChannelGrid], fit: _EdgeFit, half_px: float, bins_a_pixel: int
-) -> Binned:
-    """Pixels in bins of their distance from the edge, which rises from left to right.
+) -> EdgeSpread:
+    """Bin pixels by their distance from the edge, which rises from left to right.
 
-    The variance is that of the pixels about the mean course through the bins, pooled over
-    neighbouring bins.
+    The variance is of the pixels about the mean course through the bins, pooled over neighbouring
+    bins.
     """
     count = round(2 * half_px * bins_a_pixel)
     centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
@@ -1177,31 +1206,33 @@ def edge_spread(
         indices.append(index[inside])
         values.append(grid.data[inside])
         distances.append(distance[inside])
-    index, value, away = np.concatenate(indices), np.concatenate(values), np.concatenate(distances)
+    index = np.concatenate(indices)
+    value = np.concatenate(values)
+    distance_px = np.concatenate(distances)
     pixels = np.bincount(index, minlength=count)
     if pixels.min() == 0:
-        return Binned(centre_px, pixels, centre_px, centre_px)
+        return EdgeSpread(centre_px, pixels, centre_px, centre_px)
+
     # Pixels fill a bin unevenly, so its mean belongs to their mean distance. Without this
     # correction the SFR is 0.003 off.
-    off_px = np.bincount(index, weights=away, minlength=count) / pixels - centre_px
+    off_px = np.bincount(index, weights=distance_px, minlength=count) / pixels - centre_px
     spread = np.bincount(index, weights=value, minlength=count) / pixels
     mean = spread - off_px * np.gradient(spread, centre_px)
-    squares = np.bincount(
-        index, weights=(value - course(centre_px, mean)(away)) ** 2, minlength=count
-    )
+
+    residual = value - _smooth_course(centre_px, mean)(distance_px)
+    squares = np.bincount(index, weights=residual**2, minlength=count)
     freedom = uniform_filter1d(np.maximum(pixels - 1.0, 0.0), _POOLED_BINS)
     scatter = np.maximum(uniform_filter1d(squares, _POOLED_BINS), 0.0) / np.maximum(
         freedom, 1.0 / _POOLED_BINS
     )
-    return Binned(centre_px, pixels, mean, scatter / pixels)
+    return EdgeSpread(centre_px, pixels, mean, scatter / pixels)
 
 
-def course(centre_px: Array, mean: Array) -> CubicSpline:
+def _smooth_course(centre_px: Array, mean: Array) -> CubicSpline:
     """The smooth course of which the bins hold the means."""
     curvature = np.gradient(np.gradient(mean))
-    return CubicSpline(
-        centre_px, mean - curvature / 24
-    )  # a mean over a bin is 1/24 of the curvature above its middle
+    # A mean over a bin is 1/24 of the curvature above its middle.
+    return CubicSpline(centre_px, mean - curvature / 24)
 
 
 def _filter_response(frequency: Array, bins_a_pixel: int) -> Array:
@@ -1212,7 +1243,7 @@ def _filter_response(frequency: Array, bins_a_pixel: int) -> Array:
     )
 
 
-def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Array]:
+def _sfr_of_spread(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Array]:
     """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bins
     and derivative.
     """
@@ -1223,7 +1254,7 @@ def response(spread: Array, bins_a_pixel: int = BINS_A_PIXEL) -> tuple[Array, Ar
     return frequency, modulation / modulation[0] / _filter_response(frequency, bins_a_pixel)
 
 
-def interval(
+def _sfr_bounds(
     spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
 ) -> tuple[Array, Array]:
     """Bounds of the SFR at frequencies (cy/px), an interval of 95 % for independent noise of a
@@ -1236,22 +1267,23 @@ def interval(
     window = tukey(spread.size, TAPER)
     line = np.gradient(spread) * window
     total = float(line.sum())
-    before, after = (
-        np.append(0.0, window[:-1]),
-        np.append(window[1:], 0.0),
-    )  # a bin is in the differences on either side of it
+    # A bin is in the central differences on either side of it.
+    before = np.append(0.0, window[:-1])
+    after = np.append(window[1:], 0.0)
     place = np.arange(spread.size)
-    sfr, sigma = np.ones(frequency.size), np.zeros(frequency.size)
-    for number, one in enumerate(frequency):
-        turn = np.exp(-2j * np.pi * one / bins_a_pixel * place)
-        step = np.exp(2j * np.pi * one / bins_a_pixel)
+    sfr = np.ones(frequency.size)
+    sigma = np.zeros(frequency.size)
+    for number, cy_per_px in enumerate(frequency):
+        turn = np.exp(-2j * np.pi * cy_per_px / bins_a_pixel * place)
+        step = np.exp(2j * np.pi * cy_per_px / bins_a_pixel)
         value = complex(line @ turn) / total
-        change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
         sfr[number] = abs(value)
-        sigma[number] = math.sqrt(
-            float((change * np.conj(value / (abs(value) or 1.0))).real ** 2 @ variance)
-        ) / abs(total)
-    low, high = bounds(sfr, sigma)
+
+        # The change of the SFR with each bin, along the direction of its complex value.
+        change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
+        along = (change * np.conj(value / (abs(value) or 1.0))).real
+        sigma[number] = math.sqrt(float(along**2 @ variance)) / abs(total)
+    low, high = _modulus_interval(sfr, sigma)
     correction = _filter_response(frequency, bins_a_pixel)
     return low / correction, high / correction
 
@@ -1269,16 +1301,21 @@ def _mtf50_interval(
     frequency : those of the DFT, from 0
     """
     fine = np.linspace(0.0, frequency[-1], FINER * (frequency.size - 1) + 1)
-    low, high = interval(spread, variance, bins_a_pixel, fine)
-    low, high = (np.where(maximum_filter1d(bound, FINER, origin=-(FINER // 2), mode="nearest") < 0.5, bound, np.maximum(bound, 0.5))
-                 for bound in (low, high))  # fmt: skip
-    return first_crossing(fine, low, 0.5), first_crossing(fine, high, 0.5)
+    low, high = _sfr_bounds(spread, variance, bins_a_pixel, fine)
+
+    def without_short_dips(bound: Array) -> Array:
+        highest_ahead = maximum_filter1d(bound, FINER, origin=-(FINER // 2), mode="nearest")
+        return np.where(highest_ahead < 0.5, bound, np.maximum(bound, 0.5))
+
+    low_mtf50 = first_crossing(fine, without_short_dips(low), 0.5)
+    high_mtf50 = first_crossing(fine, without_short_dips(high), 0.5)
+    return low_mtf50, high_mtf50
 
 
 _FAR_SIGMAS = 30.0  # from 0, where the modulus is as good as Gaussian
 
 
-def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
+def _modulus_interval(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     """Interval of 95 % for the modulus of a complex number measured with Gaussian noise of `sigma`
     in each of its two parts.
     """
@@ -1287,10 +1324,10 @@ def bounds(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     near = (sigma > 0) & (modulus < _FAR_SIGMAS * sigma)
     square = (modulus[near] / sigma[near]) ** 2
     for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):
-        found = np.where(
-            -np.expm1(-square / 2) < chance, 0.0, chndtrinc(square, 2.0, chance)
-        )  # none reaches it: 0 is nearest
-        bound[near] = np.sqrt(np.nan_to_num(found)) * sigma[near]
+        # Where no noncentrality reaches the chance, 0 is nearest.
+        is_out_of_range = -np.expm1(-square / 2) < chance
+        noncentrality = np.where(is_out_of_range, 0.0, chndtrinc(square, 2.0, chance))
+        bound[near] = np.sqrt(np.nan_to_num(noncentrality)) * sigma[near]
     return low, high
 
 
@@ -1340,23 +1377,22 @@ def _warn_of_correlation(
     """
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))
-    smooth = course(distance_px, spread)
-    found = []
+    smooth = _smooth_course(distance_px, spread)
+    correlations = []
     for grid in grids:
         distance = _distance_from_edge(grid, fit)
         beside = (np.abs(distance) > half_px / 4) & (np.abs(distance) < half_px)
-        noise = np.diff(
-            grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0
-        )  # without shading along the edge
+        # Without shading along the edge.
+        departure = grid.data - smooth(np.clip(distance, -half_px, half_px))
+        noise = np.diff(departure, axis=0)
         beside = beside[1:] & beside[:-1]
         pairs = beside[:, 1:] & beside[:, :-1]
         if pairs.any() and noise[beside].std() > _MIN_NOISE * step:
-            found.append(
-                float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean())
-            )
-    if found and max(found) > _MAX_CORRELATION:
+            products = (noise[:, 1:] * noise[:, :-1])[pairs]
+            correlations.append(float(products.mean() / (noise[beside] ** 2).mean()))
+    if correlations and max(correlations) > _MAX_CORRELATION:
         words = (
-            f"the noise of neighbouring pixels is correlated ({max(found):.2f}), as after"
+            f"the noise of neighbouring pixels is correlated ({max(correlations):.2f}), as after"
             " demosaicking, denoising or scaling: the intervals are too narrow"
         )
         warn(Note("edge_picture", words=words))
@@ -1364,8 +1400,11 @@ def _warn_of_correlation(
 
 # Of what a file states about a picture.
 _METADATA_RANGES = {
-    "pitch_um": (1e-6, 1e6), "black_level_dn": (-1e12, 1e12), "bits": (1.0, 32.0), "white_level_dn": (1e-12, 1e12),
-}  # fmt: skip
+    "pitch_um": (1e-6, 1e6),
+    "black_level_dn": (-1e12, 1e12),
+    "bits": (1.0, 32.0),
+    "white_level_dn": (1e-12, 1e12),
+}
 
 
 @dataclass(frozen=True)
@@ -1487,7 +1526,8 @@ def sfr(
     >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     t = np.clip(distance, -1, 1)
-    ...     np.save(f"{folder}/edge.npy", (0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)  # blurred by a pixel twice
+    ...     # blurred by a pixel twice
+    ...     np.save(f"{folder}/edge.npy", (0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)
     ...     edge = sfr(f"{folder}/edge.npy", pitch_um=5.0)
     >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc²(0.443) = 1/2
     89

@@ -355,9 +355,9 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     experiment = sheet.experiment
     pixel, readout = experiment.pixel, experiment.readout
     texts = []
-    if pixel.black_level_dn != experiment.asked_black_dn:
+    if pixel.black_level_dn != experiment.stated_black_dn:
         texts.append(
-            f"black level raised from {experiment.asked_black_dn:g} to {pixel.black_level_dn:g} DN,"
+            f"black level raised from {experiment.stated_black_dn:g} to {pixel.black_level_dn:g} DN,"
             " 6 σ of the dark noise, so that the dark frames are not clipped at 0 DN"
         )
     if readout.adc_range_e < readout.full_well_e:
@@ -418,7 +418,7 @@ def _datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
         "gain_db": experiment.readout.gain_db,
         "shape": list(experiment.sensor.shape),
         "exposures": experiment.photons.size,
-        "black_level_asked_dn": experiment.asked_black_dn,
+        "black_level_asked_dn": experiment.stated_black_dn,
         "quantisation_limited": sheet.transfer.limited,
         "entries": [entry.as_dict() for entry in sheet.entries],
     }

@@ -18,7 +18,7 @@ import pixsim
 from pixsim.base.layers import nested
 from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
-from pixsim.measure.datasheet import NOT_OF_SHEETS, datasheet_settings
+from pixsim.measure.datasheet import UNUSED_SETTINGS, datasheet_settings
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.lens_options import ANY_LENS_FIELDS, LensOptions
@@ -740,7 +740,7 @@ def test_rows_name_settings_that_exist() -> None:
         for field in type(options).model_fields
     }
     assert not {name for row in ROWS for name in row.settings} - known
-    assert not {*NOT_OF_SHEETS, *NOT_TAKEN} - known
+    assert not {*UNUSED_SETTINGS, *NOT_TAKEN} - known
 
 
 def test_record_without_a_setting_of_a_file_is_the_same() -> None:
