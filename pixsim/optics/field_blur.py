@@ -113,16 +113,17 @@ class FittedWavefronts:
 
         if self.height_um.size == 1:
             return lambda _: self.numbers[0]
-        equivalent_tile = self.numbers[
-            1:
-        ].copy()  # the opposite field has the wavefront turned by 180°
-        equivalent_tile[:, 2] *= -1
-        equivalent_tile[:, 3 : 3 + len(powers())] *= (-1.0) ** powers()[:, 1]
-        equivalent_tile[:, 3 + len(powers()) :] = equivalent_tile[:, : 2 + len(powers()) : -1]
-        heights = np.concatenate([-self.height_um[:0:-1], self.height_um])
-        spline: Callable[[float], Array] = CubicSpline(
-            heights, np.concatenate([equivalent_tile[::-1], self.numbers])
-        )
+
+        # The opposite field has the wavefront turned by 180°.
+        terms = len(powers())
+        mirrored = self.numbers[1:].copy()
+        mirrored[:, 2] *= -1
+        mirrored[:, 3 : 3 + terms] *= (-1.0) ** powers()[:, 1]
+        mirrored[:, 3 + terms :] = mirrored[:, : 2 + terms : -1]
+
+        heights_um = np.concatenate([-self.height_um[:0:-1], self.height_um])
+        numbers = np.concatenate([mirrored[::-1], self.numbers])
+        spline: Callable[[float], Array] = CubicSpline(heights_um, numbers)
         return spline
 
     def at(self, height_um: float) -> Array:
@@ -132,10 +133,11 @@ class FittedWavefronts:
         Where an image circle ends the pupil shrinks: beyond the last wavefront it is that of the
         last, then.
         """
-        end = float(self.height_um[-1])
-        step = end - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
-        numbers = np.asarray(self._spline(min(height_um, end + step)))
-        if height_um > end and np.any(numbers[:2] < _SHRUNKEN * self.numbers[-1, :2]):
+        end_um = float(self.height_um[-1])
+        step_um = end_um - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
+        numbers = np.asarray(self._spline(min(height_um, end_um + step_um)))
+        is_shrunken = np.any(numbers[:2] < _SHRUNKEN * self.numbers[-1, :2])
+        if height_um > end_um and is_shrunken:
             return np.asarray(self.numbers[-1])
         return numbers
 
@@ -144,19 +146,22 @@ class FittedWavefronts:
         sagittal and radial.
         """
         numbers, exponents = self.at(height_um), powers()
-        radius, turn = (
-            np.sqrt((np.arange(_RAYS) + 0.5) / _RAYS),
-            np.arange(_RAYS) * math.pi * (3 - math.sqrt(5)),
-        )
-        u, v = (radius * np.sin(turn))[:, None], (radius * np.cos(turn))[:, None]
-        a, b = exponents.T
-        slopes = a * u ** np.maximum(a - 1, 0) * v**b, b * u**a * v ** np.maximum(b - 1, 0)
+        half_widths, lateral_colour_um = numbers[:2], numbers[2]
         coefficients = numbers[3 : 3 + len(exponents)]
-        misses = [
-            self.wavelength_nm * UM_PER_NM * (slope @ coefficients) / half
-            for slope, half in zip(slopes, numbers, strict=False)
-        ]
-        return np.stack(misses, axis=-1) + np.array([0.0, numbers[2]])
+
+        # Rays on a spiral with the golden angle.
+        radius = np.sqrt((np.arange(_RAYS) + 0.5) / _RAYS)
+        turn = np.arange(_RAYS) * math.pi * (3 - math.sqrt(5))
+        u = (radius * np.sin(turn))[:, None]
+        v = (radius * np.cos(turn))[:, None]
+
+        a, b = exponents.T
+        slopes_u = a * u ** np.maximum(a - 1, 0) * v**b
+        slopes_v = b * u**a * v ** np.maximum(b - 1, 0)
+        wavelength_um = self.wavelength_nm * UM_PER_NM
+        sagittal_um = wavelength_um * (slopes_u @ coefficients) / half_widths[0]
+        radial_um = wavelength_um * (slopes_v @ coefficients) / half_widths[1]
+        return np.stack([sagittal_um, radial_um], axis=-1) + np.array([0.0, lateral_colour_um])
 
 
 def powers() -> NDArray[np.intp]:
@@ -173,34 +178,44 @@ def fit_wavefronts(
 
     Raises PixsimError if there are fewer rays than coefficients, or if a ray is not finite.
     """
-    numbers, residual = [], 0.0
     exponents = powers()
-    for height, front in zip(height_um, wavefronts, strict=True):
-        if len(front.opd_waves) < 2 * len(exponents) or not (
-            np.isfinite(front.opd_waves).all() and np.isfinite(front.cosines).all()
-        ):
-            got = f"{np.isfinite(front.opd_waves).sum()} rays at {height:g} µm from the axis"
+    needed = 2 * len(exponents)
+    numbers, residual_waves = [], 0.0
+    for node_um, front in zip(height_um, wavefronts, strict=True):
+        is_finite = np.isfinite(front.opd_waves)
+        if len(is_finite) < needed or not (is_finite.all() and np.isfinite(front.cosines).all()):
             raise invalid(
-                "wavefront", got, f"at least {2 * len(exponents)} finite rays over the stop"
+                "wavefront",
+                f"{is_finite.sum()} rays at {node_um:g} µm from the axis",
+                f"at least {needed} finite rays over the stop",
             )
+
+        # Directions in half widths from the middle of the pupil.
         low, high = front.cosines.min(axis=0), front.cosines.max(axis=0)
         half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
         middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
-        u_powers, v_powers = (
-            np.cumprod([np.ones_like(values), *[values] * _DEGREE], axis=0) for values in (u, v)
-        )
-        coefficients, residuals = least_squares(
-            u_powers[exponents[:, 0]] * v_powers[exponents[:, 1]], front.opd_waves
-        )
-        residual = max(residual, float(np.sqrt(np.mean(residuals**2))))
+
+        u_powers = np.cumprod([np.ones_like(u), *[u] * _DEGREE], axis=0)
+        v_powers = np.cumprod([np.ones_like(v), *[v] * _DEGREE], axis=0)
+        terms = u_powers[exponents[:, 0]] * v_powers[exponents[:, 1]]
+        coefficients, residuals = least_squares(terms, front.opd_waves)
+        residual_waves = max(residual_waves, float(np.sqrt(np.mean(residuals**2))))
+
         rim = (front.outline - middle) / half
-        angle, radius = np.arctan2(np.abs(rim[:, 0]), rim[:, 1]), np.hypot(*rim.T)
+        angle = np.arctan2(np.abs(rim[:, 0]), rim[:, 1])
+        radius = np.hypot(*rim.T)
         order = np.argsort(angle)
         outline = np.interp(np.linspace(0, np.pi, OUTLINE_ANGLES), angle[order], radius[order])
-        numbers.append(np.concatenate([half, [front.height_um - height], coefficients, outline]))
+
+        lateral_colour_um = [front.height_um - node_um]
+        numbers.append(np.concatenate([half, lateral_colour_um, coefficients, outline]))
+
     return FittedWavefronts(
-        wavelength_nm, np.asarray(height_um, float), np.array(numbers), residual
+        wavelength_nm=wavelength_nm,
+        height_um=np.asarray(height_um, float),
+        numbers=np.array(numbers),
+        residual_waves=residual_waves,
     )
 
 
@@ -213,7 +228,8 @@ def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
     times as long, and rounds as their number has it. A term that others make up has no coefficient.
     """
     columns = np.concatenate([terms, values[None]])
-    count, sizes = len(terms), np.sqrt(np.square(terms).sum(axis=1))
+    count = len(terms)
+    sizes = np.sqrt(np.square(terms).sum(axis=1))
     triangle = np.eye(count, count + 1)
     for row in range(count):
         size = float(np.sqrt(np.square(columns[row]).sum()))
@@ -223,11 +239,11 @@ def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
         triangle[row, row] = size
         triangle[row, row + 1 :] = (columns[row + 1 :] * unit).sum(axis=1)
         columns[row + 1 :] -= triangle[row, row + 1 :, None] * unit
+
     coefficients = np.zeros(count)
     for row in range(count - 1, -1, -1):
-        coefficients[row] = (
-            triangle[row, -1] - (triangle[row, row + 1 : -1] * coefficients[row + 1 :]).sum()
-        ) / triangle[row, row]
+        solved = (triangle[row, row + 1 : -1] * coefficients[row + 1 :]).sum()
+        coefficients[row] = (triangle[row, -1] - solved) / triangle[row, row]
     return coefficients, columns[-1]
 
 
@@ -240,8 +256,9 @@ def _share_inside(distance: Array, slope: Array) -> Array:
     """
     slope = np.maximum(slope, 1e-6)
     low, high = (1 - slope) / 2, (1 + slope) / 2
-    bent = [np.square(np.maximum(distance + shift, 0.0)) for shift in (high, low, -low, -high)]
-    return np.asarray(np.clip((bent[0] - bent[1] - bent[2] + bent[3]) / (2 * slope), 0.0, 1.0))
+    corners = [np.square(np.maximum(distance + shift, 0.0)) for shift in (high, low, -low, -high)]
+    area = (corners[0] - corners[1] - corners[2] + corners[3]) / (2 * slope)
+    return np.asarray(np.clip(area, 0.0, 1.0))
 
 
 def pupil_function(
@@ -255,70 +272,117 @@ def pupil_function(
     numbers : of `FittedWavefronts.at`
     azimuth : of the image point, radians from +x (columns) to +y (rows)
     """
-    half, shift_um = numbers[:2], numbers[2]
+    half, lateral_colour_um = numbers[:2], numbers[2]
     coefficients, outline = np.split(numbers[3:].astype(np.float32), [len(powers())])
-    radial, sagittal = (
-        np.array([np.cos(azimuth), np.sin(azimuth)]),
-        np.array([-np.sin(azimuth), np.cos(azimuth)]),
-    )
+    radial = np.array([np.cos(azimuth), np.sin(azimuth)])
+    sagittal = np.array([-np.sin(azimuth), np.cos(azimuth)])
+
+    # Samples on a grid in the axes of the film.
     extent = np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())
     x, y = (np.arange(-n, n + 1) * step for n in np.ceil(extent / step + 1).astype(int))
-    if (
-        azimuth == 0.0
-    ):  # the pupil is even in y, to the bit: a row below 0 is enough, for the slope at 0
+    is_symmetric = azimuth == 0.0  # in y, to the bit: a row below 0 is enough, for the slope at 0
+    if is_symmetric:
         y = y[y.size // 2 - 1 :]
-    u = ((x * sagittal[0] + y[:, None] * sagittal[1]) / half[0]).astype(
-        np.float32
-    )  # 1e-6 of a wave is lost of ten
+
+    # In single precision, which loses 1e-6 of a wave of ten.
+    u = ((x * sagittal[0] + y[:, None] * sagittal[1]) / half[0]).astype(np.float32)
     v = ((x * radial[0] + y[:, None] * radial[1]) / half[1]).astype(np.float32)
-    radius = np.sqrt(u * u + v * v)
-    at = np.arctan2(np.abs(u), v) * np.float32((OUTLINE_ANGLES - 1) / np.pi)
-    below = np.minimum(at.astype(np.int32), OUTLINE_ANGLES - 2)
-    slopes = np.diff(outline, append=outline[-1:])
-    inside = outline[below] + (at - below) * slopes[below] - radius
-    waves = np.float32(half[1] * shift_um / (wavelength_nm * UM_PER_NM)) * v
-    place, u_power = 0, np.ones_like(u)
-    for a in range(0, _DEGREE + 1, 2):  # Horner's rule in v for each power of u
-        count = _DEGREE + 1 - a
-        inner = np.full_like(v, coefficients[place + count - 1])
-        for coefficient in coefficients[place : place + count - 1][::-1]:
-            inner *= v
-            inner += coefficient
-        inner *= u_power
-        waves += inner
-        u_power *= u * u
-        place += count
+
+    lateral_colour_waves = half[1] * lateral_colour_um / (wavelength_nm * UM_PER_NM)
+    waves = np.float32(lateral_colour_waves) * v
+    _add_polynomial(waves, coefficients, u, v)
     rise_y, rise_x = np.gradient(waves)
-    share = (inside > 0).astype(np.float32)
-    edge_width = 1.5 * step / half.min()
-    cut = np.nonzero((np.abs(inside) < edge_width) & (radius > edge_width))  # by the edge
-    # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a
-    # sample's area.
-    along_u, along_v = u[cut] / radius[cut], v[cut] / radius[cut]
-    turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
-    rise_u, rise_v = (
-        (turning * along_v * np.sign(along_u) - along_u) / half[0],
-        (-turning * np.abs(along_u) - along_v) / half[1],
+
+    share = _antialias_edge(
+        waves, (rise_x, rise_y), outline, (u, v), half, axes=(sagittal, radial), step=step
     )
-    inward_x, inward_y = (rise_u * sagittal[axis] + rise_v * radial[axis] for axis in (0, 1))
-    steep_x, steep_y = np.abs(inward_x), np.abs(inward_y)
-    steepest = np.maximum(steep_x, steep_y)
-    share[cut] = _share_inside(
-        inside[cut] / (steepest * step), np.minimum(steep_x, steep_y) / steepest
-    )
-    # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
-    inwards = np.where(
-        steep_x > steep_y, rise_x[cut] * np.sign(inward_x), rise_y[cut] * np.sign(inward_y)
-    )
-    waves[cut] += inwards * (1 - share[cut]) / 2
+
     transmits = share > 0
     turn = np.float32(-2 * np.pi) * waves[transmits]
     size = share[transmits] * mean_of_phase(rise_x[transmits]) * mean_of_phase(rise_y[transmits])
     amplitude = np.zeros(share.shape, np.complex64)
     amplitude[transmits] = size * np.cos(turn) + 1j * (size * np.sin(turn))
-    if azimuth == 0.0:
-        amplitude, share = (np.concatenate([part[:1:-1], part[1:]]) for part in (amplitude, share))
+    if is_symmetric:
+        amplitude = np.concatenate([amplitude[:1:-1], amplitude[1:]])
+        share = np.concatenate([share[:1:-1], share[1:]])
     return amplitude, float(share.sum(dtype=float))
+
+
+def _add_polynomial(
+    waves: NDArray[np.float32],
+    coefficients: NDArray[np.float32],
+    u: NDArray[np.float32],
+    v: NDArray[np.float32],
+) -> None:
+    """Add the polynomial of `powers` to a wavefront (...) at directions (...)."""
+    first = 0
+    u_power = np.ones_like(u)
+    for a in range(0, _DEGREE + 1, 2):
+        # Horner's rule in v for each power of u.
+        count = _DEGREE + 1 - a
+        *lower, highest = coefficients[first : first + count]
+        inner = np.full_like(v, highest)
+        for coefficient in reversed(lower):
+            inner *= v
+            inner += coefficient
+        inner *= u_power
+        waves += inner
+        u_power *= u * u
+        first += count
+
+
+def _antialias_edge(
+    waves: NDArray[np.float32],
+    rises: tuple[NDArray[np.float32], NDArray[np.float32]],
+    outline: NDArray[np.float32],
+    directions: tuple[NDArray[np.float32], NDArray[np.float32]],
+    half: Array,
+    axes: tuple[Array, Array],
+    step: float,
+) -> NDArray[np.float32]:
+    """Return the share of each sample's area that lies inside the pupil, and move the wavefront of
+    the samples that its edge cuts to the middle of that part.
+
+    waves : wavefront, (H, W), changed in place
+    rises : its differences from sample to sample along x and y, (H, W) each
+    outline : radius of the pupil at `OUTLINE_ANGLES` angles from the radial direction
+    directions : u and v of the samples, (H, W) each
+    half : half widths of the pupil, sagittal and radial
+    axes : unit vectors in the axes of the film, sagittal and radial
+    step : of the samples, in direction cosines
+    """
+    u, v = directions
+    radius = np.sqrt(u * u + v * v)
+    position = np.arctan2(np.abs(u), v) * np.float32((OUTLINE_ANGLES - 1) / np.pi)
+    below = np.minimum(position.astype(np.int32), OUTLINE_ANGLES - 2)
+    slopes = np.diff(outline, append=outline[-1:])
+    inside = outline[below] + (position - below) * slopes[below] - radius
+    share = (inside > 0).astype(np.float32)
+
+    # The gradient of `inside`, at the edge, gives the distance to it, and so the share of a
+    # sample's area.
+    edge_width = 1.5 * step / half.min()
+    cut = np.nonzero((np.abs(inside) < edge_width) & (radius > edge_width))
+    unit_u, unit_v = u[cut] / radius[cut], v[cut] / radius[cut]
+    turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
+    gradient_u = (turning * unit_v * np.sign(unit_u) - unit_u) / half[0]
+    gradient_v = (-turning * np.abs(unit_u) - unit_v) / half[1]
+    sagittal, radial = axes
+    gradient_x = gradient_u * sagittal[0] + gradient_v * radial[0]
+    gradient_y = gradient_u * sagittal[1] + gradient_v * radial[1]
+
+    steep_x, steep_y = np.abs(gradient_x), np.abs(gradient_y)
+    steepest = np.maximum(steep_x, steep_y)
+    distance = inside[cut] / (steepest * step)
+    share[cut] = _share_inside(distance, np.minimum(steep_x, steep_y) / steepest)
+
+    # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
+    rise_x, rise_y = rises
+    rise_inwards = np.where(
+        steep_x > steep_y, rise_x[cut] * np.sign(gradient_x), rise_y[cut] * np.sign(gradient_y)
+    )
+    waves[cut] += rise_inwards * (1 - share[cut]) / 2
+    return share
 
 
 def mean_of_phase(waves: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -430,54 +494,72 @@ def periodic_psf(
     repeats; it adds up to 1.
 
     The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives
-    such means: its transform is the OTF up to the end of the film's band, where `_band_weight` fades it.
+    such means: its transform is the OTF up to the end of the film's band, where `_band_weight`
+    fades it.
 
     window : even
     """
     azimuth, height_um = math.atan2(y_um, x_um), math.hypot(x_um, y_um)
     numbers = [front.at(height_um) for front in light.fronts]
-    widest = max(
-        2 * float(n[:2].max()) / f.wavelength_nm for n, f in zip(numbers, light.fronts, strict=True)
-    )  # cut-off
     size_um = window * pitch_um
-    fine = next_fast_len(
-        max(window, math.ceil(2 * size_um / UM_PER_NM * widest) + 2), real=True
-    )  # hold the intensity
+
+    # Samples that hold the intensity up to the cut-off of the lens.
+    cutoff_per_nm = max(
+        2 * float(front_numbers[:2].max()) / front.wavelength_nm
+        for front_numbers, front in zip(numbers, light.fronts, strict=True)
+    )
+    needed = math.ceil(2 * size_um / UM_PER_NM * cutoff_per_nm) + 2
+    fine = next_fast_len(max(window, needed), real=True)
     last = min(math.ceil((1 + BAND_END) / 2 * window), (fine - 1) // 2)
     rows = fine // 2 + 1 if azimuth == 0.0 else fine  # an even PSF's other rows are mirrors
-    pending, total = np.zeros((rows, fine), np.float32), np.zeros((), complex)
+
     # A sample of the pupil is a mean over its square, which dims the outer parts of the PSF.
-    along = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
-    unboxed = along[:rows, None] * along
-    frequency = np.zeros(())
+    undimmed = (np.sinc(np.fft.fftfreq(fine)) ** -2).astype(np.float32)
+    undimmed = undimmed[:rows, None] * undimmed
+
+    frequency_cy_per_mm = np.zeros(())
     if light.transfer is not None:
-        down, across = np.fft.fftfreq(2 * last + 1, 1 / (2 * last + 1)), np.arange(last + 1)
-        frequency = np.hypot(down[:, None], across) / (size_um * 1e-3)
-    for front, number, share in zip(light.fronts, numbers, light.share, strict=True):
-        pupil, area = pupil_function(
-            number, front.wavelength_nm, azimuth, front.wavelength_nm * UM_PER_NM / size_um
-        )
-        if rows < fine:
-            half = ifft(pupil[len(pupil) // 2 :], fine, axis=1)
-            wide = np.zeros((fine, fine), np.complex64)
-            wide[: len(half)], wide[1 - len(half) :] = half, half[:0:-1]
-        else:
-            wide = ifft(pupil, fine, axis=1)
-        amplitude = ifft(wide, fine, axis=0, overwrite_x=True)[:rows]
-        intensity = np.square(amplitude.real)
-        intensity += np.square(amplitude.imag)
+        down = np.fft.fftfreq(2 * last + 1, 1 / (2 * last + 1))
+        across = np.arange(last + 1)
+        frequency_cy_per_mm = np.hypot(down[:, None], across) / (size_um * 1e-3)
+
+    intensity_sum = np.zeros((rows, fine), np.float32)
+    transform = np.zeros((), complex)
+    for front, front_numbers, share in zip(light.fronts, numbers, light.share, strict=True):
+        step = front.wavelength_nm * UM_PER_NM / size_um
+        pupil, area = pupil_function(front_numbers, front.wavelength_nm, azimuth, step)
+        intensity = _intensity(pupil, fine, rows)
         intensity *= np.float32(share * fine**2 / area)
         if light.transfer is None:
-            pending += intensity
+            intensity_sum += intensity
         else:
-            total = total + _low_frequencies(intensity * unboxed, last) * light.transfer(
-                frequency, front.wavelength_nm
-            )
+            lens = _low_frequencies(intensity * undimmed, last)
+            behind = light.transfer(frequency_cy_per_mm, front.wavelength_nm)
+            transform = transform + lens * behind
+
+    # Without a transfer of each wavelength, one transform serves for their sum.
     if light.transfer is None:
-        total = _low_frequencies(pending * unboxed, last)
-    return np.asarray(
-        irfft2(np.asarray(_sampled_on_film(total, (window, window)), complex), (window, window))
-    )
+        transform = _low_frequencies(intensity_sum * undimmed, last)
+    on_film = np.asarray(_sampled_on_film(transform, (window, window)), complex)
+    return np.asarray(irfft2(on_film, (window, window)))
+
+
+def _intensity(pupil: NDArray[np.complex128], fine: int, rows: int) -> NDArray[np.float32]:
+    """Return the intensity (rows, fine) of a pupil function.
+
+    rows : `fine`, or half of them if the pupil is symmetric in its rows
+    """
+    if rows < fine:
+        half = ifft(pupil[len(pupil) // 2 :], fine, axis=1)
+        wide = np.zeros((fine, fine), np.complex64)
+        wide[: len(half)] = half
+        wide[1 - len(half) :] = half[:0:-1]
+    else:
+        wide = ifft(pupil, fine, axis=1)
+    amplitude = ifft(wide, fine, axis=0, overwrite_x=True)[:rows]
+    intensity: NDArray[np.float32] = np.square(amplitude.real)
+    intensity += np.square(amplitude.imag)
+    return intensity
 
 
 def _low_frequencies(intensity: NDArray[np.float32], last: int) -> NDArray[np.complexfloating]:
@@ -500,26 +582,29 @@ def _sampled_on_film(
 
     shape : (H, W) of the window in film cells
     """
-    (down, across), half = (transform.shape[0] // 2, transform.shape[1] - 1), shape[1] // 2
-    rows, columns = np.fft.fftfreq(2 * down + 1, 1 / (2 * down + 1)), np.arange(across + 1)
+    height, width = shape
+    down, across = transform.shape[0] // 2, transform.shape[1] - 1
+    rows = np.fft.fftfreq(2 * down + 1, 1 / (2 * down + 1))
+    columns = np.arange(across + 1)
     real = transform.real.dtype
-    weighted = (
-        transform
-        * _band_weight(rows / shape[0]).astype(real)[:, None]
-        * _band_weight(columns / shape[1]).astype(real)
-    )
-    wrapped = np.zeros((shape[0], across + 1), transform.dtype)
+    row_weight = _band_weight(rows / height).astype(real)
+    column_weight = _band_weight(columns / width).astype(real)
+    weighted = transform * row_weight[:, None] * column_weight
+
+    # Frequencies that look the same on the film are added up, along the rows first.
+    wrapped = np.zeros((height, across + 1), transform.dtype)
     wrapped[: down + 1] = weighted[: down + 1]
-    wrapped[shape[0] - down :] += weighted[down + 1 :]
-    sampled = np.zeros((shape[0], half + 1), transform.dtype)
+    wrapped[height - down :] += weighted[down + 1 :]
+
+    half = width // 2
+    sampled = np.zeros((height, half + 1), transform.dtype)
     sampled[:, : min(across, half) + 1] = wrapped[:, : half + 1]
-    first = (
-        shape[1] + 1
-    ) // 2  # from here on the same as a frequency below 0, where the transform is the conjugate
+
+    # From here on the same as a frequency below 0, where the transform is the conjugate.
+    first = (width + 1) // 2
     if across >= first:
-        sampled[:, shape[1] - across : shape[1] - first + 1] += wrapped[
-            -np.arange(shape[0]), first:
-        ].conj()[:, ::-1]
+        opposite = wrapped[-np.arange(height), first:].conj()[:, ::-1]
+        sampled[:, width - across : width - first + 1] += opposite
     sampled[0, 0] = 1.0
     return sampled
 
@@ -545,13 +630,14 @@ def _integral_of_j0(end: Array) -> Array:
     node, weight = np.polynomial.legendre.leggauss(_GAUSS_NODES)
     node, weight = (1 + node) / 2, weight / 2
     last = np.floor(end)
-    whole = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
-    rest = end - last
-    beyond = sum(
-        (share * j0(last + rest * at) for at, share in zip(node, weight, strict=True)),
-        np.zeros(end.shape),
-    )
-    return np.asarray(np.concatenate([[0.0], np.cumsum(whole)])[last.astype(int)] + rest * beyond)
+    intervals = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
+    up_to_integers = np.concatenate([[0.0], np.cumsum(intervals)])
+
+    fraction = end - last
+    mean_beyond = np.zeros(end.shape)
+    for position, share in zip(node, weight, strict=True):
+        mean_beyond = mean_beyond + share * j0(last + fraction * position)
+    return np.asarray(up_to_integers[last.astype(int)] + fraction * mean_beyond)
 
 
 def _cubic_weights(distance: Array | float) -> Array:
@@ -559,9 +645,9 @@ def _cubic_weights(distance: Array | float) -> Array:
     Lagrange's cubic interpolation.
     """
     d = np.abs(distance)
-    return np.where(
-        d < 1, (1 - d * d) * (2 - d) / 2, np.where(d < 2, (1 - d) * (2 - d) * (3 - d) / 6, 0.0)
-    )
+    near = (1 - d * d) * (2 - d) / 2
+    far = (1 - d) * (2 - d) * (3 - d) / 6
+    return np.where(d < 1, near, np.where(d < 2, far, 0.0))
 
 
 Place = tuple[float, float]
