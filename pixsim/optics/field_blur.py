@@ -661,24 +661,24 @@ class RadialPsfs:
     With all frequencies that the lens passes they serve for every film: `pitch_um` is 0.
 
     A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is
-    found in the frequencies of the film, where turning needs no samples that are finer than the
+    turned in the frequencies of the film, where this needs no samples that are finer than the
     film's.
 
     step_um : from point to point; the first is on the axis
     period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
-    points : number of them
-    most : number of steps m to the last frequency of the splines
-    compute : number of a point -> (m + 2, m + 2) coefficients of cubic splines through its OTF,
-        over frequencies of -1 … m steps along the sagittal axis, in which a PSF is even, and along
-        the radial axis; computed when it is needed
+    point_count : number of points
+    last_frequency : number of steps m to the last frequency of the splines
+    compute_spline : number of a point -> (m + 2, m + 2) coefficients of cubic splines through its
+        OTF, over frequencies of -1 … m steps along the sagittal axis, in which a PSF is even, and
+        along the radial axis; computed when it is needed
     """
 
     step_um: float
     pitch_um: float
     period_um: float
-    points: int
+    point_count: int
     last_frequency: int
-    compute: Callable[[int], NDArray[np.complex64]] = field(repr=False)
+    compute_spline: Callable[[int], NDArray[np.complex64]] = field(repr=False)
     _splines: dict[int, NDArray[np.complex64]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -689,7 +689,7 @@ class RadialPsfs:
     @property
     def max_height_um(self) -> float:
         """Largest distance from the axis."""
-        return (self.points - 2) * self.step_um
+        return (self.point_count - 2) * self.step_um
 
     @property
     def cached_bytes(self) -> int:
@@ -701,21 +701,20 @@ class RadialPsfs:
         if point not in self._splines:
             with self._locks[point]:
                 if point not in self._splines:
-                    self._splines[point] = self.compute(point)
+                    self._splines[point] = self.compute_spline(point)
         return self._splines[point]
 
     def at(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
         """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side,
         from the four nearest distances.
 
-        Raises PixsimError beyond `max_height_um`, and for a film with cells smaller than `pitch_um`.
+        Raises PixsimError beyond `max_height_um`, and for a film with cells smaller than
+        `pitch_um`.
         """
         window, radius = _turned_window_cells(cells), cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
-        return [
-            Psf(kernel.astype(np.float32))
-            for kernel in np.roll(kernels, (radius, radius), axis=(1, 2))[:, :cells, :cells]
-        ]
+        kernels = np.roll(kernels, (radius, radius), axis=(1, 2))[:, :cells, :cells]
+        return [Psf(kernel.astype(np.float32)) for kernel in kernels]
 
     def transform(
         self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]
@@ -726,10 +725,11 @@ class RadialPsfs:
         Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at`
         does.
         """
-        spectra = self._spectra(places_um, pitch_um, shape, self._frequencies(pitch_um, shape))
+        ends = self._last_frequencies(pitch_um, shape)
+        spectra = self._spectra(places_um, pitch_um, shape, ends)
         return np.array([_sampled_on_film(spectrum, shape) for spectrum in spectra])
 
-    def _frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
+    def _last_frequencies(self, pitch_um: float, shape: tuple[int, ...]) -> tuple[int, ...]:
         """Return the last frequencies, down and across, of a window: a film shows no more, or the
         lens passes no more.
         """
@@ -755,23 +755,27 @@ class RadialPsfs:
                 f"{pitch_um:.6g} µm",
                 f"at least {self.pitch_um:.6g} µm, for which these PSFs are",
             )
-        (down, across), turns = ends, [math.atan2(y_um, x_um) for x_um, y_um in places_um]
-        cosine, sine = (
-            np.array([of(turn) for turn in turns])[:, None, None] for of in (math.cos, math.sin)
-        )
+
+        # Frequencies of the film, turned into the frame of each point's field.
+        down, across = ends
         fx = np.arange(across + 1) / (shape[1] * pitch_um)
         fy = np.fft.fftfreq(2 * down + 1, shape[0] * pitch_um / (2 * down + 1))[:, None]
-        radial, sagittal = fx * cosine + fy * sine, fy * cosine - fx * sine
-        at = np.abs(sagittal) * self.period_um, np.abs(radial) * self.period_um
-        side = min(
-            self.last_frequency + 2,
-            math.ceil(max(part.max() for part in at)) + _SPLINE_COEFFICIENTS,
-        )
+        turns = [math.atan2(y_um, x_um) for x_um, y_um in places_um]
+        cosine = np.array([math.cos(turn) for turn in turns])[:, None, None]
+        sine = np.array([math.sin(turn) for turn in turns])[:, None, None]
+        radial = fx * cosine + fy * sine
+        sagittal = fy * cosine - fx * sine
+
+        # In steps of the splines, of which only the first coefficients are needed.
+        row = np.abs(sagittal) * self.period_um
+        column = np.abs(radial) * self.period_um
+        needed = math.ceil(max(row.max(), column.max())) + _SPLINE_COEFFICIENTS
+        side = min(self.last_frequency + 2, needed)
         tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
-        spectra = np.asarray(_spline_values(tables, *at), complex)
+        spectra = np.asarray(_spline_values(tables, row, column), complex)
         np.conjugate(spectra, out=spectra, where=radial < 0)
         if self.pitch_um == 0.0:  # the tables hold all that the lens passes
-            spectra[(at[0] > self.last_frequency) | (at[1] > self.last_frequency)] = 0.0
+            spectra[(row > self.last_frequency) | (column > self.last_frequency)] = 0.0
         return spectra
 
     def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
@@ -782,14 +786,16 @@ class RadialPsfs:
                 f"{height_um:.6g} µm",
                 f"at most {self.max_height_um:.6g} µm",
             )
-        place = height_um / self.step_um
-        first = min(math.floor(place), self.points - 3) - 1
-        table, spare = np.zeros((2, side, side), np.complex64)
-        for index in range(first, first + 4):
-            spline = self.spline(abs(index))[:side, :side]
-            weight = np.float32(_cubic_weights(place - index))
-            # The opposite point has the PSF turned by 180°.
-            table += np.multiply(spline if index >= 0 else spline.conj(), weight, out=spare)
+        position = height_um / self.step_um
+        first = min(math.floor(position), self.point_count - 3) - 1
+        table = np.zeros((side, side), np.complex64)
+        weighted = np.zeros_like(table)
+        for point in range(first, first + 4):
+            spline = self.spline(abs(point))[:side, :side]
+            if point < 0:  # the opposite point has the PSF turned by 180°
+                spline = spline.conj()
+            weight = np.float32(_cubic_weights(position - point))
+            table += np.multiply(spline, weight, out=weighted)
         return table
 
     def blurred(
@@ -801,22 +807,17 @@ class RadialPsfs:
         films : light (H, W) and the pitch in µm of its cells; all have their frequencies from one
             spectrum
         """
-        ends = [self._frequencies(pitch_um, light.shape) for light, pitch_um in films]
-        (light, pitch_um), (down, across) = (
-            films[0],
-            (max(along) for along in zip(*ends, strict=True)),
-        )
-        (spectrum,), blurred = (
-            self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across)),
-            [],
-        )
+        ends = [self._last_frequencies(pitch_um, light.shape) for light, pitch_um in films]
+        down = max(rows for rows, _ in ends)
+        across = max(columns for _, columns in ends)
+        light, pitch_um = films[0]
+        (spectrum,) = self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across))
+
+        blurred = []
         for (light, _), (rows, columns) in zip(films, ends, strict=True):
-            part = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])[
-                :, : columns + 1
-            ]
-            blurred.append(
-                np.asarray(irfft2(rfft2(light) * _sampled_on_film(part, light.shape), light.shape))
-            )
+            low = np.concatenate([spectrum[: rows + 1], spectrum[2 * down + 1 - rows :]])
+            on_film = _sampled_on_film(low[:, : columns + 1], light.shape)
+            blurred.append(np.asarray(irfft2(rfft2(light) * on_film, light.shape)))
         return blurred
 
 
@@ -829,29 +830,38 @@ def _spline_values(
     coefficients : (n, H, W), from place -1 on; beyond the last one they go on as that
     """
     count, height, width = coefficients.shape
-    flat, total = coefficients.ravel(), np.zeros(row.shape, np.complex64)
-    (top, down), (left, across) = (
-        (at.astype(np.intp), (at % 1).astype(np.float32)) for at in (row, column)
-    )
-    begin = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
-    columns = [begin + np.minimum(left + step, width - 1) for step in range(_SPLINE_COEFFICIENTS)]
-    weights = _b_spline_weights(across)
-    for step, weight in enumerate(_b_spline_weights(down)):
-        first = np.minimum(top + step, height - 1) * width
-        along = flat[first + columns[0]] * weights[0]
-        for place, part in zip(columns[1:], weights[1:], strict=True):
-            along += flat[first + place] * part
-        total += along * weight
+    flat = coefficients.ravel()
+    table_start = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
+
+    top, left = row.astype(np.intp), column.astype(np.intp)
+    row_weights = _b_spline_weights((row % 1).astype(np.float32))
+    column_weights = _b_spline_weights((column % 1).astype(np.float32))
+    columns = [
+        table_start + np.minimum(left + step, width - 1) for step in range(_SPLINE_COEFFICIENTS)
+    ]
+
+    total = np.zeros(row.shape, np.complex64)
+    for step, row_weight in enumerate(row_weights):
+        row_start = np.minimum(top + step, height - 1) * width
+        along_row = flat[row_start + columns[0]] * column_weights[0]
+        for offset, column_weight in zip(columns[1:], column_weights[1:], strict=True):
+            along_row += flat[row_start + offset] * column_weight
+        total += along_row * row_weight
     return total
 
 
-def _b_spline_weights(part: NDArray[np.float32]) -> NDArray[np.float32]:
+def _b_spline_weights(fraction: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weights of the four coefficients around a place in a cubic spline, (4, ...).
 
-    part : of the step from the second to the third of them, 0 to 1
+    fraction : of the step from the second to the third of them, 0 to 1
     """
-    rest = 1 - part
-    weights = [rest**3, 4 - 3 * part**2 * (2 - part), 4 - 3 * rest**2 * (2 - rest), part**3]
+    rest = 1 - fraction
+    weights = [
+        rest**3,
+        4 - 3 * fraction**2 * (2 - fraction),
+        4 - 3 * rest**2 * (2 - rest),
+        fraction**3,
+    ]
     return np.asarray(weights, np.float32) / np.float32(6)
 
 
@@ -871,28 +881,24 @@ def radial_psfs(
     """Return the PSFs from the axis to a distance, which may be cut off to an odd number of cells
     along a side.
     """
-    count = math.floor(farthest_um / step_um) + 3
+    point_count = math.floor(farthest_um / step_um) + 3
+    heights_um = [index * step_um for index in range(point_count)]
     resolving = resolving_um(light)
     cell_um = max(pitch_um, resolving)
-    fine_um, heights_um = cell_um / _TURNED_SAMPLING, [index * step_um for index in range(count)]
+    fine_um = cell_um / _TURNED_SAMPLING
+
     window = _even_window(light, heights_um, fine_um, _WINDOW_SIDES * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(_PADDING * window / 2)) * 2
-    last = min(
-        math.ceil((1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um)
-        + _SPLINE_COEFFICIENTS // 2,
-        padded // 2 - 1,
-    )
+    band_corner = (1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um
+    last = min(math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2, padded // 2 - 1)
 
-    # The coefficients of a spline through an OTF are that of the PSF over the transform of a
+    # The coefficients of a spline through an OTF are those of the PSF over the transform of a
     # B-spline.
     b_spline = (2 + np.cos(2 * np.pi / padded * np.fft.fftfreq(window, 1 / window))) / 3
 
-    def compute(index: int) -> NDArray[np.complex64]:
-        psf = (
-            periodic_psf(light, heights_um[index], 0.0, fine_um, window)
-            / b_spline
-            / b_spline[:, None]
-        )
+    def compute_spline(index: int) -> NDArray[np.complex64]:
+        psf = periodic_psf(light, heights_um[index], 0.0, fine_um, window)
+        psf = psf / b_spline / b_spline[:, None]
         # It is even along the sagittal axis, so that its transform is real there.
         rows = rfft(_zero_padded(psf.astype(np.float32), padded), axis=0)[: last + 1].real
         otf = rfft(_zero_padded(rows.T, padded), axis=0)[: last + 1].T
@@ -901,12 +907,12 @@ def radial_psfs(
         return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
 
     return RadialPsfs(
-        step_um,
-        cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0,
-        padded * fine_um,
-        count,
-        last,
-        compute,
+        step_um=step_um,
+        pitch_um=cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0,
+        period_um=padded * fine_um,
+        point_count=point_count,
+        last_frequency=last,
+        compute_spline=compute_spline,
     )
 
 
@@ -914,8 +920,10 @@ def _zero_padded(values: NDArray[np.float32], count: int) -> NDArray[np.float32]
     """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count,
     m).
     """
-    wide, half = np.zeros((count, values.shape[1]), np.float32), len(values) // 2
-    wide[:half], wide[-half:] = values[:half], values[half:]
+    half = len(values) // 2
+    wide = np.zeros((count, values.shape[1]), np.float32)
+    wide[:half] = values[:half]
+    wide[-half:] = values[half:]
     return wide
 
 
@@ -940,11 +948,8 @@ def distinct_tiles(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]
     W) have but for mirrors.
     """
     (down, _), (across, _) = (_tiles_along(n, spacing) for n in shape)
-    return list(
-        dict.fromkeys(
-            equivalent_tile(x, y, shape) for y in range(down + 1) for x in range(across + 1)
-        )
-    )
+    tiles = product(range(down + 1), range(across + 1))
+    return list(dict.fromkeys(equivalent_tile(x, y, shape) for y, x in tiles))
 
 
 def equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
@@ -969,16 +974,15 @@ class FieldBlur:
     shape : (H, W) of the picture, with what is added at its sides
     spacing : film cells from the middle of a tile to that of the next; one lies on the axis
     psfs : by the place (x, y) of `equivalent_tile`
+    cached_flat_field : `flat_field` from a cache; None to compute it
     """
 
     shape: tuple[int, int]
     pitch_um: float
     spacing: int
     psfs: dict[tuple[int, int], Psf] = field(repr=False)
-    cached_flat_field: NDArray[np.float32] | None = field(
-        default=None, repr=False, compare=False
-    )  # from a cache, in place of computing
-    _last: dict[tuple[int, bytes], Array] = field(
+    cached_flat_field: NDArray[np.float32] | None = field(default=None, repr=False, compare=False)
+    _last_result: dict[tuple[int, bytes], Array] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -989,30 +993,30 @@ class FieldBlur:
 
     def as_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the PSFs as arrays, for a cache."""
-        return {
-            "kernels": np.stack([psf.kernel for psf in self.psfs.values()]),
-            "flat_field": self.flat_field,
-        }
+        kernels = np.stack([psf.kernel for psf in self.psfs.values()])
+        return {"kernels": kernels, "flat_field": self.flat_field}
 
     @property
     def tail_share(self) -> float:
-        """Largest share of the light that a PSF lacks."""
+        """Largest share of the light that falls beyond a PSF."""
         return max(psf.tail_share for psf in self.psfs.values())
 
     def superposed(self, picture: Array) -> tuple[Array, Array]:
         """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells -
-        1, W + cells - 1), and what the PSFs lack of the light of each sample, (H, W). Nothing is
-        lost at the sides.
+        1, W + cells - 1), and what of the light of each sample falls beyond the PSFs, (H, W).
+        Nothing is lost at the sides.
 
         Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is
         given back evenly.
         """
-        top, left = self._before
+        top, left = self._cells_before
         spread = self._sum_of_tiles(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
         spread = spread[_window_slices(top, left, *(n + self.cells - 1 for n in self.shape))]
-        down, across = self._weights
+
+        down, across = self._tile_weights
         light_of_tiles = down.T @ picture @ across
-        spread += ((light_of_tiles * (1 - self._tail_shares)).sum() - spread.sum()) / spread.size
+        lost = (light_of_tiles * (1 - self._tail_shares)).sum() - spread.sum()
+        spread += lost / spread.size
         return spread, picture * (down @ self._tail_shares @ across.T)
 
     @property
@@ -1022,7 +1026,7 @@ class FieldBlur:
         return counts, sides
 
     @property
-    def _before(self) -> tuple[int, ...]:
+    def _cells_before(self) -> tuple[int, ...]:
         """The cells of the first tile's window before the picture, down and across."""
         return tuple(
             (count + 2) * self.spacing - (n + 1) // 2
@@ -1030,201 +1034,247 @@ class FieldBlur:
         )
 
     @property
-    def _weights(self) -> tuple[Array, ...]:
+    def _tile_weights(self) -> tuple[Array, ...]:
         """The weights of tiles in the rows and in the columns of a picture, (H, tiles) and (W,
         tiles).
         """
+        weights = []
+        for n, count in zip(self.shape, self._tiles[0], strict=True):
+            position = (np.arange(n)[:, None] - (n - 1) / 2) / self.spacing
+            weights.append(_cubic_weights(position - np.arange(-count, count + 1)))
+        return tuple(weights)
+
+    @cached_property
+    def _window_weights(self) -> tuple[NDArray[np.float32], ...]:
+        """The weights of the cells in the window of a tile, down and across."""
         return tuple(
-            _cubic_weights(
-                (np.arange(n)[:, None] - (n - 1) / 2) / self.spacing - np.arange(-count, count + 1)
-            )
-            for n, count in zip(self.shape, self._tiles[0], strict=True)
+            _cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
+            for side in self._tiles[1]
         )
+
+    @property
+    def _spread_shape(self) -> tuple[int, ...]:
+        """The cells that the light of a window fills, down and across."""
+        return tuple(side + self.cells - 1 for side in self._tiles[1])
+
+    @property
+    def _transform_shape(self) -> tuple[int, ...]:
+        """The cells of transforms that hold the light of a window, down and across."""
+        return tuple(next_fast_len(side, real=True) for side in self._spread_shape)
 
     @cached_property
     def _tail_shares(self) -> Array:
-        """What the PSFs of the tiles lack, down and across."""
+        """The shares of the light beyond the PSFs of the tiles, down and across."""
         (down, across), _ = self._tiles
-        places = [
-            [equivalent_tile(x, y, self.shape) for x in range(-across, across + 1)]
-            for y in range(-down, down + 1)
-        ]
-        return np.array([[self.psfs[place].tail_share for place in row] for row in places])
+        shares = np.empty((2 * down + 1, 2 * across + 1))
+        for y, x in product(range(-down, down + 1), range(-across, across + 1)):
+            place = equivalent_tile(x, y, self.shape)
+            shares[down + y, across + x] = self.psfs[place].tail_share
+        return shares
 
     def _sum_of_tiles(
         self, light: NDArray[np.float32] | None, first: tuple[int, ...] = (0, 0)
     ) -> Array:
-        """Return the sum of the spread light of all tiles, from some row and column on.
+        """Return the sum of the spread light of all tiles, from a first row and column on.
 
         A column of tiles shares the transforms along its rows. They take part in it before and
         after those along columns.
 
-        light : with `_before` cells beyond a picture of `shape` on each side; the sum has as many
-            beyond `superposed`. None: even
+        light : with `_cells_before` cells beyond a picture of `shape` on each side; the sum has as
+            many beyond `superposed`. None: uniform light
         """
-        (counts, sides), radius = self._tiles, self.cells // 2
-        filled = [side + self.cells - 1 for side in sides]  # by the light of a window
-        size = [next_fast_len(side, real=True) for side in filled]
         height, width = (
             n + 2 * before + self.cells - 1
-            for n, before in zip(self.shape, self._before, strict=True)
+            for n, before in zip(self.shape, self._cells_before, strict=True)
         )
-        inside = [slice(radius, radius + side) for side in sides]
-        down, across = (
-            _cubic_weights((np.arange(side) - (side - 1) / 2) / self.spacing).astype(np.float32)
-            for side in sides
-        )
-        turns = np.add.outer(np.arange(size[0]) / size[0], np.arange(size[1] // 2 + 1) / size[1])
-        centred = np.exp(2j * np.pi * radius * turns)  # moves the middle of a PSF to the first cell
-        result = np.zeros((height - first[0], width - first[1]))
-        strips_of_light: dict[int, NDArray[np.float32]] = {}
+        rows, columns = self._transform_shape
+        turns = np.add.outer(np.arange(rows) / rows, np.arange(columns // 2 + 1) / columns)
+        # Moves the middle of a PSF to the first cell.
+        centring = np.exp(2j * np.pi * (self.cells // 2) * turns)
 
-        def rows_of(column: int) -> NDArray[np.complex64]:
-            part = (
-                np.ones((height, 1), np.float32)
-                if light is None
-                else light[:, column : column + sides[1]]
-            )
-            wide = np.zeros((len(part), size[1]), np.float32)
-            np.multiply(part, across, out=wide[:, inside[1]])
-            return np.asarray(rfft(wide, axis=1))
+        uniform: NDArray[np.complex64] | None = None
+        if light is None:
+            transforms = self._row_transforms(np.ones((height, 1), np.float32))
+            uniform = self._tile_spectrum(transforms[: self._tiles[1][0]])
 
-        def spectrum_of(rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
-            wide = np.zeros((size[0], rows.shape[1]), np.complex64)
-            np.multiply(rows, down[:, None], out=wide[inside[0]])
-            return np.asarray(fft(wide, axis=0, overwrite_x=True))
-
-        uniform_spectrum = spectrum_of(rows_of(0)[: sides[0]]) if light is None else None
+        spread: dict[int, NDArray[np.float32]] = {}
 
         def compute(x: int) -> None:
-            columns = [
-                at
-                for at in sorted({x, -x})
-                if (counts[1] + at) * self.spacing + filled[1] > first[1]
-            ]
-            rows = {
-                at: rows_of((counts[1] + at) * self.spacing) for at in columns if light is not None
-            }
-            total = {at: np.zeros((height, centred.shape[1]), np.complex64) for at in columns}
-            for y in range(counts[0] + 1):
-                place = equivalent_tile(x, y, self.shape)
-                kernel = self.psfs[place].kernel if place == (x, y) else self.psfs[place].kernel.T
-                psf = (fft(rfft(kernel, size[1], axis=1), size[0], axis=0) * centred).astype(
-                    np.complex64
-                )
-                for side, at in product(sorted({y, -y}), columns):
-                    row = (counts[0] + side) * self.spacing
-                    if row + filled[0] <= first[0]:
-                        continue
-                    window_spectrum = (
-                        spectrum_of(rows[at][row : row + sides[0]])
-                        if uniform_spectrum is None
-                        else uniform_spectrum
-                    )
-                    turned = (
-                        psf if (side < 0) == (at < 0) else psf[-np.arange(size[0])]
-                    )  # mirrored rows
-                    spread = ifft(
-                        window_spectrum * (turned.conj() if at < 0 else turned),
-                        axis=0,
-                        overwrite_x=True,
-                    )
-                    total[at][row : row + filled[0]] += spread[: filled[0]]
-            for at in columns:
-                strips_of_light[at] = irfft(total[at][first[0] :], size[1], axis=1)[:, : filled[1]]
+            spread.update(self._spread_columns(x, light, uniform, centring, height, first))
 
-        columns_at_once = max(
-            threads(), _SPREAD_CELLS // (2 * height * filled[1])
-        )  # threads start anew for each strip
-        for batch in strips(counts[1] + 1, 1, columns_at_once):
+        # Threads start anew for each batch of columns.
+        across = self._tiles[0][1]
+        batch_size = max(threads(), _SPREAD_CELLS // (2 * height * self._spread_shape[1]))
+        result = np.zeros((height - first[0], width - first[1]))
+        for batch in strips(across + 1, 1, batch_size):
             in_threads(compute, range(batch.start, batch.stop), result.size)
-            for at in sorted(
-                strips_of_light, key=abs
-            ):  # always in one order, so that sums round in one way
-                column = (counts[1] + at) * self.spacing - first[1]
-                result[:, max(column, 0) : column + filled[1]] += strips_of_light.pop(at)[
-                    :, max(-column, 0) :
-                ]
-            report(batch.stop / (counts[1] + 1))
+            for x in sorted(spread, key=abs):  # always in one order, so that sums round in one way
+                left = (across + x) * self.spacing - first[1]
+                columns_of_result = slice(max(left, 0), left + self._spread_shape[1])
+                result[:, columns_of_result] += spread.pop(x)[:, max(-left, 0) :]
+            report(batch.stop / (across + 1))
         return result
 
+    def _row_transforms(self, light: NDArray[np.float32]) -> NDArray[np.complex64]:
+        """Return the transforms along rows of the windows of a column of tiles.
+
+        light : (rows, window), or (rows, 1) for uniform light
+        """
+        _, weights = self._window_weights
+        radius = self.cells // 2
+        windowed = np.zeros((len(light), self._transform_shape[1]), np.float32)
+        np.multiply(light, weights, out=windowed[:, radius : radius + weights.size])
+        return np.asarray(rfft(windowed, axis=1))
+
+    def _tile_spectrum(self, row_transforms: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Return the transform of the window of a tile from those along its rows."""
+        weights, _ = self._window_weights
+        radius = self.cells // 2
+        shape = self._transform_shape[0], row_transforms.shape[1]
+        windowed = np.zeros(shape, np.complex64)
+        np.multiply(row_transforms, weights[:, None], out=windowed[radius : radius + weights.size])
+        return np.asarray(fft(windowed, axis=0, overwrite_x=True))
+
+    def _spread_columns(
+        self,
+        x: int,
+        light: NDArray[np.float32] | None,
+        uniform: NDArray[np.complex64] | None,
+        centring: NDArray[np.complex128],
+        height: int,
+        first: tuple[int, ...],
+    ) -> dict[int, NDArray[np.float32]]:
+        """Return the spread light of the columns of tiles at x and -x, by place: the rows from
+        the first one on, in the columns that their windows fill.
+
+        light, first : of `_sum_of_tiles`
+        uniform : spectrum of a window of uniform light, in place of light
+        centring : phase that moves the middle of a PSF to the first cell
+        height : rows of the sum of all tiles
+        """
+        (down, across), (window_rows, window_columns) = self._tiles
+        spread_rows, spread_columns = self._spread_shape
+        rows, columns = self._transform_shape
+
+        places = [
+            place
+            for place in sorted({x, -x})
+            if (across + place) * self.spacing + spread_columns > first[1]
+        ]
+        transforms = {}
+        if light is not None:
+            for place in places:
+                left = (across + place) * self.spacing
+                transforms[place] = self._row_transforms(light[:, left : left + window_columns])
+
+        totals = {place: np.zeros((height, centring.shape[1]), np.complex64) for place in places}
+        for y in range(down + 1):
+            tile = equivalent_tile(x, y, self.shape)
+            kernel = self.psfs[tile].kernel
+            if tile != (x, y):
+                kernel = kernel.T
+            psf = fft(rfft(kernel, columns, axis=1), rows, axis=0) * centring
+            psf = psf.astype(np.complex64)
+
+            for row, place in product(sorted({y, -y}), places):
+                top = (down + row) * self.spacing
+                if top + spread_rows <= first[0]:
+                    continue
+                spectrum = uniform
+                if spectrum is None:
+                    spectrum = self._tile_spectrum(transforms[place][top : top + window_rows])
+
+                # The other quadrants have the PSF with its rows and its columns mirrored.
+                mirrored = psf
+                if (row < 0) != (place < 0):
+                    mirrored = psf[-np.arange(rows)]
+                if place < 0:
+                    mirrored = mirrored.conj()
+                spread = ifft(spectrum * mirrored, axis=0, overwrite_x=True)
+                totals[place][top : top + spread_rows] += spread[:spread_rows]
+
+        return {
+            place: irfft(totals[place][first[0] :], columns, axis=1)[:, :spread_columns]
+            for place in places
+        }
+
     def blurred(self, picture: Array, margin: int = 0) -> Array:
-        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by the
-        reach of a PSF at each side.
+        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by half
+        a PSF at each side.
 
         margin : samples of the picture at each side that are known beyond it; it goes on by
             reflection
 
-        An even scene keeps the fall-off that it has in the picture: what a point of the image
+        A uniform scene keeps the fall-off that it has in the picture: what a point of the image
         receives from it depends on the pupil alone. The last result is remembered, and not to be
         written to.
         """
         key = margin, blake2b(picture.tobytes()).digest()
-        if key not in self._last:
-            self._last.clear()
-            self._last[key] = np.asarray(self._spread(picture, margin) / self.flat_field)
-        return self._last[key]
+        if key not in self._last_result:
+            self._last_result.clear()
+            self._last_result[key] = np.asarray(self._spread(picture, margin) / self.flat_field)
+        return self._last_result[key]
 
     @cached_property
     def flat_field(self) -> NDArray[np.float32]:
-        """What becomes of an even picture: where the mean shift of PSFs grows along the field, they
-        move apart.
+        """What becomes of a uniform picture: where the mean shift of PSFs grows along the field,
+        they move apart.
 
         All windows have the same light: what is beyond the picture does not reach it.
         """
         if self.cached_flat_field is not None:
             return self.cached_flat_field
-        radius = self.cells // 2
+
         # The other half of an even number of rows or columns is its mirror image, as that of a veil
         # is.
-        begin = [(n // 2 - radius) * (n % 2 == 0) for n in self.shape]
-        light = self._sum_of_tiles(
-            None,
-            tuple(
-                before + 2 * radius + cut for before, cut in zip(self._before, begin, strict=True)
-            ),
+        radius = self.cells // 2
+        cuts = [n // 2 - radius if n % 2 == 0 else 0 for n in self.shape]
+        first = tuple(
+            before + 2 * radius + cut for before, cut in zip(self._cells_before, cuts, strict=True)
         )
-        light = light[
-            : self.shape[0] - 2 * radius - begin[0], : self.shape[1] - 2 * radius - begin[1]
-        ]
+        rows, columns = (n - 2 * radius - cut for n, cut in zip(self.shape, cuts, strict=True))
+        light = self._sum_of_tiles(None, first)[:rows, :columns]
+
         down, across = (
-            part[radius + cut : len(part) - radius]
-            for part, cut in zip(self._weights, begin, strict=True)
+            weights[radius + cut : len(weights) - radius]
+            for weights, cut in zip(self._tile_weights, cuts, strict=True)
         )
-        flat_field = self._with_tails_as_veil(light, down @ self._tail_shares @ across.T).astype(
-            np.float32
-        )
-        for axis, cut in enumerate(begin):
-            flat_field = (
-                np.concatenate([np.flip(flat_field, axis), flat_field], axis) if cut else flat_field
-            )
+        tails = down @ self._tail_shares @ across.T
+        flat_field = self._with_tails_as_veil(light, tails).astype(np.float32)
+        for axis, cut in enumerate(cuts):
+            if cut:
+                flat_field = np.concatenate([np.flip(flat_field, axis), flat_field], axis)
         return flat_field
 
     def _spread(self, picture: Array, margin: int = 0) -> Array:
-        """Return a picture with its light spread by the PSFs, and what they lack as a veil."""
+        """Return a picture with its light spread by the PSFs, and their tails as a veil."""
         radius = self.cells // 2
         height, width = (count - 2 * margin for count in picture.shape)
         cut = max(0, margin - radius)
         inner = picture[_window_slices(cut, cut, *(count - 2 * cut for count in picture.shape))]
-        full, lacked = self.superposed(np.pad(inner, radius - (margin - cut), "symmetric"))
+        light, tails = self.superposed(np.pad(inner, radius - (margin - cut), "symmetric"))
         return self._with_tails_as_veil(
-            full[_window_slices(2 * radius, 2 * radius, height, width)],
-            lacked[_window_slices(radius, radius, height, width)],
+            light[_window_slices(2 * radius, 2 * radius, height, width)],
+            tails[_window_slices(radius, radius, height, width)],
         )
 
-    def _with_tails_as_veil(self, light: Array, lacked: Array) -> Array:
-        """Return spread light (H, W) with what the PSFs lack of it as a veil."""
-        result, veil = empty_planes(*light.shape), empty_planes(*light.shape)
-        result[...], veil[...] = light, lacked
+    def _with_tails_as_veil(self, light: Array, tails: Array) -> Array:
+        """Return spread light (H, W) with its part beyond the PSFs as a veil."""
+        result = empty_planes(*light.shape)
+        result[...] = light
+        veil = empty_planes(*light.shape)
+        veil[...] = tails
         spectrum = dct(veil)
+
+        # The veil's transform is interpolated between the frequencies of a film of any size.
         down, across = (np.arange(n) / (2 * n * self.pitch_um * 1e-3) for n in veil.shape)
-        few = np.linspace(
-            0.0, math.sqrt(0.5) / (self.pitch_um * 1e-3), _VEIL_FREQUENCIES
-        )  # those of a film of any size
-        mtf = veil_mtf(few, _psf_radius_um(self.cells, self.pitch_um))
+        corner_cy_per_mm = math.sqrt(0.5) / (self.pitch_um * 1e-3)
+        table_cy_per_mm = np.linspace(0.0, corner_cy_per_mm, _VEIL_FREQUENCIES)
+        mtf = veil_mtf(table_cy_per_mm, _psf_radius_um(self.cells, self.pitch_um))
 
         def spread(rows: slice) -> None:
-            spectrum[rows] *= np.interp(np.hypot(down[rows, None], across), few, mtf)
+            frequency_cy_per_mm = np.hypot(down[rows, None], across)
+            spectrum[rows] *= np.interp(frequency_cy_per_mm, table_cy_per_mm, mtf)
 
         in_threads(spread, strips(*veil.shape), veil.size)
         result += inverse_dct(spectrum)
@@ -1240,46 +1290,39 @@ def _tile_psfs(
     psfs: RadialPsfs, pitch_um: float, spacing: int, cells: int, places: Iterable[tuple[int, int]]
 ) -> dict[tuple[int, int], Psf]:
     """Return the PSFs of the middles of tiles at places (x, y)."""
-    wanted = list(dict.fromkeys(places))
+    distinct = list(dict.fromkeys(places))
     psfs_of_tiles: dict[tuple[int, int], Psf] = {}
 
     def compute(batch: slice) -> None:
-        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in wanted[batch]]
-        psfs_of_tiles.update(zip(wanted[batch], psfs.at(places_um, pitch_um, cells), strict=True))
+        tiles = distinct[batch]
+        places_um = [(x * spacing * pitch_um, y * spacing * pitch_um) for x, y in tiles]
+        psfs_of_tiles.update(zip(tiles, psfs.at(places_um, pitch_um, cells), strict=True))
 
-    in_threads(
-        compute,
-        strips(len(wanted), 1, _POINTS_PER_CALL),
-        MIN_THREADED_NUMBERS if len(wanted) > 1 else 0,
-    )
-    return {place: psfs_of_tiles[place] for place in wanted}
+    size = MIN_THREADED_NUMBERS if len(distinct) > 1 else 0
+    in_threads(compute, strips(len(distinct), 1, _POINTS_PER_CALL), size)
+    return {place: psfs_of_tiles[place] for place in distinct}
 
 
 def farthest_tile_um(shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> float:
-    """Return the distance from the axis of the farthest tile of `field_blur`, and of those that
-    `psfs_between_tiles` takes.
+    """Return the distance from the axis of the farthest tile of `field_blur` and of
+    `psfs_between_tiles`.
     """
-    return math.hypot(
-        *((_tiles_along(n + cells - 1, spacing)[0] + 0.5) * spacing * pitch_um for n in shape)
-    )
+    counts = [_tiles_along(n + cells - 1, spacing)[0] for n in shape]
+    return math.hypot(*((count + 0.5) * spacing * pitch_um for count in counts))
 
 
 def field_blur(
     psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
 ) -> FieldBlur:
-    """Return the blur of pictures (H, W), whose sides are extended by the reach of a PSF.
+    """Return the blur of pictures (H, W), whose sides are extended by half a PSF.
 
     psfs : of a film with cells of this pitch or smaller
     spacing : film cells from tile to tile
     cells : of a PSF along a side, an odd number
     """
-    wide = shape[0] + cells - 1, shape[1] + cells - 1
-    return FieldBlur(
-        wide,
-        pitch_um,
-        spacing,
-        _tile_psfs(psfs, pitch_um, spacing, cells, distinct_tiles(wide, spacing)),
-    )
+    extended = shape[0] + cells - 1, shape[1] + cells - 1
+    tile_psfs = _tile_psfs(psfs, pitch_um, spacing, cells, distinct_tiles(extended, spacing))
+    return FieldBlur(extended, pitch_um, spacing, tile_psfs)
 
 
 def blur_from_arrays(
@@ -1292,17 +1335,18 @@ def blur_from_arrays(
     """Return the blur that `FieldBlur.as_arrays` stored; None if the arrays are not those of these
     tiles.
     """
-    wide = shape[0] + cells - 1, shape[1] + cells - 1
-    places, kernels = list(distinct_tiles(wide, spacing)), stored.get("kernels", np.empty(0))
+    extended = shape[0] + cells - 1, shape[1] + cells - 1
+    tiles = distinct_tiles(extended, spacing)
+    kernels = stored.get("kernels", np.empty(0))
     flat_field = stored.get("flat_field", np.empty(0))
     if (
-        kernels.shape != (len(places), cells, cells)
+        kernels.shape != (len(tiles), cells, cells)
         or flat_field.shape != shape
         or not kernels.dtype == flat_field.dtype == np.float32
     ):
         return None
-    psfs = {place: Psf(kernel) for place, kernel in zip(places, kernels, strict=True)}
-    return FieldBlur(wide, pitch_um, spacing, psfs, flat_field)
+    psfs = {tile: Psf(kernel) for tile, kernel in zip(tiles, kernels, strict=True)}
+    return FieldBlur(extended, pitch_um, spacing, psfs, flat_field)
 
 
 def picture_error(
@@ -1330,12 +1374,15 @@ def picture_error(
     """
     window, columns = exact.shape[-2:]
     order, weight = _frequencies_in_order(window, columns, pitch_um, aperture_um, slope)
-    parts = np.array(share)[:, None, None]
-    squares = (
-        np.sum(parts * np.abs(values.reshape(-1, window, columns)) ** 2, axis=0) * weight
-        for values in (approximate - exact, exact)
-    )
-    error, power = (np.cumsum(square.ravel()[order]) for square in squares)
+    area_share = np.array(share)[:, None, None]
+
+    def cumulative_power(transforms: NDArray[np.complex128]) -> Array:
+        power = np.abs(transforms.reshape(-1, window, columns)) ** 2
+        mean_power = np.sum(area_share * power, axis=0) * weight
+        return np.cumsum(mean_power.ravel()[order])
+
+    error = cumulative_power(approximate - exact)
+    power = cumulative_power(exact)
     return float(np.sqrt((error / power).max()))
 
 
@@ -1346,11 +1393,14 @@ def _frequencies_in_order(
     """Return where the frequencies of `picture_error` stand, from low to high without 0, and their
     weights (window, columns).
     """
-    fy, fx = np.fft.fftfreq(window, pitch_um)[:, None], np.fft.rfftfreq(window, pitch_um)
-    box = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
-    weight = (
-        np.where((np.arange(columns) == 0) | (np.arange(columns) == window / 2), 1.0, 2.0) * box**2
-    )
+    fy = np.fft.fftfreq(window, pitch_um)[:, None]
+    fx = np.fft.rfftfreq(window, pitch_um)
+    aperture_mtf = np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)
+
+    # All columns but the first and the Nyquist frequency's stand for two.
+    column = np.arange(columns)
+    count = np.where((column == 0) | (column == window / 2), 1.0, 2.0)
+    weight = count * aperture_mtf**2
     frequency = np.hypot(fy, fx)
     weight /= np.maximum(frequency, 1 / (window * pitch_um)) ** slope
     return np.argsort(frequency, axis=None, kind="stable")[1:], weight
@@ -1360,14 +1410,15 @@ def psf_transform(
     psfs: Sequence[tuple[float, Psf]], pitch_um: float, window: int
 ) -> NDArray[np.complex128]:
     """Return the transform (window, window // 2 + 1) of a sum of PSFs by their weights, each with
-    what it lacks as a veil.
+    its tail as a veil.
     """
     kernel = sum((weight * psf.kernel.astype(float) for weight, psf in psfs), np.zeros(()))
     cells = len(kernel)
     wide = np.zeros((window, window))
     wide[:cells, :cells] = kernel
+    centred = np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))
     veil = float(1 - kernel.sum()) * _veil(pitch_um, cells, window)
-    return np.asarray(rfft2(np.roll(wide, (-(cells // 2), -(cells // 2)), axis=(0, 1))) + veil)
+    return np.asarray(rfft2(centred) + veil)
 
 
 @lru_cache(maxsize=2)
@@ -1375,10 +1426,8 @@ def _veil(pitch_um: float, cells: int, window: int) -> Array:
     """Return the transform (window, window // 2 + 1) of the light beyond a PSF's cells, as a share
     of it.
     """
-    fy, fx = (
-        np.fft.fftfreq(window, pitch_um * 1e-3)[:, None],
-        np.fft.rfftfreq(window, pitch_um * 1e-3),
-    )
+    fy = np.fft.fftfreq(window, pitch_um * 1e-3)[:, None]
+    fx = np.fft.rfftfreq(window, pitch_um * 1e-3)
     return veil_mtf(np.hypot(fy, fx), _psf_radius_um(cells, pitch_um))
 
 
