@@ -16,6 +16,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pixsim.base import cache
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.scene_light import SceneLight
 
 # --- pixels of a study
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
@@ -315,7 +316,8 @@ def further_displays(
     display : with the dots that pixsim chose
     die_um, pitch_um, border_um : of the pixels, as for `dot_edges_um`
 
-    >>> [other.dots for other in further_displays(Display(dots=600), Display(dots=600), (1e3, 1e3), 5.0, 7.5)]
+    >>> display = Display(dots=600)
+    >>> [other.dots for other in further_displays(display, display, (1e3, 1e3), 5.0, 7.5)]
     [300, 1200]
     """
     if display.raster != "fixed_size" or {"dots", "samples_per_deg"} <= stated.model_fields_set:
@@ -336,7 +338,7 @@ def further_displays(
 
 
 # --- cases
-# ------------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -660,7 +662,7 @@ def check_number(cases: int, evaluations: int, agreed: bool) -> None:
 
 
 # --- keys
-# -------------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 REPEATS_PER_TASK = 8  # after which a worker reports
 MAX_REPEATS = 10_000  # of a pitch
@@ -742,4 +744,16 @@ def point_at(number: int, displays: int) -> tuple[int, int]:
     them.
     """
     checked = CHECKED_REPEATS * displays
-    return divmod(number, displays) if number < checked else (CHECKED_REPEATS + number - checked, 0)
+    if number < checked:
+        return divmod(number, displays)
+    return CHECKED_REPEATS + number - checked, 0
+
+
+def points_at(
+    numbers: NDArray[np.intp], displays: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the repeats and the displays of evaluations, (N,) as their numbers, by `point_at`."""
+    checked = CHECKED_REPEATS * displays
+    is_checked = numbers < checked
+    repeats = np.where(is_checked, numbers // displays, CHECKED_REPEATS + numbers - checked)
+    return repeats, np.where(is_checked, numbers % displays, 0)

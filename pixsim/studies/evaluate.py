@@ -15,9 +15,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base import cache
 from pixsim.base.progress import Progress
@@ -28,7 +29,6 @@ from pixsim.sensor.labels import label_in
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.design import (
-    CHECKED_REPEATS,
     COMPUTED_BY,
     MAX_REPEATS,
     OF_FRAME,
@@ -38,6 +38,7 @@ from pixsim.studies.design import (
     frame_cost,
     point_at,
     point_count,
+    points_at,
 )
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_here
 from pixsim.studies.lights import Light
@@ -57,17 +58,20 @@ from pixsim.viewer.scene_light import (
 )
 from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ideal_light_of_dots
 
-FEW_CASES = 64  # among which the case of a row of a file is looked for
-_FEW_SECONDS = 3.0  # of all frames: processes take a second to start
-# lights in files, for each that is stored in memory: fewer batches draw the same sensors again
-_FILES_OF_MEMORY = 2
+Value = TypeVar("Value")
+
+MAX_SEARCHED_CASES = 64  # a row of a file is searched in all cases only up to so many
+_SERIAL_SECONDS = 3.0  # of all frames in one process: processes take a second to start
+# Lights in files for each light in memory: with more in a batch, fewer batches draw the same
+# sensors again.
+_FILE_LIGHTS_RATIO = 2
 
 
 @dataclass(frozen=True)
 class RenderedCase:
-    """A case with the light behind the lens, which cases that see the same share.
+    """A case with its light behind the lens, which it shares with cases that see the same.
 
-    scenes : of the light, made when they are needed
+    scenes : prepared scenes of the light, made when they are needed
     prepared : the light behind the lens, where it was made before
     """
 
@@ -99,9 +103,8 @@ class RenderedCase:
         displays of `scenes`.
         """
         physics = self.imaging.physics
-        charge = (
-            physics.charge.content_hash if physics.charge else ""
-        )  # diffusion is in the light behind the lens
+        # Diffusion of charge is in the light behind the lens.
+        charge = physics.charge.content_hash if physics.charge else ""
         electrons = b"".join(
             electrons_per_joule(channel, self.scenes.irradiance).tobytes()
             for channel in physics.channels
@@ -110,7 +113,7 @@ class RenderedCase:
 
     @property
     def light_id(self) -> tuple[int, tuple[bytes, float, str]]:
-        """What tells its light from those of other renders, too."""
+        """Identifies its light among the lights of all renders."""
         return id(self.scenes), self.light_key
 
     @property
@@ -169,10 +172,11 @@ class RenderedCase:
             ]
         )
 
-    def _pixel_content(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
-        return self.imaging.physics.technology.content, pixel.model_dump(
-            exclude={"technology", *but}
-        )  # a path is no content
+    def _pixel_content(self, pixel: Pixel, *excluded: str) -> tuple[object, ...]:
+        """Return what the frames depend on of a technology and a pixel, without some fields."""
+        # The path of a technology is no content.
+        fields = pixel.model_dump(exclude={"technology", *excluded})
+        return self.imaging.physics.technology.content, fields
 
     def pixel_hash(self, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
@@ -194,11 +198,12 @@ class RenderedCase:
         keys = self._keys.setdefault(pitch_um, [])
         displays = len(self.displays)
         end = point_count(count, displays)
+
         for number in range(len(keys), end):
             repeat, display = point_at(number, displays)
-            keys.append(
-                content_hash([self.pixel_hash(pitch_um), self.display_hashes[display], repeat])
-            )
+            content = [self.pixel_hash(pitch_um), self.display_hashes[display], repeat]
+            keys.append(content_hash(content))
+
         return keys[:end]
 
     def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
@@ -207,13 +212,15 @@ class RenderedCase:
 
         pitches_um : with which the case starts
         """
-        pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
-        if row["technology"] != self.case.sensor or not (
-            0 <= repeat < MAX_REPEATS and repeat.is_integer()
-        ):
+        pitch_um = float(row["pitch_um"])
+        repeat = float(row["repeat"])
+        if row["technology"] != self.case.sensor:
+            return False
+        if not (0 <= repeat < MAX_REPEATS and repeat.is_integer()):
             return False
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
+
         first = point_count(int(repeat), len(self.displays))
         return row["key"] in self.keys(pitch_um, int(repeat) + 1)[first:]
 
@@ -227,9 +234,10 @@ def rendered_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[
     for case, light in zip(cases, lights, strict=True):
         imaging, image, background = case.imaging, light.image, light.background
         assert imaging is not None
+
         # The header states everything that a render depends on, so that cases of other pixels may
         # have equal ones.
-        seen = [
+        light_content = [
             image.header,
             image.shape,
             image.pitch_um,
@@ -237,9 +245,9 @@ def rendered_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[
             None if background is None else background.header,
         ]
         displays = [display.content_hash for display in (imaging.display, *case.further_displays)]
-        key = content_hash(
-            [*seen, displays, imaging.metrics.content, imaging.develop.tone, imaging.single]
-        )
+        view_content = displays, imaging.metrics.content, imaging.develop.tone, imaging.single
+        key = content_hash([*light_content, *view_content])
+
         if key not in caches:
             caches[key] = SceneCache(
                 imaging, SceneLight(image, background), others=case.further_displays
@@ -253,14 +261,16 @@ def check_ideals(cases: Sequence[RenderedCase]) -> None:
     """Raise PixsimError if monochrome and colour sensors among some cases look at one coloured
     scene.
     """
-    grey = [rendered.label for rendered in cases if rendered.imaging.pixel.colour is None]
+    monochrome_labels: list[str] = []
     coloured: dict[int, RenderedCase] = {}
     for rendered in cases:
-        if (
-            rendered.imaging.pixel.colour is not None
-        ):  # the ideal image does not depend on the filters
+        if rendered.imaging.pixel.colour is None:
+            monochrome_labels.append(rendered.label)
+        else:
+            # One case of each scene is enough: the ideal image does not depend on the filters.
             coloured.setdefault(id(rendered.scenes), rendered)
-    if grey:
+
+    if monochrome_labels:
         ideals = {
             rendered.label: display_image(
                 ideal_light_of_dots(rendered.imaging, rendered.scenes.irradiance),
@@ -268,24 +278,24 @@ def check_ideals(cases: Sequence[RenderedCase]) -> None:
             )
             for rendered in coloured.values()
         }
-        check_one_ideal(grey, ideals)
+        check_one_ideal(monochrome_labels, ideals)
 
 
 # --- tasks of workers
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some repeats of one pixel size of a case to evaluate.
+    """Repeats of one pixel size of a case to evaluate.
 
     name : of the sensor
     imaging : at this size
-    displays : on which each frame is shown
-    stream : how the keys of its random streams begin, before the repeat
-    light_key, frames_key : hashes of everything that their light and their frames depend on; empty:
-        frames are not cached
-    keys : of its rows, by their numbers as of `RenderedCase.keys`
+    displays : each frame is shown on all of them
+    stream : beginning of the keys of its random streams, before the repeat
+    light_key, frames_key : hashes of everything that their light and their frames depend on; an
+        empty `frames_key` keeps frames out of the cache
+    keys : number of a row, as in `RenderedCase.keys` -> its key
     shares_sensors : whether other cases may have the same sensors
     """
 
@@ -302,10 +312,8 @@ class Task:
         return f"{self.name} at {self.imaging.pixel.pitch_um:g} µm"
 
     @property
-    def place(self) -> tuple[float, str, int]:
-        """Its place among the tasks of several lights: small pixels first, the same sensors
-        together.
-        """
+    def order(self) -> tuple[float, str, int]:
+        """Sorts the tasks of several lights: small pixels first, the same sensors together."""
         return self.imaging.pixel.pitch_um, self.name, min(self.keys)
 
     @property
@@ -322,13 +330,13 @@ class Task:
         return self.keys[point_count(repeat, len(self.displays)) + display]
 
 
-class Evaluated(NamedTuple):
-    """What a worker tells of a point: its key, pixel size, repeat and number of the display.
+class EvaluatedPoint(NamedTuple):
+    """An evaluated point: its key, pixel size, repeat and number of the display.
 
-    values : of `PIXEL_STATISTICS` and of the metrics' columns; none of an impossible pixel
-    impossible : why; empty for a pixel that is possible
-    undefined : metric -> why it has no number
-    from_cache : whether the frame was known
+    values : of `PIXEL_STATISTICS` and of the metrics' columns; empty for an impossible pixel
+    impossible : the reason why the pixel is impossible; empty for a possible one
+    undefined : metric -> the reason why it has no number
+    from_cache : whether the frame was in the cache
     """
 
     key: str
@@ -345,7 +353,7 @@ class FirstFrame(NamedTuple):
     """The first frame of all, with the chain that made it."""
 
     chain: ImagingChain
-    judged: FrameUnderTest
+    frame_under_test: FrameUnderTest
 
 
 def task_of(rendered: RenderedCase, imaging: Imaging, block: int, keys: Mapping[int, str]) -> Task:
@@ -374,23 +382,25 @@ def _tasks_of(
     displays = len(rendered.displays)
     for pitch_um, count in sizes.items():
         keys = rendered.keys(pitch_um, count)
-        imaging = rendered.imaging.at(pitch_um)  # one for thousands of tasks
+        imaging = rendered.imaging.at(pitch_um)  # one record for thousands of tasks
+
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             end = min(count, first + REPEATS_PER_TASK)
             numbers = range(point_count(first, displays), point_count(end, displays))
-            if missing := {number: keys[number] for number in numbers if not is_done(keys[number])}:
+            missing = {number: keys[number] for number in numbers if not is_done(keys[number])}
+            if missing:
                 yield task_of(rendered, imaging, block, missing)
 
 
 # A thread's last chain and last sensors: they are expensive, and the tasks of a pixel size follow
 # one another.
 _recent = threading.local()
-_SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next light
+_MAX_SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread holds for the next light
 
 
 def _cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
-    """Return the sensor of `ImagingChain.sensor`. Other cases may have the same ones, of which a
-    thread keeps the last.
+    """Return the sensor of `ImagingChain.sensor`, from the last ones of this thread if another
+    case had it.
     """
     physics = chain.readout.physics
     pixels = chain.readout.with_physics(
@@ -399,25 +409,23 @@ def _cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
     if getattr(_recent, "pixels", None) != pixels:
         _recent.pixels, _recent.sensors = pixels, {}
     sensors: dict[object, Sensor] = _recent.sensors
-    place = key, physics.registration, chain.signal_e_per_s.shape
-    if place not in sensors:
-        sensor = chain.sensor(*key)
-        size = sum(
-            pattern.nbytes
-            for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e)
-            if pattern is not None
-        )
-        if (len(sensors) + 1) * size > _SENSORS_BYTES:
-            sensors.clear()
-        if size > _SENSORS_BYTES:
-            return sensor
-        sensors[place] = sensor
-    return sensors[place]
+    sensor_key = key, physics.registration, chain.signal_e_per_s.shape
+    if sensor_key in sensors:
+        return sensors[sensor_key]
+
+    sensor = chain.sensor(*key)
+    patterns = sensor.gain, sensor.dark_gain, sensor.offset_e
+    size_bytes = sum(pattern.nbytes for pattern in patterns if pattern is not None)
+    if (len(sensors) + 1) * size_bytes > _MAX_SENSORS_BYTES:
+        sensors.clear()
+    if size_bytes <= _MAX_SENSORS_BYTES:
+        sensors[sensor_key] = sensor
+    return sensor
 
 
 def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
-    """Return the imaging chain of a repeat, with its registration; that of the last one, if it is
-    the same.
+    """Return the imaging chain of a repeat with its registration; the last chain of this thread, if
+    it is the same.
     """
     imaging = registered_in(task.imaging, light, repeat)
     key = task.light_key, imaging.pixel.pitch_um, imaging.pixel.registration
@@ -428,195 +436,211 @@ def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
 
 
 def evaluate_task(
-    task: Task, light: SharedLight, first: list[FirstFrame] | None = None
-) -> list[Evaluated]:
-    """Return the evaluations of a task; of pixels whose colours cannot be told apart, the reason in
-    their place.
+    task: Task, light: SharedLight, first_frame: list[FirstFrame] | None = None
+) -> list[EvaluatedPoint]:
+    """Return the evaluations of a task; points without numbers, with the reason, if the colours of
+    its pixels cannot be told apart.
 
-    first : gets the first frame of the first repeat, with its pictures
+    first_frame : gets the first frame of the first repeat, with its pictures
     """
-    evaluated: list[Evaluated] = []
+    evaluated: list[EvaluatedPoint] = []
     repeats, request = task.repeats, task.imaging.metrics
+    pitch_um = task.imaging.pixel.pitch_um
     names = *PIXEL_STATISTICS, *columns_of_metrics(request.chosen)
+    frames = frames_of(task, light, repeats, light_optional=not request.needs_light)
     try:
-        for repeat, chain, frame, mean_e in frames_of(
-            task, light, repeats, light_optional=not request.needs_light
-        ):
-            cached_mean = {} if mean_e is None else {MEAN: mean_e}
+        for repeat, chain, frame, mean_e in frames:
+            # Each sensor of a run is a first repeat, with its own random stream.
+            stream_key: tuple[Any, ...] = (repeat, task.stream)
+            if task.imaging.is_run:
+                stream_key = (0, task.imaging.stream_of(task.stream, repeat))
+
             for display in repeats[repeat]:
-                on_screen = (
-                    chain if isinstance(light, SceneLight) else chain.on(light.screens[display])
-                )
-                run_stream = (
-                    0,
-                    task.imaging.stream_of(task.stream, repeat),
-                )  # each sensor of a run is one by itself
-                judged = FrameUnderTest.of(
-                    on_screen,
-                    frame,
-                    *(run_stream if task.imaging.is_run else (repeat, task.stream)),
-                )
+                screen_chain = chain
+                if not isinstance(light, SceneLight):
+                    screen_chain = chain.on(light.screens[display])
+                frame_under_test = FrameUnderTest.of(screen_chain, frame, *stream_key)
                 undefined: dict[str, str] = {}
-                numbers = judged.statistics(undefined) | cached_mean
-                if first is not None and not first:
-                    first.append(FirstFrame(on_screen, judged))
-                key = task.key(repeat, display)
-                values = tuple(float(numbers[name]) for name in names)
-                place = key, task.imaging.pixel.pitch_um, repeat, display
-                evaluated.append(
-                    Evaluated(*place, values, undefined=undefined, from_cache=mean_e is not None)
+                statistics = frame_under_test.statistics(undefined)
+                if mean_e is not None:
+                    statistics = statistics | {_MEAN: mean_e}
+                if first_frame is not None and not first_frame:
+                    first_frame.append(FirstFrame(screen_chain, frame_under_test))
+
+                point = EvaluatedPoint(
+                    key=task.key(repeat, display),
+                    pitch_um=pitch_um,
+                    repeat=repeat,
+                    display=display,
+                    values=tuple(float(statistics[name]) for name in names),
+                    undefined=undefined,
+                    from_cache=mean_e is not None,
                 )
+                evaluated.append(point)
     except AlikeChannelsError as error:
-        pitch_um, displays = task.imaging.pixel.pitch_um, len(task.displays)
+        displays = len(task.displays)
         return [
-            Evaluated(key, pitch_um, *point_at(number, displays), impossible=str(error))
+            EvaluatedPoint(key, pitch_um, *point_at(number, displays), impossible=str(error))
             for number, key in task.keys.items()
         ]
     return evaluated
 
 
 def _cached_frames(frames_key: str) -> cache.Arrays:
-    """Return the frames that the cache has under a key, which may be empty, by the names of
-    `_name_of`.
+    """Return the frames that the cache has under a key, by the names of `_array_name`.
+
+    frames_key : empty if frames are not cached
     """
-    return (cache.arrays("frames", frames_key) if frames_key else None) or {}
+    if not frames_key:
+        return {}
+    return cache.arrays("frames", frames_key) or {}
 
 
-DN, SATURATED, MEAN, TIME, CORRECTED = (
-    "dn",
-    "saturated_fraction",
-    "mean_electrons_e",
-    "integration_s",
-    "corrected_e",
-)
-_SATURATED_PIXELS = "saturated"
+# Arrays of a frame in the cache.
+_DN, _SATURATED, _MEAN, _TIME = "dn", "saturated_fraction", "mean_electrons_e", "integration_s"
+_CORRECTED, _SATURATED_PIXELS = "corrected_e", "saturated"
 
 
-def _name_of(repeat: int, what: str) -> str:
+def _array_name(repeat: int, part: str) -> str:
     """Return the name of an array of a frame in the cache.
 
-    Beside digital numbers and corrected electrons, it is what does not follow from them: the
-    saturated fraction, of a burst the saturated pixels, the time and the mean of the electrons.
+    Beside the codes and the corrected electrons, the cache has what does not follow from them: the
+    saturated fraction, the saturated pixels of a burst, the time and the mean of the electrons.
     """
-    return f"{repeat}_{what}"
+    return f"{repeat}_{part}"
 
 
 def _cached_frame(
     frames: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging
 ) -> cache.Arrays | None:
-    """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is
+    """Return the cached arrays of a frame (rows, columns), by `_DN` and so on; None if one is
     missing.
     """
-    pictures = [DN]
+    pictures = [_DN]
     if imaging.correction.is_on:
-        pictures.append(CORRECTED)
+        pictures.append(_CORRECTED)
     if imaging.exposure.frames > 1:
         pictures.append(_SATURATED_PIXELS)
-    parts = (*pictures, SATURATED, MEAN, TIME)
-    arrays = {part: frames.get(_name_of(repeat, part)) for part in parts}
-    whole = {part: array for part, array in arrays.items() if array is not None}
-    is_whole = all(
-        array.shape == (shape if part in pictures else ()) for part, array in whole.items()
-    )
-    return whole if len(whole) == len(parts) and is_whole else None
+    parts = (*pictures, _SATURATED, _MEAN, _TIME)
+    arrays: cache.Arrays = {}
+    for part in parts:
+        array = frames.get(_array_name(repeat, part))
+        expected_shape = shape if part in pictures else ()
+        if array is None or array.shape != expected_shape:
+            return None
+        arrays[part] = array
+    return arrays
 
 
-def _shown_chain(
+def _chain_of_cached_frame(
     task: Task, light: SharedLight, repeat: int, frames: cache.Arrays
 ) -> ImagingChain | None:
-    """Return the imaging chain of a repeat that shows its frame of the cache again; None if it is
-    not there.
+    """Return the imaging chain of a repeat that shows its cached frame; None if there is no such
+    frame.
 
     It lacks the light behind the frame, so that its `Frame.mean_e` is 0.
 
     frames : of `_cached_frames`
     """
-    if (
-        not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound"
-    ):  # which knows the light
+    # The Wiener bound needs the light.
+    if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":
         return None
+
     imaging = registered_in(task.imaging, light, repeat)
     physics = imaging.physics
     rows, columns = pixels_on(light.array_um, physics.read_pitch_um, physics.registration)
-    whole = rows * physics.planes, columns
-    cached = _cached_frame(frames, repeat, whole, imaging)
+    shape = rows * physics.planes, columns
+    cached = _cached_frame(frames, repeat, shape, imaging)
     if cached is None:
         return None
-    exposed = lasting(imaging.exposure, float(cached[TIME]))
-    return chain_of_frames(imaging, light, exposed, whole)
+    exposure = lasting(imaging.exposure, float(cached[_TIME]))
+    return chain_of_frames(imaging, light, exposure, shape)
+
+
+def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
+    """Return the frame of arrays of the cache, of `_cached_frame`."""
+    frame = make_frame(
+        cached[_DN].astype(np.int32),
+        float(cached[_SATURATED]),
+        chain.signal_e_per_s,
+        chain.readout,
+        chain.exposure,
+        cached.get(_SATURATED_PIXELS),
+    )
+    return replace(frame, corrected_e=cached.get(_CORRECTED))
+
+
+def _arrays_for_cache(frame: Frame) -> cache.Arrays:
+    """Return the arrays of a frame for the cache, by `_DN` and so on."""
+    arrays: cache.Arrays = {
+        _DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)),
+        _SATURATED: np.array(frame.saturated_fraction),
+        _MEAN: np.array(frame.mean_e.mean()),
+        _TIME: np.array(frame.integration_s),
+    }
+    if frame.corrected_e is not None:
+        arrays[_CORRECTED] = frame.corrected_e
+    if frame.exposures > 1 and frame.saturated is not None:
+        arrays[_SATURATED_PIXELS] = frame.saturated
+    return arrays
 
 
 def frames_of(
     task: Task, light: SharedLight, repeats: Iterable[int], *, light_optional: bool
 ) -> Iterator[tuple[int, ImagingChain, Frame, float | None]]:
     """Yield repeats with their imaging chain, their frame, and the mean of its electrons if the
-    cache has it.
+    cache has the frame.
 
     New frames are stored there, after the last one.
 
-    light_optional : whether frames of the cache may lack the light behind them (`_shown_chain`)
+    light_optional : whether chains of cached frames may lack the light behind them
     """
-    before = _cached_frames(task.frames_key)
-    frames = dict(before)
+    cached_frames = _cached_frames(task.frames_key)
+    frames = dict(cached_frames)
     for repeat in repeats:
-        chain = (
-            _shown_chain(task, light, repeat, before) if light_optional and before else None
-        ) or chain_of(task, light, repeat)
+        chain = None
+        if light_optional and cached_frames:
+            chain = _chain_of_cached_frame(task, light, repeat, cached_frames)
+        chain = chain or chain_of(task, light, repeat)
         if chain.rendition is not None:
             chain.development.matrix  # noqa: B018 – raises an error before a frame is made
-        shape = chain.signal_e_per_s.shape
-        cached = _cached_frame(before, repeat, (shape[0], shape[1]), task.imaging)
+
+        rows, columns = chain.signal_e_per_s.shape[:2]
+        cached = _cached_frame(cached_frames, repeat, (rows, columns), task.imaging)
         if cached is not None:
-            dn, fraction, saturated = (
-                cached[DN].astype(np.int32),
-                float(cached[SATURATED]),
-                cached.get(_SATURATED_PIXELS),
-            )
-            frame = make_frame(
-                dn, fraction, chain.signal_e_per_s, chain.readout, chain.exposure, saturated
-            )
-            yield (
-                repeat,
-                chain,
-                replace(frame, corrected_e=cached.get(CORRECTED)),
-                float(cached[MEAN]),
-            )
+            yield repeat, chain, _frame_from_cache(cached, chain), float(cached[_MEAN])
             continue
+
         sensor_of = partial(_cached_sensor, chain) if task.shares_sensors else None
         frame = chain.capture(*task.imaging.stream_of(task.stream, repeat), sensor_of=sensor_of)
         if task.frames_key:
-            made = {
-                DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)),
-                SATURATED: np.array(frame.saturated_fraction),
-            }
-            made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
-            made |= {} if frame.corrected_e is None else {CORRECTED: frame.corrected_e}
-            if frame.exposures > 1 and frame.saturated is not None:
-                made[_SATURATED_PIXELS] = frame.saturated
-            frames |= {_name_of(repeat, part): array for part, array in made.items()}
+            for part, array in _arrays_for_cache(frame).items():
+                frames[_array_name(repeat, part)] = array
         yield repeat, chain, frame, None
-    if len(frames) > len(before):
+
+    if len(frames) > len(cached_frames):
         cache.store_arrays("frames", task.frames_key, frames)
 
 
 def ideal_facts(rendered: RenderedCase, smallest_um: float) -> IdealFacts:
-    """Return facts of the ideal image of a case, of its smallest pixels if pixels are the display's
+    """Return facts of the ideal image of a case, on its smallest pixels if pixels are the display's
     dots.
 
-    They follow from the light, not from the rows, so that a resumed study knows them as one that
-    evaluates them.
+    They follow from the light, not from the rows, so that a resumed study has the same facts as one
+    that evaluates its rows.
     """
     smallest = rendered.imaging.at(smallest_um)
-    electrons, *others = rendered.light_key
-    pixels_um = (
-        smallest.physics.read_pitch_um if rendered.imaging.display.raster == "one_to_one" else None
-    )
-    seen = [
+    electrons, border_um, layout = rendered.light_key
+    dot_um = None
+    if rendered.imaging.display.raster == "one_to_one":
+        dot_um = smallest.physics.read_pitch_um
+    content = [
         rendered.frames_hash,
         rendered.display_hashes[0],
         blake2b(electrons).hexdigest(),
-        *others,
-        pixels_um,
+        border_um,
+        layout,
+        dot_um,
     ]
 
     def read(entry: dict[str, Any]) -> IdealFacts:
@@ -625,22 +649,22 @@ def ideal_facts(rendered: RenderedCase, smallest_um: float) -> IdealFacts:
 
     compute = partial(rendered.scenes.ideal_facts, rendered.light_key, smallest)
     return cache.load_or_compute(
-        "ideal", content_hash(seen), read, compute, lambda facts: facts._asdict()
+        "ideal", content_hash(content), read, compute, lambda facts: facts._asdict()
     )
 
 
 # --- evaluation
-# -------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass
 class Counts:
-    """What a study made, and what it took from an earlier run or from another of its cases.
+    """Numbers of what a study computed, and of what it reused from an earlier run or another case.
 
     cases : combinations of axes and conditions
     prepared_scenes : lights behind the lens, for each render, display and spectral response
-    frames_reused : of the evaluations made, those whose frame was known, as where only the display
-        differs
+    frames_reused : among the evaluations made, those with a frame of the cache, such as cases of
+        another display
     """
 
     cases: int
@@ -663,10 +687,10 @@ class Counts:
         return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {reused}"
 
 
-# The tables of cases that are evaluated together -> the sizes and sensors of each, with further
-# ones; the same if none are needed.
+# Tables of cases that are evaluated together -> sizes and sensors of each, with the further ones
+# that it needs.
 FurtherSizes = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
-CaseCallback = Callable[[int, Table], object]  # the number of a case, and its table
+CaseCallback = Callable[[int, Table], object]  # called with the number of a case and its table
 
 
 def evaluate_points(
@@ -678,47 +702,60 @@ def evaluate_points(
     further_sizes: FurtherSizes | None = None,
     on_case_done: CaseCallback | None = None,
     counts: Counts | None = None,
-    first: list[FirstFrame] | None = None,
+    first_frame: list[FirstFrame] | None = None,
     in_parts: bool = False,
 ) -> Table:
-    """Evaluate the points of cases that results.csv does not have yet, and return all of them as a
-    table.
+    """Evaluate the points of cases that results.csv does not have yet, and return a table of all
+    points.
 
-    cases : those of a group follow one another
-    results : results.csv, whose folder the caller has locked; None keeps no file
+    cases : cases of a group follow one another
+    results : results.csv, whose folder the caller has locked; None writes no file
     workers : None takes as many processes as are worth it
     progress : returns a callback for each round
-    further_sizes : asked for each group when its points are known; it depends on the tables alone, so that a
-        resumed study adds the same points. None adds none
-    on_case_done : called with each case as soon as its points are known, while workers go on with others
-    counts : gets what was made
-    first : gets the very first frame, with its pictures; then this process makes all of them
+    further_sizes : called for each group when its points are evaluated; it depends on the tables
+        alone, so that a resumed study adds the same points; None adds no points
+    on_case_done : called with each case as soon as its points are evaluated, while workers go on
+        with others
+    counts : is filled
+    first_frame : gets the very first frame, with its pictures; then this process makes all frames
     in_parts : whether groups whose lights fit into memory together get all of their rounds before
-        the next ones
+        the next groups begin
 
     A point that is impossible is a row with its reason. Raises PixsimError if the file cannot be
     written; finished rows stay in it.
     """
-    workers = Workers() if first is not None else workers or _suitable_workers(cases)
-    evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first)
+    if first_frame is not None:
+        workers = Workers()
+    elif workers is None:
+        workers = _suitable_workers(cases)
+    evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first_frame)
     return evaluation.run(progress, further_sizes, on_case_done, in_parts)
 
 
 def _suitable_workers(cases: Sequence[RenderedCase]) -> Workers:
     """Return as many processes of this machine as are worth it, and fit into memory."""
-    costs = [
-        (count, frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays))
-        for rendered in cases
-        for pitch_um, count in rendered.case.sizes.items()
-    ]
-    seconds = sum(count * cost.seconds for count, cost in costs)
-    return workers_here(
-        1 if seconds < _FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for _, cost in costs))
-    )
+    seconds = 0.0
+    largest_bytes = 0.0
+    for rendered in cases:
+        for pitch_um, count in rendered.case.sizes.items():
+            cost = frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays)
+            seconds += count * cost.seconds
+            largest_bytes = max(largest_bytes, cost.memory_bytes)
+    return workers_here(1 if seconds < _SERIAL_SECONDS else jobs_in_memory(largest_bytes))
 
 
 class _Evaluation:
-    """The state of one `evaluate_points`."""
+    """The evaluation of the points of some cases: what is missing, what is stored, and in which
+    order.
+
+    cases : in their lights
+    groups : group -> numbers of its cases
+    sizes : sizes and sensors of each case, with the further ones of later rounds
+    store : rows of results.csv
+    impossible : key -> the reason why the pixel is impossible
+    undefined : key -> {metric: the reason why it has no number}
+    batch : number of the batch whose lights are in memory
+    """
 
     def __init__(
         self,
@@ -728,16 +765,16 @@ class _Evaluation:
         counts: Counts,
         first_frame: list[FirstFrame] | None,
     ) -> None:
-        self.cases, self.workers, self.counts, self.first_frame = (
-            cases,
-            workers,
-            counts,
-            first_frame,
-        )
-        first = cases[0]
+        self.cases = cases
+        self.workers = workers
+        self.counts = counts
+        self.first_frame = first_frame
+
         self.has_displays = any(len(rendered.displays) > 1 for rendered in cases)
-        labels = *first.case.labels, *((DOTS, DEGREE) if self.has_displays else ())
-        self.metrics = first.imaging.metrics.chosen
+        labels = list(cases[0].case.labels)
+        if self.has_displays:
+            labels += [DOTS, DEGREE]
+        self.metrics = cases[0].imaging.metrics.chosen
         self.store = Store(results, labels, self.metrics)
         self.sizes: list[Sizes] = [dict(rendered.case.sizes) for rendered in cases]
         self.impossible: dict[str, str] = {}
@@ -747,6 +784,7 @@ class _Evaluation:
         self.groups: dict[object, list[int]] = {}
         for number, rendered in enumerate(cases):
             self.groups.setdefault(rendered.case.group, []).append(number)
+
         counts.cases = len(self.groups)
         counts.renders = len({id(rendered.scenes) for rendered in cases})
         counts.prepared_scenes = len({rendered.light_id for rendered in cases})
@@ -761,26 +799,24 @@ class _Evaluation:
         """Evaluate all points, in rounds, and return the table."""
         self.store.resume(self._is_expected())
         self.counts.evaluations_reused = len(self.store)
-        parts = self._parts() if in_parts else [list(self.groups)]
+
+        parts = self._groups_in_memory() if in_parts else [list(self.groups)]
         try:
-            for part in parts:
-                changed = part
-                while changed:
-                    # Groups that need no more points stay, so that their lights are not prepared
-                    # again.
-                    changed = self._round(changed, progress(), further_sizes, on_case_done)
+            for groups in parts:
+                # Groups that need no further points stay among the others, so that their lights
+                # are not prepared again.
+                while groups:
+                    groups = self._round(groups, progress(), further_sizes, on_case_done)
                 if self.counts.prepared_scenes > self.capacity:
                     self._drop_lights()
         finally:
-            # in this process; a worker keeps its last chain until its next task
+            # In this process; a worker holds its last chain until its next task.
             _recent.__dict__.clear()
 
         table = self.table(range(len(self.cases)))
         if self.store.path is not None:
-            keys = {
-                key for number in range(len(self.cases)) for key in self._keys(number)
-            } - self.impossible.keys()
-            self.store.finish(keys, self._lines(table))
+            keys = {key for number in range(len(self.cases)) for key in self._keys(number)}
+            self.store.finish(keys - self.impossible.keys(), self._file_rows(table))
         return table
 
     def _round(
@@ -790,17 +826,20 @@ class _Evaluation:
         further_sizes: FurtherSizes | None,
         on_case_done: CaseCallback | None,
     ) -> list[object]:
-        """Evaluate the points of some groups, and return those that got more."""
-        chosen = [number for group in groups for number in self.groups[group]]
+        """Evaluate the points of some groups, and return the groups that need further ones."""
+        numbers = [number for group in groups for number in self.groups[group]]
         missing = {group: len(self.groups[group]) for group in groups}
         changed: list[object] = []
-        for number in self._finished(chosen, progress):
+        for number in self._finished_cases(numbers, progress):
             if on_case_done is not None:
                 on_case_done(number, self.table([number]))
+
             group = self.cases[number].case.group
             missing[group] -= 1
             if missing[group] or further_sizes is None:
                 continue
+
+            # All cases of the group are done: their tables say which sizes it needs.
             members = self.groups[group]
             sizes = further_sizes({member: self.table([member]) for member in members})
             if any(sizes[member] != self.sizes[member] for member in members):
@@ -809,85 +848,92 @@ class _Evaluation:
                     self.sizes[member] = dict(sizes[member])
         return changed
 
-    def _finished(self, chosen: Sequence[int], progress: Progress | None) -> Iterator[int]:
-        """Evaluate what is missing of some cases; yield the number of each as soon as all of its
-        points are known.
+    def _finished_cases(self, numbers: Sequence[int], progress: Progress | None) -> Iterator[int]:
+        """Evaluate the missing points of some cases; yield the number of each case as soon as all
+        of its points are evaluated.
         """
-        batches = self._batches(chosen)
-        missing: dict[int, int] = {}
+        batches = self._batches(numbers)
+        missing_count: dict[int, int] = {}
         waiting: dict[str, list[int]] = {}
-        for number in chosen:
-            unknown = {
+        for number in numbers:
+            missing = {
                 key
                 for key in self._keys(number)
                 if key not in self.store and key not in self.impossible
             }
-            missing[number] = len(unknown)
-            for key in unknown:
+            missing_count[number] = len(missing)
+            for key in missing:
                 waiting.setdefault(key, []).append(number)
-        yield from (number for number in chosen if not missing[number])
+        yield from (number for number in numbers if not missing_count[number])
 
-        total = left = len(waiting)
-        # A cluster gets the lights of all calls at once; processes of this machine get each one
+        # A cluster gets the lights of all calls at once; processes of this machine get each light
         # when it is due.
-        together = (
-            batches if self.workers.client else [[call for calls in batches for call in calls]]
-        )
-        for calls in together:
-            evaluate = (
-                evaluate_task
-                if self.first_frame is None
-                else partial(evaluate_task, first=self.first_frame)
-            )
+        if not self.workers.client:
+            batches = [[call for calls in batches for call in calls]]
+        evaluate = evaluate_task
+        if self.first_frame is not None:
+            evaluate = partial(evaluate_task, first_frame=self.first_frame)
+
+        total = len(waiting)
+        left = total
+        for calls in batches:
             for evaluated in results_of(evaluate, calls, self.workers):
-                self._take(evaluated, waiting)
+                self._store_points(evaluated, waiting)
                 left -= len(evaluated)
                 if progress:
                     progress(1 - left / total)
+
                 finished = []
                 for point in evaluated:
                     for number in waiting.pop(point.key):
-                        missing[number] -= 1
-                        finished += [number] * (not missing[number])
+                        missing_count[number] -= 1
+                        if not missing_count[number]:
+                            finished.append(number)
                 yield from finished
 
-    def _take(self, evaluated: Sequence[Evaluated], waiting: Mapping[str, Sequence[int]]) -> None:
+    def _store_points(
+        self, evaluated: Sequence[EvaluatedPoint], waiting: Mapping[str, Sequence[int]]
+    ) -> None:
         """Store the evaluations of a task.
 
         waiting : key -> numbers of the cases that have it
         """
-        made = [point for point in evaluated if not point.impossible]
-        lines = []
-        for point in made:
-            place = point.key, point.pitch_um, point.repeat, point.display
-            lines.append(self._line(waiting[point.key][0], place, point.values))
-        self.store.add(lines)
-        self.impossible |= {point.key: point.impossible for point in evaluated if point.impossible}
-        self.undefined |= {point.key: point.undefined for point in made if point.undefined}
-        self.counts.evaluations_made += len(made)
-        self.counts.frames_reused += sum(point.from_cache for point in made)
+        rows = []
+        for point in evaluated:
+            if point.impossible:
+                self.impossible[point.key] = point.impossible
+                continue
+            if point.undefined:
+                self.undefined[point.key] = point.undefined
+            number = waiting[point.key][0]
+            row = self._file_row(
+                number, point.key, point.pitch_um, point.repeat, point.display, point.values
+            )
+            rows.append(row)
+            self.counts.evaluations_made += 1
+            self.counts.frames_reused += point.from_cache
+        self.store.add(rows)
 
-    def _line(
-        self, number: int, place: tuple[str, float, int, int], values: Iterable[float]
+    def _file_row(
+        self,
+        number: int,
+        key: str,
+        pitch_um: float,
+        repeat: int,
+        display: int,
+        values: Iterable[float],
     ) -> tuple[Any, ...]:
         """Return a row of results.csv.
 
         number : of the case
-        place : key, pixel size, repeat and number of the display
+        display : number of the display among the case's displays
         """
-        key, pitch_um, repeat, display = place
         rendered = self.cases[number]
-        viewed = rendered.displays[display]
-        display_labels = (viewed.dots, viewed.samples_per_deg) if self.has_displays else ()
-        return (
-            key,
-            rendered.case.sensor,
-            pitch_um,
-            repeat,
-            *rendered.case.labels.values(),
-            *display_labels,
-            *values,
-        )
+        labels = list(rendered.case.labels.values())
+        if self.has_displays:
+            view = rendered.displays[display]
+            labels += [view.dots, view.samples_per_deg]
+        return key, rendered.case.sensor, pitch_um, repeat, *labels, *values
 
     def _keys(self, number: int) -> list[str]:
         """Return the keys of all points of a case, in their order."""
@@ -898,9 +944,8 @@ class _Evaluation:
             for key in rendered.keys(pitch_um, count)
         ]
 
-    def _lines(self, table: Table) -> Iterator[tuple[Any, ...]]:
+    def _file_rows(self, table: Table) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of results.csv in their order: all points that are possible."""
-        names = "pitch_um", "repeat", *self.store.numbers
         possible = table.possible
         keys = (
             key
@@ -908,12 +953,13 @@ class _Evaluation:
             for key in self._keys(number)
             if key not in self.impossible
         )
+        names = "pitch_um", "repeat", *self.store.numbers
         columns = [possible.columns[name].tolist() for name in names]
         displays = self._displays(possible)
         for key, number, display, pitch_um, repeat, *values in zip(
             keys, possible.case.tolist(), displays, *columns, strict=True
         ):
-            yield self._line(number, (key, pitch_um, repeat, display), values)
+            yield self._file_row(number, key, pitch_um, repeat, display, values)
 
     def _displays(self, table: Table) -> list[int]:
         """Return the number of the display of each row."""
@@ -926,60 +972,61 @@ class _Evaluation:
         ]
 
     def table(self, numbers: Sequence[int]) -> Table:
-        """Return the points of some cases, with their labels; all points must be known."""
-        case_numbers, pitches, repeats, displays = [], [], [], []
+        """Return the points of some cases, with their labels; all points must be evaluated."""
         keys: list[str] = []
-        for place, number in enumerate(numbers):
-            count_displays = len(self.cases[number].displays)
+        cases, pitches_um, repeats, displays = [], [], [], []
+        for index, number in enumerate(numbers):
             for pitch_um, count in self.sizes[number].items():
                 keys_of_size = self.cases[number].keys(pitch_um, count)
                 keys += keys_of_size
-                order = np.arange(len(keys_of_size))
-                case_numbers.append(np.full(order.size, place, np.int32))
-                pitches.append(np.full(order.size, pitch_um))
-                checked = CHECKED_REPEATS * count_displays
-                is_checked = order < checked
-                repeats.append(
-                    np.where(is_checked, order // count_displays, CHECKED_REPEATS + order - checked)
-                )
-                displays.append(np.where(is_checked, order % count_displays, 0))
-        case = np.concatenate(case_numbers)
+                cases.append(np.full(len(keys_of_size), index, np.int32))
+                pitches_um.append(np.full(len(keys_of_size), pitch_um))
+                display_count = len(self.cases[number].displays)
+                repeat, display = points_at(np.arange(len(keys_of_size)), display_count)
+                repeats.append(repeat)
+                displays.append(display)
+
+        case = np.concatenate(cases)
         columns: dict[str, Any] = {
-            "pitch_um": np.concatenate(pitches),
+            "pitch_um": np.concatenate(pitches_um),
             "repeat": np.concatenate(repeats).astype(np.int32),
         }
         if self.has_displays:
-            number_of_display = np.concatenate(displays)
-            for name, kind in ((DOTS, np.int32), (DEGREE, np.float64)):
-                values = [
-                    [getattr(display, name) for display in self.cases[number].displays]
-                    for number in numbers
-                ]
-                max_displays = max(map(len, values))
-                padded = np.array(
-                    [[*row, *[0] * (max_displays - len(row))] for row in values], kind
-                )
-                columns[name] = padded[case, number_of_display]
-        numbers_of_rows = self.store.values_of(keys)
-        columns |= {
-            name: np.ascontiguousarray(numbers_of_rows[:, place])
-            for place, name in enumerate(self.store.numbers)
-        }
-        labels: list[dict[str, Label]] = [
-            {"technology": self.cases[number].case.sensor, **self.cases[number].case.labels}
-            for number in numbers
-        ]
-        impossible = (
-            {row: self.impossible[key] for row, key in enumerate(keys) if key in self.impossible}
-            if self.impossible
-            else {}
+            columns |= self._display_columns(numbers, case, np.concatenate(displays))
+        values = self.store.values_of(keys)
+        for column, name in enumerate(self.store.numbers):
+            columns[name] = np.ascontiguousarray(values[:, column])
+
+        labels: list[dict[str, Label]] = []
+        for number in numbers:
+            record = self.cases[number].case
+            labels.append({"technology": record.sensor, **record.labels})
+        return Table(
+            tuple(labels),
+            case,
+            columns,
+            self.metrics,
+            impossible=_by_row(keys, self.impossible),
+            undefined=_by_row(keys, self.undefined),
         )
-        undefined = (
-            {row: self.undefined[key] for row, key in enumerate(keys) if key in self.undefined}
-            if self.undefined
-            else {}
-        )
-        return Table(tuple(labels), case, columns, self.metrics, impossible, undefined)
+
+    def _display_columns(
+        self, numbers: Sequence[int], case: NDArray[np.int32], display: NDArray[np.intp]
+    ) -> dict[str, NDArray[Any]]:
+        """Return the columns of rows on several displays.
+
+        case : (N,) place of the case of each row in `numbers`
+        display : (N,) number of its display
+        """
+        columns: dict[str, NDArray[Any]] = {}
+        for name, kind in ((DOTS, np.int32), (DEGREE, np.float64)):
+            values = [
+                [getattr(view, name) for view in self.cases[number].displays] for number in numbers
+            ]
+            max_displays = max(map(len, values))
+            padded = [row + [0] * (max_displays - len(row)) for row in values]
+            columns[name] = np.array(padded, kind)[case, display]
+        return columns
 
     # --- what a file's rows are trusted by
 
@@ -990,40 +1037,37 @@ class _Evaluation:
         names = tuple(self.cases[0].case.labels)
         by_labels: dict[tuple[str, ...], list[int]] = {}
         for number, rendered in enumerate(self.cases):
-            texts = tuple(
-                value if isinstance(value, str) else repr(value)
-                for value in rendered.case.labels.values()
-            )
+            labels = rendered.case.labels.values()
+            texts = tuple(label if isinstance(label, str) else repr(label) for label in labels)
             by_labels.setdefault(texts, []).append(number)
 
         def is_expected(row: Row) -> bool:
-            """A row of another case may have the same numbers; it is looked for among few cases
-            only.
-            """
-            same = by_labels.get(tuple(row[name] for name in names), [])
-            others = range(len(self.cases)) if len(self.cases) <= FEW_CASES else ()
+            # A row of another case may have the same numbers; it is searched among few cases only.
+            numbers = by_labels.get(tuple(row[name] for name in names), [])
+            if len(self.cases) <= MAX_SEARCHED_CASES:
+                numbers = [*numbers, *range(len(self.cases))]
             return any(
-                self.cases[number].is_expected_row(row, self.sizes[number])
-                for number in (*same, *others)
+                self.cases[number].is_expected_row(row, self.sizes[number]) for number in numbers
             )
 
         return is_expected
 
     # --- lights in memory
 
-    def _parts(self) -> list[list[object]]:
-        """Return the groups that are evaluated together, in rounds, which take the same lights
-        several times: as many as fit.
+    def _groups_in_memory(self) -> list[list[object]]:
+        """Return the groups that are evaluated together, in rounds that take the same lights
+        several times: as many as fit into memory.
         """
+        first_case: dict[int, int] = {}
+        for number, rendered in enumerate(self.cases):
+            first_case.setdefault(id(rendered.scenes), number)
+        ordered = sorted(
+            self.groups, key=lambda group: first_case[id(self.cases[self.groups[group][0]].scenes)]
+        )
+
         parts: list[list[object]] = []
         lights: set[object] = set()
-        first = {
-            id(rendered.scenes): number
-            for number, rendered in reversed(list(enumerate(self.cases)))
-        }
-        for group in sorted(
-            self.groups, key=lambda group: first[id(self.cases[self.groups[group][0]].scenes)]
-        ):
+        for group in ordered:
             group_lights = {self.cases[number].light_id for number in self.groups[group]}
             if not parts or len(lights | group_lights) > self.capacity:
                 parts.append([])
@@ -1032,9 +1076,11 @@ class _Evaluation:
             lights |= group_lights
         return parts
 
-    def _batches(self, chosen: Sequence[int]) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
-        """Return the tasks that are missing, each evaluation once, with the function that makes
-        their light.
+    def _batches(
+        self, numbers: Sequence[int]
+    ) -> list[list[tuple[Task, Callable[[], SharedLight]]]]:
+        """Return the missing tasks of some cases, each evaluation once, with the function that
+        makes their light.
 
         The lights of a batch fit together into memory, or into some files. Its tasks with the same
         sensors follow one another.
@@ -1042,40 +1088,43 @@ class _Evaluation:
         tasks: dict[object, list[Task]] = {}
         lights: dict[object, RenderedCase] = {}
         scheduled_keys: set[str] = set()
-        for number in chosen:
+        is_done = partial(self._is_done, scheduled_keys)
+        for number in numbers:
             rendered = self.cases[number]
             lights.setdefault(rendered.light_id, rendered)
-            is_done = partial(self._is_done, scheduled_keys)
             for task in _tasks_of(rendered, self.sizes[number], is_done):
                 scheduled_keys |= set(task.keys.values())
                 tasks.setdefault(rendered.light_id, []).append(task)
+
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         # Processes of this machine have lights in files, and share them.
-        size = self.capacity * (_FILES_OF_MEMORY if self.workers.jobs > 1 else 1)
+        size = self.capacity * (_FILE_LIGHTS_RATIO if self.workers.jobs > 1 else 1)
         for first in range(0, len(tasks), size):
-            together = list(tasks)[first : first + size]
-            makers: dict[object, Callable[[], SharedLight]] = {
-                light: partial(
-                    self._light, first if len(together) <= self.capacity else number, lights[light]
-                )
-                for number, light in enumerate(together, first)
-            }
-            calls = [(task, makers[light]) for light in together for task in tasks[light]]
-            if len(together) > 1:
-                # The tasks of the very first light keep the workers busy while the next ones are
+            light_ids = list(tasks)[first : first + size]
+            fits_in_memory = len(light_ids) <= self.capacity
+            makers: dict[object, Callable[[], SharedLight]] = {}
+            for number, light_id in enumerate(light_ids, first):
+                batch = first if fits_in_memory else number
+                makers[light_id] = partial(self._light, batch, lights[light_id])
+            calls = [(task, makers[light_id]) for light_id in light_ids for task in tasks[light_id]]
+
+            if len(light_ids) > 1:
+                # The tasks of the very first light keep the workers busy while the next lights are
                 # made.
-                begin = None if batches or self.workers.jobs == 1 else makers[together[0]]
-                calls.sort(key=lambda call: (call[1] is not begin, call[0].place))
+                first_maker = None
+                if not batches and self.workers.jobs > 1:
+                    first_maker = makers[light_ids[0]]
+                calls.sort(key=lambda call: (call[1] is not first_maker, call[0].order))
             batches.append(calls)
         return batches
 
     def _is_done(self, scheduled_keys: set[str], key: str) -> bool:
-        """Return whether a point is known, or asked for already."""
+        """Return whether a point is evaluated, or is in a task already."""
         return key in self.store or key in self.impossible or key in scheduled_keys
 
     def _light(self, batch: int, rendered: RenderedCase) -> SharedLight:
-        """Return a light; those of another batch are dropped. In a batch that does not fit into
-        memory, each counts as one.
+        """Return a light; lights of another batch are dropped. In a batch that does not fit into
+        memory, each light counts as a batch.
         """
         if batch != self.batch:
             self._drop_lights()
@@ -1090,3 +1139,10 @@ class _Evaluation:
     def capacity(self) -> int:
         """Number of lights behind the lens that fit into memory together."""
         return min(rendered.scenes.capacity for rendered in self.cases)
+
+
+def _by_row(keys: Sequence[str], values: Mapping[str, Value]) -> dict[int, Value]:
+    """Return values of some keys by the place of the key in a table."""
+    if not values:
+        return {}
+    return {row: values[key] for row, key in enumerate(keys) if key in values}

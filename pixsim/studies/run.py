@@ -722,7 +722,7 @@ def score_run(
             rendered = _rendered_case(case, SceneLight(image, background), prepare)
         first: list[FirstFrame] = []
         evaluating = share_of(scored, _BEFORE_FRAME, 1.0)
-        table = evaluate_points([rendered], None, progress=lambda: evaluating, first=first)
+        table = evaluate_points([rendered], None, progress=lambda: evaluating, first_frame=first)
         for reason in table.impossible.values():
             raise AlikeChannelsError(reason)
         chain_of_first, judged = first[0]

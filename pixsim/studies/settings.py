@@ -56,7 +56,7 @@ from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
 # --- axes and conditions
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 _AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
 MAX_JOINED_SETTINGS = 100  # settings of an axis that take each value together
@@ -464,7 +464,7 @@ class Condition(Record):
 
 
 # --- the record of a study
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 _MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
 _PITCH_RATIO = (
@@ -798,7 +798,7 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
 
 
 # --- layers of settings
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 _SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.

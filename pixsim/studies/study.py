@@ -95,7 +95,7 @@ from pixsim.viewer.screen import allows_single, warn_of_clipping
 if TYPE_CHECKING:
     from pixsim.sensor.spread import Uncertainty
 
-FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
+MAX_SEARCHED_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
 def _repeated_settings(
@@ -212,7 +212,7 @@ def _evaluate_cases(
     groups: dict[object, list[int]] = {}
     for number, case in enumerate(cases):
         groups.setdefault(case.group, []).append(number)
-    rounds, counts = Rounds(rendered_sensors, len(groups) <= FEW_CASES), Counts(0, 0, 0)
+    rounds, counts = Rounds(rendered_sensors, len(groups) <= MAX_SEARCHED_CASES), Counts(0, 0, 0)
     awaits = [on_start] if on_start is not None and len(groups) == 1 and workers.jobs > 1 else []
 
     def reports() -> Progress:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 # --- the table
-# --------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 DOTS, DEGREE = "dots", "samples_per_deg"  # columns where frames are shown on several displays
 REASON = "reason"
@@ -178,7 +178,7 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
 
 
 # --- results.csv
-# ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 ROWS_FILE = "results.csv"  # a row for each evaluation
 COLUMNS = (*ROW_COLUMNS, *DELTA_E.columns)  # of results.csv of a study with ΔE alone

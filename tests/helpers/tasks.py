@@ -53,7 +53,7 @@ def collects_garbage(_task: int, _: object) -> bool:
 
 def die_once_at_7_um(
     task: evaluate.Task, light: evaluate.SharedLight, mark: Path
-) -> list[evaluate.Evaluated]:
+) -> list[evaluate.EvaluatedPoint]:
     """A task of a study, in the middle of which the first process that gets it is killed."""
     if task.imaging.pixel.pitch_um == 7.0 and not mark.exists():
         mark.touch()
