@@ -29,7 +29,7 @@ from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
-from pixsim.viewer.develop import Rendition, check_told_apart, product
+from pixsim.viewer.develop import Rendition, check_separable, product
 from pixsim.viewer.develop_options import DEVELOP
 from pixsim.viewer.display import XYZ_FROM_RGB
 
@@ -229,7 +229,7 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
             rendition.mixed_by(collection.mixing_um2, rates),
             collection.white_e_per_s,
         )
-    check_told_apart(rendition.responses, LAMP)
+    check_separable(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)
     largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
     return _ColourTruth(rendition, white * (_WHITE_SHARE * largest_e / white.max()))

@@ -39,7 +39,8 @@ def adaptation_matrix(
 
     Raises PixsimError for a white so saturated that the eye's responses to it are not above 0.
 
-    >>> adaptation_matrix([0.96422, 1.0, 0.82521], [0.95047, 1.0, 1.08883]).round(4)[0].tolist()  # ICC's D50 to D65
+    >>> d50, d65 = [0.96422, 1.0, 0.82521], [0.95047, 1.0, 1.08883]  # of the ICC
+    >>> adaptation_matrix(d50, d65).round(4)[0].tolist()
     [0.9556, -0.023, 0.0632]
     """
     whites = [np.asarray(white, float) for white in (from_white_xyz, to_white_xyz)]

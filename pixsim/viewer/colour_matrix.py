@@ -160,7 +160,8 @@ def fit_matrix(
     Raises PixsimError for fewer than three independent channels.
 
     >>> rgb = np.vstack([np.eye(3), 1 - np.eye(3)])
-    >>> fit_matrix(rgb, rgb @ np.diag([0.9, 1.0, 1.1]), [0.9, 1.0, 1.1]).diagonal().round(6).tolist()
+    >>> matrix = fit_matrix(rgb, rgb @ np.diag([0.9, 1.0, 1.1]), [0.9, 1.0, 1.1])
+    >>> matrix.diagonal().round(6).tolist()
     [0.9, 1.0, 1.1]
     """
     white = np.asarray(white_xyz, float)
@@ -175,83 +176,94 @@ def fit_matrix(
         raise invalid("responses", got, "three or more independent channels", hint)
     if method == "least_squares":
         return np.asarray(np.linalg.lstsq(responses, xyz, rcond=RANK_TOLERANCE)[0].T)
-    target = xyz / white
     from scipy.optimize import minimize  # takes 0.1 s, and only colour needs it
 
-    channels = responses.shape[1]
     # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is
-    # orthogonal to (1, …, 1). Of that, the fit turns combinations that are orthonormal over the
+    # orthogonal to (1, …, 1). Of that, the fit takes combinations that are orthonormal over the
     # patches and their noise: both may be large in one channel only.
-    seen = (
-        responses if covariance is None else np.vstack([responses, _root(covariance.sum(axis=0))])
-    )
-    from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
+    channels = responses.shape[1]
+    target = xyz / white
+    data, data_target, tolerance = responses, target, RANK_TOLERANCE
+    if covariance is not None:
+        noise = _root(covariance.sum(axis=0))
+        data = np.vstack([responses, noise])
+        data_target = np.vstack([target, np.zeros((channels, 3))])
+        tolerance = _NOISE_TOLERANCE
+    from_equal = data.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
-    basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
-    is_independent = sizes > (RANK_TOLERANCE if covariance is None else _NOISE_TOLERANCE) * sizes[0]
-    basis, turns = (
-        basis[:, is_independent],
-        turns[is_independent] / sizes[is_independent, None] @ orthogonal,
-    )
-    wanted = target if covariance is None else np.vstack([target, np.zeros((channels, 3))])
-    free = (basis.T @ (wanted - from_equal)).ravel()
+    basis, sizes, directions = np.linalg.svd(data @ orthogonal.T, full_matrices=False)
+    is_independent = sizes > tolerance * sizes[0]
+    basis = basis[:, is_independent]
+    directions = directions[is_independent] / sizes[is_independent, None] @ orthogonal
+
+    # From the least squares of X/Xn, Y/Yn and Z/Zn to the least mean error, less and less smooth.
+    coefficients = (basis.T @ (data_target - from_equal)).ravel()
     patches = slice(0, len(target))
-    error = _MeanError(basis[patches], turns, from_equal[patches], target, covariance)
+    error = _MeanError(basis[patches], directions, from_equal[patches], target, covariance)
     options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
     for smoothing in _SMOOTHING_DELTA_E:
-        optimum = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
-        free, curvature = optimum.x, (optimum.hess_inv + optimum.hess_inv.T) / 2
+        optimum = minimize(
+            error, coefficients, args=(smoothing,), method="BFGS", jac=True, options=options
+        )
+        coefficients = optimum.x
+        inverse_hessian = (optimum.hess_inv + optimum.hess_inv.T) / 2
         # After a search that rounding stopped, it may be of no use.
-        useful = np.isfinite(curvature).all() and np.linalg.eigvalsh(curvature)[0] > 0
-        options["hess_inv0"] = curvature if useful else None
-    return np.asarray(white[:, None] * (1 / channels + free.reshape(-1, 3).T @ turns))
+        is_useful = (
+            np.isfinite(inverse_hessian).all() and np.linalg.eigvalsh(inverse_hessian)[0] > 0
+        )
+        options["hess_inv0"] = inverse_hessian if is_useful else None
+    rows = 1 / channels + coefficients.reshape(-1, 3).T @ directions
+    return np.asarray(white[:, None] * rows)
 
 
 def _root(covariance: Array) -> Array:
     """Return a matrix (C, C) whose product of its transpose with itself is a covariance (C, C)."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    variances, directions = np.linalg.eigh(
-        covariance / np.multiply.outer(deviation, deviation)
-    )  # of correlations
+    correlation = covariance / np.multiply.outer(deviation, deviation)
+    variances, directions = np.linalg.eigh(correlation)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0))[:, None] * directions.T * deviation)
 
 
 class _MeanError:
-    """The mean error of the patches and its gradient, as functions of the free numbers of a matrix
+    """The mean error of the patches and its gradient, as functions of the coefficients of a matrix
     that keeps white.
 
-    basis : (P, k), what each free row adds to the patches
-    turns : (k, C), what it adds to the matrix
+    basis : (P, k), what each coefficient adds to the patches
+    directions : (k, C), what it adds to the matrix
     from_equal : (P, 3), X/Xn, Y/Yn, Z/Zn by the mean of the channels
     target : (P, 3)
     noise : (P, C, C), or None
     """
 
     def __init__(
-        self, basis: Array, turns: Array, from_equal: Array, target: Array, noise: Array | None
+        self, basis: Array, directions: Array, from_equal: Array, target: Array, noise: Array | None
     ) -> None:
-        self.basis, self.turns, self.from_equal = basis, turns, from_equal
-        self.lab, slope = _f_and_slope(target)
+        self.basis = basis
+        self.directions = directions
+        self.from_equal = from_equal
+        self.f_target, slope = _f_and_slope(target)
         self.noise = self.metric = None
         if noise is not None:
             jacobian = _LAB_FROM_F * slope[:, None, :]
-            self.noise, self.metric = noise, np.swapaxes(jacobian, 1, 2) @ jacobian
+            self.noise = noise
+            self.metric = np.swapaxes(jacobian, 1, 2) @ jacobian
 
-    def __call__(self, free: Array, smoothing: float) -> tuple[float, Array]:
-        rows = free.reshape(-1, 3)
+    def __call__(self, coefficients: Array, smoothing: float) -> tuple[float, Array]:
+        rows = coefficients.reshape(-1, 3)
         f, slope = _f_and_slope(self.from_equal + self.basis @ rows)
-        difference = (f - self.lab) @ _LAB_FROM_F.T
+        difference = (f - self.f_target) @ _LAB_FROM_F.T
         squares = np.square(difference).sum(axis=1) + smoothing**2
         if self.noise is not None:
-            matrix = 1 / self.turns.shape[1] + rows.T @ self.turns
-            moved = (
-                self.metric @ matrix @ self.noise
-            )  # (P, 3, C), half the gradient of the variance
-            squares += (moved * matrix).sum(axis=(1, 2))
+            matrix = 1 / self.directions.shape[1] + rows.T @ self.directions
+            # Half the gradient of the variance, (P, 3, C).
+            variance_gradient = self.metric @ matrix @ self.noise
+            squares += (variance_gradient * matrix).sum(axis=(1, 2))
+
         errors = np.sqrt(squares)
         gradient = self.basis.T @ ((difference / errors[:, None]) @ _LAB_FROM_F * slope)
         if self.noise is not None:
-            gradient += self.turns @ (moved / errors[:, None, None]).sum(axis=0).T
+            noise_gradient = (variance_gradient / errors[:, None, None]).sum(axis=0)
+            gradient += self.directions @ noise_gradient.T
         return float(errors.mean()), gradient.ravel() / len(errors)
 
 

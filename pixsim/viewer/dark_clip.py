@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
+from pixsim.base.arrays import Array
 from pixsim.base.digits import rounded
 from pixsim.base.notes import Note
 from pixsim.sensor.code_moments import moments_of_codes
@@ -42,15 +43,18 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     at_zero_fraction : fraction of dark pixels at 0 DN
     too_bright_e : increase of the mean of a dark frame
     of_display_white, lightness : that increase as luminance over display white (at most 1) and as
-        CIE L*, before the display clips and rounds; L* is the ΔE of an even black area
+        CIE L*, before the display clips and rounds; L* is the ΔE of a uniform black area
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
     gain_db : of the exposure, without which the black level would have room
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
-    >>> clip = dark_clip(Readout.of(derive(Pixel())), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
-    >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
-    (0.54, 71, 15)
+    >>> readout = Readout.of(derive(Pixel()))  # no black level: half of the dark levels clip
+    >>> clip = dark_clip(readout, 0.03, white_e=5e4)  # σ of 209 e-
+    >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"])
+    (0.54, 71)
+    >>> clip["least_black_level_dn"]
+    15
     """
     count = readout.exposures
     if count > 1:
@@ -62,45 +66,69 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
             "too_bright_e": count * clip["too_bright_e"],
         }
         return clip | frame_values
-    p, dark, gain = readout, readout.dark_spread, readout.dn_per_e
-    noise_dn = gain * math.sqrt(variance_e2(p))
-    ordinary_e = p.dark_current_e_per_s * integration_s * dark.ordinary_mean
-    dark_e = np.array([ordinary_e])
-    if dark.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
-        shape = dark.dsnu**-2
-        dark_e = dark_e * gammaincinv(shape, (np.arange(_DARK_NODES) + 0.5) / _DARK_NODES) / shape
-    share = np.full(dark_e.size, 1.0 / dark_e.size)
-    if dark.hot_fraction:
-        logarithm = dark.hot_spread * ndtri((np.arange(_DARK_NODES) + 0.5) / _DARK_NODES)
-        hot_share = np.full(_DARK_NODES, dark.hot_fraction / _DARK_NODES)
-        dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
-        share = np.concatenate([(1 - dark.hot_fraction) * share, hot_share])
-    is_few = dark_e <= FEW_E
-    many, faint_e = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
-    counts = np.arange(_POISSON_TERMS)
-    poisson = (
-        share[is_few, None] * np.exp(counts * np.log(faint_e) - faint_e - gammaln(counts + 1))
-    ).sum(axis=0)
-    charge_e = np.concatenate([counts, many])
-    weight = np.concatenate([poisson, share[~is_few]])
-    sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
-    level_dn, sigma_dn = p.adc.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
-    at_zero, excess_dn = (
-        ndtr((0.5 - level_dn) / sigma_dn),
-        moments_of_codes(-level_dn, sigma_dn)[0],
-    )  # codes below 0, mirrored
-    too_bright_e = float(weight @ excess_dn) / gain
+
+    at_zero, excess_dn = _clipped_codes(readout, *_dark_charges(readout, integration_s))
+    gain = readout.dn_per_e
+    too_bright_e = excess_dn / gain
     white_fraction = min(too_bright_e / white_e, 1.0)
+    spread_e = dark_spread_e(readout, integration_s)
     return {
-        "spread_e": dark_spread_e(p, integration_s),
-        "spread_dn": gain * dark_spread_e(p, integration_s),
-        "at_zero_fraction": float(weight @ at_zero),
+        "spread_e": spread_e,
+        "spread_dn": gain * spread_e,
+        "at_zero_fraction": at_zero,
         "too_bright_e": too_bright_e,
         "of_display_white": white_fraction,
         "lightness": float(xyz_to_lab([white_fraction] * 3, np.ones(3))[0]),
-        "least_black_level_dn": least_black_level_dn(p, integration_s),
-        "gain_db": p.gain_db,
+        "least_black_level_dn": least_black_level_dn(readout, integration_s),
+        "gain_db": readout.gain_db,
     }
+
+
+def _dark_charges(readout: Readout, integration_s: float) -> tuple[Array, Array]:
+    """Return mean dark charges of pixels, (n,) in electrons, and the share of pixels with each, by
+    nodes of equal weight.
+    """
+    dark = readout.dark_spread
+    ordinary_e = readout.dark_current_e_per_s * integration_s * dark.ordinary_mean
+    quantiles = (np.arange(_DARK_NODES) + 0.5) / _DARK_NODES
+    dark_e = np.array([ordinary_e])
+    if dark.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
+        shape = dark.dsnu**-2
+        dark_e = dark_e * gammaincinv(shape, quantiles) / shape
+    share = np.full(dark_e.size, 1.0 / dark_e.size)
+
+    if dark.hot_fraction:
+        hot_e = ordinary_e * dark.hot_median * np.exp(dark.hot_spread * ndtri(quantiles))
+        hot_share = np.full(_DARK_NODES, dark.hot_fraction / _DARK_NODES)
+        dark_e = np.concatenate([dark_e, hot_e])
+        share = np.concatenate([(1 - dark.hot_fraction) * share, hot_share])
+    return dark_e, share
+
+
+def _clipped_codes(readout: Readout, dark_e: Array, share: Array) -> tuple[float, float]:
+    """Return the fraction of dark pixels at 0 DN, and by how many DN clipping raises their mean.
+
+    dark_e, share : (n,) mean dark charges, and the share of pixels with each
+    """
+    # A small charge is a Poisson number, a large one is normal.
+    is_faint = dark_e <= FEW_E
+    faint_e = np.maximum(dark_e[is_faint, None], np.finfo(float).tiny)
+    bright_e = dark_e[~is_faint]
+    counts = np.arange(_POISSON_TERMS)
+    probability = np.exp(counts * np.log(faint_e) - faint_e - gammaln(counts + 1))
+    poisson = (share[is_faint, None] * probability).sum(axis=0)
+    charge_e = np.concatenate([counts, bright_e])
+    weight = np.concatenate([poisson, share[~is_faint]])
+
+    gain = readout.dn_per_e
+    noise_dn = gain * math.sqrt(variance_e2(readout))
+    shot_e2 = np.concatenate([np.zeros(counts.size), bright_e])
+    sigma_dn = np.maximum(np.sqrt(noise_dn**2 + gain**2 * shot_e2), NO_NOISE_DN)
+    level_dn = readout.adc.black_level_dn + gain * charge_e
+
+    at_zero = ndtr((0.5 - level_dn) / sigma_dn)
+    excess_dn = moments_of_codes(-level_dn, sigma_dn)[0]  # codes below 0, mirrored
+    return float(weight @ at_zero), float(weight @ excess_dn)
 
 
 _HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN

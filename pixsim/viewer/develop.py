@@ -168,30 +168,38 @@ def rendition_of(
     lamp, name = white_light(irradiance)
     nodes_nm, shares = irradiance.within
     light = shares * (lamp * irradiance.band_width_nm)[:, None]
-    parts = patch_reflectance(nodes_nm)[CHROMATIC_PATCHES]
+    reflectance = patch_reflectance(nodes_nm)[CHROMATIC_PATCHES]
+
+    # Of the viewer and of each channel at each wavelength, (3, ...) and (C, ...).
     viewer = np.moveaxis(colour_matching(nodes_nm), 2, 0) * light
-    electrons = (
-        np.array([response_within(physics, irradiance)(nodes_nm) for physics in channels]) * light
-    )
-    white_xyz, white_e = viewer.sum(axis=(1, 2)), electrons.sum(axis=(1, 2))
-    xyz = (viewer[None] * parts[:, None]).sum(axis=(2, 3)) / white_xyz[1]
-    dark = [
-        physics.channel for physics, light in zip(channels, white_e, strict=True) if not light > 0
+    sensitivities = [response_within(physics, irradiance)(nodes_nm) for physics in channels]
+    electrons = np.array(sensitivities) * light
+    white_xyz = viewer.sum(axis=(1, 2))
+    white_e = electrons.sum(axis=(1, 2))
+    dark_channels = [
+        physics.channel
+        for physics, channel_e in zip(channels, white_e, strict=True)
+        if not channel_e > 0
     ]
-    if dark or not white_xyz.min() > 0:
-        got = (
-            f"channel {dark[0]} without response to it" if dark else f"XYZ of {white_xyz.tolist()}"
-        )
-        raise invalid(
-            f"colour under {name}", got, "light that all channels, and all three cones, respond to"
-        )
-    responses = (electrons[None] * parts[:, None]).sum(axis=(2, 3)) / white_e
-    check_told_apart(responses, name)
-    white = white_xyz / white_xyz[1]
-    return Rendition(responses, xyz, white, display.adaptation, name)
+    if dark_channels or not white_xyz.min() > 0:
+        got = f"XYZ of {white_xyz.tolist()}"
+        if dark_channels:
+            got = f"channel {dark_channels[0]} without response to it"
+        allowed = "light that all channels, and all three cones, respond to"
+        raise invalid(f"colour under {name}", got, allowed)
+
+    responses = (electrons[None] * reflectance[:, None]).sum(axis=(2, 3)) / white_e
+    check_separable(responses, name)
+    return Rendition(
+        responses=responses,
+        xyz=(viewer[None] * reflectance[:, None]).sum(axis=(2, 3)) / white_xyz[1],
+        white_xyz=white_xyz / white_xyz[1],
+        adaptation=display.adaptation,
+        lamp=name,
+    )
 
 
-def check_told_apart(responses: Array, lamp: str) -> None:
+def check_separable(responses: Array, lamp: str) -> None:
     """Raise PixsimError if the channels tell no three colours of the patches, (P, C), apart."""
     sizes = np.linalg.svd(responses, compute_uv=False)
     rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
@@ -236,11 +244,11 @@ def ideal_rgb(
         means = means_on_dots(rate, irradiance.pitch_um, edges_um)
         return np.maximum(means, 0.0, out=means)
 
-    if (
-        irradiance.factors and len(irradiance.factors[0]) == 1
-    ):  # one picture, in three colours of one spectrum
-        picture = on_display(irradiance.factors[1][0].astype(float))
-        xyz = [float((weight * irradiance.factors[0][0]).sum()) * picture for weight in weights]
+    if irradiance.factors and len(irradiance.factors[0]) == 1:
+        # One picture, in three colours of one spectrum.
+        spectrum, plane = irradiance.factors[0][0], irradiance.factors[1][0]
+        picture = on_display(plane.astype(float))
+        xyz = [float((weight * spectrum).sum()) * picture for weight in weights]
     else:
         xyz = [on_display(irradiance.weighted(weight)) for weight in weights]
     return mixed(to_display / white_y(irradiance, camera, display), xyz)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -57,11 +57,12 @@ from pixsim.sensor.readout import Frame
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 
-# Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 _FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
 Electrons = Annotated[float, _FAINTEST]
 _AxisNumber = Annotated[int, Bounds(0, 1)]
 Degree = Annotated[int, Bounds(0, 5)]
+
+# Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 # Columns are the display's primaries, those of sRGB (IEC 61966-2-1), so scaled that their sum is
 # its white.
@@ -69,33 +70,23 @@ _PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in _PRIMARIES_XY]).T
 XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
-GAMUT_TOLERANCE, SINGLE_GAMUT_TOLERANCE = (
-    1e-9,
-    1e-6,
-)  # of a primary's largest light, for rounding; of float32
-_WHITE_E_PER_S_UM2 = (
-    1e-200,
-    1e200,
-)  # pictures divided by white stay within float64 for any sensor and exposure
-_MAX_SINGLE = (
-    1e30  # of white, in float32: shading, corrections and matrices leave it within its range
-)
-SPLINE_DEGREE = {
-    "nearest": 0,
-    "linear": 1,
-    "cubic": 3,
-    "quintic": 5,
-}  # quintic is only the reference for cubic displays
-_B_SPLINE_SAMPLES = {
-    0: (1.0,),
-    1: (1.0,),
-    3: (4 / 6, 1 / 6),
-    5: (66 / 120, 26 / 120, 1 / 120),
-}  # degree -> at 0, ±1, ±2
-BINS_OF_CODE, MAX_BINS = (
-    128,
-    1 << 18,
-)  # of luminance; powers of two, as the number of codes, so that a product with bins is exact
+# Of a primary's largest light, for rounding; of float32.
+GAMUT_TOLERANCE = 1e-9
+SINGLE_GAMUT_TOLERANCE = 1e-6
+
+# Pictures divided by white stay within float64 for any sensor and exposure.
+_WHITE_E_PER_S_UM2 = (1e-200, 1e200)
+# Of white, in float32: shading, corrections and matrices leave it within its range.
+_MAX_SINGLE = 1e30
+
+# Quintic is only the reference for cubic displays.
+SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}
+# Degree -> samples of the B-spline at 0, ±1, ±2.
+_B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}
+
+# Bins of luminance; powers of two, as the number of codes, so that a product with bins is exact.
+BINS_OF_CODE = 128
+MAX_BINS = 1 << 18
 _CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 
 
@@ -203,17 +194,20 @@ def white_rate(
     """
     spectrum, _ = white_light(irradiance)
     camera, display = imaging.camera, imaging.display
-    electrons = float(
-        (electrons_per_joule(channel or imaging.physics, irradiance) * spectrum).sum()
-    )
+    response = electrons_per_joule(channel or imaging.physics, irradiance)
+    electrons = float((response * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
     radiance = white_w_per_m2_sr(irradiance, display)
+    rate = 0.0
     if radiance is not None:
         power = float((irradiance.band_width_nm * spectrum).sum())
-        rate = electrons / power * radiance * on_axis_sr(camera) * M2_PER_UM2 if power > 0 else 0.0
+        if power > 0:
+            rate = electrons / power * radiance * on_axis_sr(camera) * M2_PER_UM2
     else:
         white = white_lx(irradiance, camera, display)
-        rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
+        if lux > 0:
+            rate = electrons / lux * white * M2_PER_UM2
+
     low, high = _WHITE_E_PER_S_UM2
     if not low < rate < high:
         got = (
@@ -221,9 +215,9 @@ def white_rate(
             " from its light in all bands)"
         )
         allowed = f"light to which both the sensor and the eye respond, {low:g} to {high:g}"
-        hint = "Choose a lamp within the sensor's response, or another technology or infrared cut. "
-        hint += (
-            "The white of light that nobody sees is a radiance"
+        hint = (
+            "Choose a lamp within the sensor's response, or another technology or infrared cut."
+            " The white of light that nobody sees is a radiance"
             f" ({setting('display.white_w_per_m2_sr')})."
         )
         raise invalid("the scene's white", got, allowed, hint)
@@ -257,15 +251,17 @@ def dot_edges_um(
     """
     pixels = pixels_on(array_um or size_um, pitch_um, registration)
     if display.raster == "one_to_one":
-        lines = zip(size_um, pixels, registration, strict=True)
         rows, columns = (
-            pixel_edges_um(um, count, pitch_um, shift_px) for um, count, shift_px in lines
+            pixel_edges_um(length_um, count, pitch_um, shift_px)
+            for length_um, count, shift_px in zip(size_um, pixels, registration, strict=True)
         )
         return rows, columns
+
     # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same
     # field then have the same dots.
+    rounding = 1 - 1e-9
     counts = [
-        max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um
+        max(1, round(display.dots * length_um / size_um[1] * rounding)) for length_um in size_um
     ]
     if math.prod(counts) > MAX_PIXELS:
         got = (
@@ -273,27 +269,27 @@ def dot_edges_um(
             f" {amount(math.prod(counts))} dots"
         )
         raise invalid("display.dots", got, f"at most {amount(MAX_PIXELS)} dots in all")
+
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):
-        cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
-        if 2 * cut >= count:
-            dot_um, hint = (
-                length_um / count,
-                "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'.",
-            )
-            got = (
-                f"pixels whose border of {border_um:g} µm on each side leaves none of the {count}"
-                f" dots of {dot_um:.3g} µm"
-            )
-            width = f"{BORDER_PIXELS:g} of the largest pixels wide"
-            raise invalid(
-                "pixel.pitch_um",
-                got,
-                f"a border ({width}) below {(count - 1) // 2 * dot_um:.4g} µm on this die",
-                hint,
-            )
-        edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
+        border_dots = math.ceil(border_um / length_um * count * rounding)
+        if 2 * border_dots >= count:
+            _refuse_border(border_um, count, dot_um=length_um / count)
+        all_edges = np.linspace(0.0, length_um, count + 1)
+        edges.append(all_edges[border_dots : count + 1 - border_dots])
     return edges[0], edges[1]
+
+
+def _refuse_border(border_um: float, count: int, *, dot_um: float) -> NoReturn:
+    """Raise PixsimError for a border that leaves none of the dots of a line."""
+    got = (
+        f"pixels whose border of {border_um:g} µm on each side leaves none of the {count}"
+        f" dots of {dot_um:.3g} µm"
+    )
+    width = f"{BORDER_PIXELS:g} of the largest pixels wide"
+    allowed = f"a border ({width}) below {(count - 1) // 2 * dot_um:.4g} µm on this die"
+    hint = "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
+    raise invalid("pixel.pitch_um", got, allowed, hint)
 
 
 def pixel_edges_um(
@@ -346,28 +342,34 @@ def average_axis(
     degree = min(degree, len(lines) - 1)
     if degree < 2:
         edges_bytes = np.asarray(edges_um, float).tobytes()
-        weights = _mean_weights(
-            len(lines), pitch_um, low_um, edges_bytes, degree, values.dtype == np.float32
-        )
+        is_single = values.dtype == np.float32
+        weights = _mean_weights(len(lines), pitch_um, low_um, edges_bytes, degree, is_single)
         if axis == 1 and values.ndim == 2:
             return transposed(weights @ transposed(values))
         means = weights @ np.ascontiguousarray(lines)
     else:
-        from scipy.interpolate import (
-            make_interp_spline,
-        )  # takes 0.3 s, needed for cubic displays only
-
         edges = _edges_in_cells(edges_um, pitch_um, low_um)
-        running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
-        column = edges.reshape(-1, *[1] * (lines.ndim - 1))
-        beyond = (
-            np.minimum(column, 0.0) * lines[0]
-            + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
-        )
-        means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(
-            column, axis=0
-        )
+        means = _spline_means(lines, edges, degree)
     return np.ascontiguousarray(means.swapaxes(0, axis))
+
+
+def _spline_means(lines: Array, edges: Array, degree: int) -> Array:
+    """Return the means between neighbouring edges of a spline through values along the first axis.
+
+    lines : (n, ...)
+    edges : (intervals + 1,) in cells, 0 at the first value
+    """
+    from scipy.interpolate import make_interp_spline  # takes 0.3 s, for cubic displays only
+
+    last = len(lines) - 1
+    integral = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
+
+    # Beyond the outermost values the interpolation is constant.
+    column = edges.reshape(-1, *[1] * (lines.ndim - 1))
+    before = np.minimum(column, 0.0) * lines[0]
+    after = np.maximum(column - last, 0.0) * lines[-1]
+    running = integral(np.clip(edges, 0, last)) + (before + after)
+    return np.asarray(np.diff(running, axis=0) / np.diff(column, axis=0))
 
 
 def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
@@ -386,9 +388,10 @@ def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
 
 @lru_cache(maxsize=4)  # the frames of a pitch share them
 def _mean_weights(
-    n: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool
+    count: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool
 ) -> csr_array:
-    """Return the weights of n cells in the means between neighbouring edges, sparse (edges - 1, n).
+    """Return the weights of cells in the means between neighbouring edges, sparse (edges - 1,
+    count).
 
     pitch_um, low_um : as of `average_axis`
     edges_bytes : of the array of edges (µm), float64
@@ -398,27 +401,26 @@ def _mean_weights(
     outermost ones extend to infinity. Their integral up to an edge has a closed form, and few of
     them overlap an interval.
     """
-    edges, half_width = (
-        _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um),
-        0.5 if degree == 0 else 1.0,
-    )
-    first = np.clip(np.floor(edges[:-1] - half_width), 0, n - 1).astype(int)
-    last = np.clip(np.ceil(edges[1:] + half_width), 0, n - 1).astype(int)
-    value = first[:, None] + np.arange((last - first).max() + 1)
+    edges = _edges_in_cells(np.frombuffer(edges_bytes), pitch_um, low_um)
+    half_width = 0.5 if degree == 0 else 1.0
+    first = np.clip(np.floor(edges[:-1] - half_width), 0, count - 1).astype(int)
+    last = np.clip(np.ceil(edges[1:] + half_width), 0, count - 1).astype(int)
+    cell = first[:, None] + np.arange((last - first).max() + 1)
 
-    def part_below(edge: Array) -> Array:
-        at = edge[:, None] - value
-        near = np.clip(at, -half_width, half_width)
-        part = near + half_width if degree == 0 else 0.5 + near - near * np.abs(near) / 2
-        return np.where(((value == 0) & (at < 0)) | ((value == n - 1) & (at > 0)), at + 0.5, part)
+    def integral_up_to(edge: Array) -> Array:
+        distance = edge[:, None] - cell
+        near = np.clip(distance, -half_width, half_width)
+        integral = near + half_width if degree == 0 else 0.5 + near - near * np.abs(near) / 2
+        is_before_first = (cell == 0) & (distance < 0)
+        is_after_last = (cell == count - 1) & (distance > 0)
+        return np.where(is_before_first | is_after_last, distance + 0.5, integral)
 
-    weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
-    used = (value <= last[:, None]) & (weight != 0)
-    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
-    return csr_array(
-        (weight[used].astype(np.float32 if single else float), value[used], rows),
-        shape=(edges.size - 1, n),
-    )
+    integral = integral_up_to(edges[1:]) - integral_up_to(edges[:-1])
+    weight = integral / np.diff(edges)[:, None]
+    is_used = (cell <= last[:, None]) & (weight != 0)
+    row_starts = np.concatenate([[0], np.cumsum(is_used.sum(axis=1))])
+    weights = weight[is_used].astype(np.float32 if single else float)
+    return csr_array((weights, cell[is_used], row_starts), shape=(edges.size - 1, count))
 
 
 def interpolation_mtf(
@@ -600,21 +602,27 @@ def shown_luminance(
     [0.0, 0.0, 1.0]
     """
     top = 2**display.bits - 1
-    single = relative_luminance.dtype == np.float32
-    table, borders = _light_of_bins(display.gamma, top, single), _code_borders(display.gamma, top)
-    in_place = (
-        in_place and relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
-    )
-    displayed = relative_luminance if in_place else np.empty(relative_luminance.shape, table.dtype)
+    is_single = relative_luminance.dtype == np.float32
+    table = _light_of_bins(display.gamma, top, is_single)
+    borders = _code_borders(display.gamma, top)
+    light_of_codes = _light_of_codes(display.gamma, top)
+
+    fits = relative_luminance.flags.carray and relative_luminance.dtype == table.dtype
+    if in_place and fits:
+        displayed = relative_luminance
+    else:
+        displayed = np.empty(relative_luminance.shape, table.dtype)
     values, out = relative_luminance.reshape(-1), displayed.reshape(-1)
     for part in strips(values.size, 1, STRIP_DOTS):
-        luminance, result = np.clip(values[part], 0.0, 1.0), out[part]
+        luminance = np.clip(values[part], 0.0, 1.0)
+        result = out[part]
         bins = (luminance * (table.size - 1)).astype(np.int32)
         np.take(table, bins, out=result, mode="clip")  # checks of indices take as long again
+
+        # Bins with several codes are searched.
         several = np.flatnonzero(np.isnan(result))
-        result[several] = _light_of_codes(display.gamma, top)[
-            np.searchsorted(borders, luminance[several], "right")
-        ]
+        codes = np.searchsorted(borders, luminance[several], "right")
+        result[several] = light_of_codes[codes]
     return displayed
 
 
@@ -651,12 +659,12 @@ def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
     single : return it in float32
     """
     count = min(BINS_OF_CODE * (top + 1), MAX_BINS)
-    edges, borders = np.arange(count + 1) / count, _code_borders(gamma, top)
-    first, last = (
-        np.searchsorted(borders, edges[:-1], "right"),
-        np.searchsorted(borders, edges[1:], "left"),
-    )
-    light = np.append(np.where(first == last, _light_of_codes(gamma, top)[first], np.nan), 1.0)
+    edges = np.arange(count + 1) / count
+    borders = _code_borders(gamma, top)
+    first_code = np.searchsorted(borders, edges[:-1], "right")
+    last_code = np.searchsorted(borders, edges[1:], "left")
+    light = np.where(first_code == last_code, _light_of_codes(gamma, top)[first_code], np.nan)
+    light = np.append(light, 1.0)
     return light.astype(np.float32) if single else light
 
 
@@ -703,14 +711,15 @@ def out_of_gamut_share(rgb: Array) -> float:
     """
     planes = _planes_of(rgb)
     tolerance = SINGLE_GAMUT_TOLERANCE if rgb.dtype == np.float32 else GAMUT_TOLERANCE
-    relative, outside = (XYZ_FROM_RGB[1] / WHITE_XYZ[1]).tolist(), 0
+    red_y, green_y, blue_y = (XYZ_FROM_RGB[1] / WHITE_XYZ[1]).tolist()
+    outside = 0
     for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:
-        low, high = planes[:, rows].min(axis=0), planes[:, rows].max(axis=0)
-        negative = low < -tolerance
-        bright = (high > 1 + tolerance) & ~negative
-        red, green, blue = planes[:, rows][:, bright]
-        luminance = relative[0] * red + relative[1] * green + relative[2] * blue
-        outside += int(np.count_nonzero(negative)) + int(np.count_nonzero(luminance <= 1))
+        strip = planes[:, rows]
+        is_negative = strip.min(axis=0) < -tolerance
+        is_bright = (strip.max(axis=0) > 1 + tolerance) & ~is_negative
+        red, green, blue = strip[:, is_bright]
+        luminance = red_y * red + green_y * green + blue_y * blue
+        outside += int(np.count_nonzero(is_negative)) + int(np.count_nonzero(luminance <= 1))
     return outside / planes[0].size
 
 

@@ -54,8 +54,8 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
     relative luminance² deg².
 
     It is at the frequencies of `np.fft.fftfreq` on the display's dots, as
-    `pixsim.viewer.metric_kernels.npwe` takes it. The variance of pixels counts by its mean over those that
-    the dots show. Where it differs from place to place, the expected periodogram of the whole
+    `pixsim.metrics.npwe` takes it. The variance of pixels counts by its mean over those that the
+    dots show. Where it differs from place to place, the expected periodogram of the whole
     picture has that mean too, but for differences that repeat with the dots.
 
     noise : of the frame, behind its corrections

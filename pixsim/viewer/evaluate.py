@@ -210,7 +210,8 @@ def evaluate(
     or the sensor no response to it.
 
     >>> import numpy as np
-    >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
+    >>> data = np.full((32, 32, 1), 1e-3)
+    >>> light = SpectralImage([550.0], 10.0, 84.8, data=data, header={"diffraction": False})
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0), Display(white_cd_per_m2=1000, dots=32)
     >>> score = evaluate(light, Camera(), pixel, display=display)
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)

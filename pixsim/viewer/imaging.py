@@ -3,11 +3,16 @@
 
 The way of one frame, each step in the module of its name:
 
-    Imaging, SceneLight                          settings (imaging), irradiance with or without a target (scene_light)
-      → prepare_scene → PreparedScene            light behind the lens, ideal picture, white (scene_light, screen)
-      → make_chain → ImagingChain                electrons of each pixel; sensors and frames drawn from them (chain)
-      → Development.score → FrameScore           a frame as a picture on a screen, and its ΔE (development, score)
-      → FrameUnderTest → numbers of the metrics  one frame as metrics see it (frame_under_test, raw_metrics, shown_metrics)
+    Imaging, SceneLight                  settings (imaging); irradiance with or without a target
+                                         (scene_light)
+      → prepare_scene → PreparedScene    light behind the lens, ideal picture, white
+                                         (scene_light, screen)
+      → make_chain → ImagingChain        electrons of each pixel; sensors and frames drawn from
+                                         them (chain)
+      → Development.score → FrameScore   a frame as a picture on a screen, and its ΔE
+                                         (development, score)
+      → FrameUnderTest → numbers         one frame as metrics see it (frame_under_test,
+                                         raw_metrics, shown_metrics)
 
 `evaluate` goes this way once; studies enter it where the light is shared.
 """

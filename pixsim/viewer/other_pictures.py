@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pixsim.base.arrays import Finites
+from pixsim.base.arrays import Array, Finites
 from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
@@ -43,31 +43,21 @@ def score_pictures(
     Raises PixsimError for pictures of other shapes, for values that are not finite or are codes,
     and for a metric that needs a sensor's frame.
 
-    >>> even = np.full((64, 64), 0.5)
-    >>> score_pictures(even, even).mean_delta_e
+    >>> grey = np.full((64, 64), 0.5)
+    >>> score_pictures(grey, grey).mean_delta_e
     0.0
     >>> def mean_error(score):
     ...     return abs(float((score.image - score.ideal).mean()))
-    >>> score = score_pictures(even, 0.25 * even, Display(gamma=1.0, bits=16), metrics=["delta_e", mean_error])
+    >>> display = Display(gamma=1.0, bits=16)
+    >>> score = score_pictures(grey, 0.25 * grey, display, metrics=["delta_e", mean_error])
     >>> {name: round(value, 3) for name, value in score.metrics.items()}
     {'delta_e': 34.069, 'mean_error': 0.375}
     """
-    display, request = display or Display(), MetricRequest(metrics_named(metrics))
+    display = display or Display()
+    request = MetricRequest(metrics_named(metrics))
     ideal, image = np.asarray(ideal), np.asarray(image)
-    for name, picture in (("ideal", ideal), ("image", image)):
-        if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
-            allowed = "(H, W), or (H, W, 3) of the display's primaries, not empty"
-            raise invalid(name, f"an array of shape {picture.shape}", allowed)
-        if picture.dtype.kind in "iu" and picture.max() > 1:
-            hint = (
-                "Codes of sRGB become light by colour.eotf(codes / 255, 'sRGB'), of colour-science."
-            )
-            raise invalid(
-                name,
-                f"whole numbers up to {picture.max()}, which are codes",
-                "linear light, 1 for white",
-                hint,
-            )
+    _check_picture("ideal", ideal)
+    _check_picture("image", image)
     if ideal.shape != image.shape:
         got = f"arrays of shapes {ideal.shape} and {image.shape}"
         hint = "Resample one to the dots of the other."
@@ -78,15 +68,33 @@ def score_pictures(
             )
         raise invalid("ideal and image", got, "equal shapes", hint)
     request.check(MetricContext(is_colour=ideal.ndim == 3, has_background=False, has_frame=False))
+
     ideal, image = ideal.astype(float), image.astype(float)
-    beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
-    if beyond > CLIPPED_WARNING:
-        warn(Note("white_clipped", share=percent(beyond), hint="white is 1"))
-    ideal, image = shown_luminance(ideal, display), shown_luminance(image, display)
+    beyond_white = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
+    if beyond_white > CLIPPED_WARNING:
+        warn(Note("white_clipped", share=percent(beyond_white), hint="white is 1"))
+    ideal = shown_luminance(ideal, display)
+    image = shown_luminance(image, display)
+
+    # A dot is a unit of length.
     rows, columns = ideal.shape[:2]
-    edges = np.arange(rows + 1.0), np.arange(columns + 1.0)  # a dot is a unit of length
     screen = Screen(
-        display, (float(rows), float(columns)), edges, ideal, perceived_lab(ideal, display)
+        display,
+        size_um=(float(rows), float(columns)),
+        dot_edges_um=(np.arange(rows + 1.0), np.arange(columns + 1.0)),
+        ideal=ideal,
+        ideal_lab=perceived_lab(ideal, display),
     )
     score = Score(screen.delta_e_of(image), ideal, image, display)
     return with_numbers(score, request.chosen, score)
+
+
+def _check_picture(name: str, picture: Array) -> None:
+    """Raise PixsimError for a picture of another shape than light of dots has, or of codes."""
+    if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
+        allowed = "(H, W), or (H, W, 3) of the display's primaries, not empty"
+        raise invalid(name, f"an array of shape {picture.shape}", allowed)
+    if picture.dtype.kind in "iu" and picture.max() > 1:
+        got = f"whole numbers up to {picture.max()}, which are codes"
+        hint = "Codes of sRGB become light by colour.eotf(codes / 255, 'sRGB'), of colour-science."
+        raise invalid(name, got, "linear light, 1 for white", hint)

@@ -284,8 +284,8 @@ def delta_e_map(
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
 
     >>> white = np.array([95.047, 100.0, 108.883])
-    >>> light, half = np.ones((8, 8, 1)) * white, 0.5 * np.ones((8, 8, 1)) * white
-    >>> delta_e = delta_e_map(light, half, white_xyz=white, samples_per_deg=23)  # uniform pictures keep their CIELAB
+    >>> light = np.ones((8, 8, 1)) * white  # uniform pictures keep their CIELAB
+    >>> delta_e = delta_e_map(light, 0.5 * light, white_xyz=white, samples_per_deg=23)
     >>> round(float(delta_e.mean()), 6), round(116 * (1 - 0.5 ** (1 / 3)), 6)
     (23.930739, 23.930739)
     """

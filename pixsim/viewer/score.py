@@ -201,7 +201,8 @@ def converged(error: LightError, limit: LightError) -> bool:
     or without a limit, is not.
 
     >>> limit = LightError(film_delta_e=0.02)
-    >>> [converged(LightError(film_delta_e=delta_e), limit) for delta_e in (0.01, 0.6, math.nan, None)]
+    >>> errors = [LightError(film_delta_e=delta_e) for delta_e in (0.01, 0.6, math.nan, None)]
+    >>> [converged(error, limit) for error in errors]
     [True, False, False, True]
     """
     return not exceeded(error, limit)

@@ -123,7 +123,10 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
             f"{percent(frame.saturated_fraction)} of the pixels of"
             f" {development.readout.physics.pitch_um:g} µm full"
         )
-        allowed = f"at most {percent(_FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
+        allowed = (
+            f"at most {percent(_FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise"
+            " shows"
+        )
         raise NoNumberError(
             str(invalid("the metric visual_noise", full, allowed, "Expose it for less time."))
         )

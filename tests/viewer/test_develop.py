@@ -244,7 +244,7 @@ def same_primaries(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing of colour.
     """
     monkeypatch.setattr(Rendition, "matrix", lambda *_: np.eye(3))
-    monkeypatch.setattr(develop_module, "check_told_apart", lambda *_: None)
+    monkeypatch.setattr(develop_module, "check_separable", lambda *_: None)
 
 
 FLAT_CURVE = [[nm, 0.5] for nm in np.arange(360.0, 831.0, 10.0).tolist()]

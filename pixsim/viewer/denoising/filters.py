@@ -115,20 +115,20 @@ def wavelet_shrinkage(plane: Array, sigma: float) -> Array:
     from pywt import dwt_max_level
     from skimage.restoration import denoise_wavelet
 
-    levels = min(WAVELET_LEVELS, dwt_max_level(min(plane.shape), WAVELET))
-    how: dict[str, Any] = {
+    height, width = plane.shape
+    options: dict[str, Any] = {
+        "sigma": sigma,
         "wavelet": WAVELET,
-        "wavelet_levels": levels,
+        "wavelet_levels": min(WAVELET_LEVELS, dwt_max_level(min(height, width), WAVELET)),
         "method": "BayesShrink",
         "mode": "soft",
     }
-    (height, width), padded = plane.shape, np.pad(plane, 1, mode="symmetric")
+    padded = np.pad(plane, 1, mode="symmetric")
     total = np.zeros(plane.shape)
     for down, across in product((0, 1), repeat=2):
-        part = denoise_wavelet(
-            padded[down : height + 1 + down, across : width + 1 + across], sigma=sigma, **how
-        )
-        total += part[1 - down : 1 - down + height, 1 - across : 1 - across + width]
+        shifted = padded[down : height + 1 + down, across : width + 1 + across]
+        filtered = denoise_wavelet(shifted, **options)
+        total += filtered[1 - down : 1 - down + height, 1 - across : 1 - across + width]
     return total / 4
 
 
