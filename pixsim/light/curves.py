@@ -56,6 +56,7 @@ def as_quantum_efficiency(value: object) -> object:
                     f"got '{value}'; allowed: a fraction: {number:g} % is {number / 100:g}"
                 ) from None
             return read_curve(Path(str(value)))
+
     if isinstance(value, int | float):
         value = as_float(value)
         if 1 < value <= 100:
@@ -66,6 +67,7 @@ def as_quantum_efficiency(value: object) -> object:
                 " nm and value"
             )
         return value
+
     try:
         pairs = tuple(
             (as_float(nm), as_float(efficiency))
@@ -76,6 +78,7 @@ def as_quantum_efficiency(value: object) -> object:
             "got neither a number, nor a file, nor a list of pairs; allowed: 0.6, 'qe.csv', or"
             " [[400, 0.3], [550, 0.6]]"
         ) from None
+
     return _check_curve(pairs, "a list")
 
 
@@ -124,6 +127,7 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
         raise ValueError(
             f"got {source} of {len(pairs)} points; allowed: at least two points, {ALLOWED}"
         )
+
     pairs = _rising(pairs)
     unit = unit_hint([nm for nm, _ in pairs], ALLOWED_NM)
     for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
@@ -138,6 +142,7 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
             raise ValueError(
                 f"got {source} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}"
             )
+
     if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {ALLOWED}")
     return pairs
@@ -164,12 +169,14 @@ def as_share(value: object) -> object:
                 for column in table.columns
             ]
             return _check_shares(tuple(columns[0]) if columns else (), f"'{value}'")
+
     if isinstance(value, int | float):
         value = as_float(value)
         if not 0 <= value < 1:
             hint = f". In per cent? {value:g} % is {value / 100:g}" if 1 <= value < 100 else ""
             raise ValueError(f"got {value:g}; allowed: {_ALLOWED_SHARE}{hint}")
         return value
+
     try:
         pairs = tuple(
             (as_float(nm), as_float(share))
@@ -179,6 +186,7 @@ def as_share(value: object) -> object:
         raise ValueError(
             f"got neither a number, nor a file, nor a list of pairs; allowed: {_ALLOWED_SHARE}"
         ) from None
+
     return _check_shares(pairs, "a list")
 
 
@@ -192,11 +200,13 @@ def _check_shares(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
             f"got {source} of {len(pairs)} points; allowed: two or more, wavelengths of 100 to 2000"
             " nm that increase"
         )
+
     if outside := [share for _, share in pairs if not 0 <= share < 1]:
         hint = f" {_IN_PER_CENT}." if 1 <= outside[0] < 100 else ""
         raise ValueError(
             f"got {source} with a share of {outside[0]:g}; allowed: {_ALLOWED_SHARE}.{hint}"
         )
+
     return pairs
 
 
@@ -238,11 +248,13 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
             ):
                 return str(value)  # of a camera; `pixsim.sensor.colour` knows them
             return _read_curves(Path(value), kind, highest)
+
         if not isinstance(value, Mapping) or not value:
             raise ValueError(
                 f"got {value_text(value)}; allowed: {_ALLOWED_CURVES}, or a table, as"
                 " { R = [[400, 0.1], [700, 0.5]] }"
             )
+
         curves = {}
         for name, pairs in value.items():
             try:
@@ -253,6 +265,7 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
                     " 0.1], [700, 0.5]]"
                 ) from None
             curves[_letter(str(name))] = _check_channel(curve, kind, highest, f"channel {name}")
+
         return curves
 
     return validate
@@ -275,6 +288,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
             f"got '{path}' with {named} and {count} values; allowed: {_ALLOWED_CURVES}, as"
             " wavelength_nm,R,G,B"
         )
+
     repeated = [letter for index, letter in enumerate(letters) if letter in letters[:index]]
     if repeated:
         raise ValueError(f"got '{path}' with two channels {repeated[0]}; allowed: each letter once")
@@ -284,6 +298,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
         raise ValueError(
             f"got '{path}' with {kind} in A/W; allowed: all channels of a sensor in A/W, or none"
         )
+
     if kind == "sensitivities":  # relative to energy, as A/W are
         curves = [
             tuple(
@@ -293,6 +308,7 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
         ]
     else:
         curves = _efficiencies(table, path)
+
     return {
         letter: _check_channel(curve, kind, highest, f"'{path}', channel {letter}")
         for letter, curve in zip(letters, curves, strict=True)
@@ -341,6 +357,7 @@ def _check_channel(
             f"got {source} for {covered}; allowed: at least {low:g} to {high:g} nm. Give 0 where"
             " there is no response."
         )
+
     for nm, following in pairwise(curve_nm):
         if following - nm > _MAX_STEP_NM and following > low and nm < high:
             gap = f"a gap from {nm:g} to {following:g} nm"
@@ -348,10 +365,12 @@ def _check_channel(
                 f"got {source} with {gap}; allowed: steps of at most {_MAX_STEP_NM:g} nm from"
                 f" {low:g} to {high:g} nm"
             )
+
     if not any(value >= MIN_FRACTION for _, value in curve):
         raise ValueError(
             f"got {source} that is 0 at every wavelength; allowed: {allowed}, not all of them 0"
         )
+
     return curve
 
 

@@ -72,6 +72,7 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
                 "one flat image",
                 "Save it as scan lines or tiles of one part.",
             )
+
     stored = os.fstat(file.fileno()).st_size
     attributes = _attributes(path, file, stored)
     for needed in ("channels", "dataWindow", "compression"):
@@ -87,6 +88,7 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
         raise invalid(
             "EXR file", f"{width} × {height} values in '{path}'", f"1 to {_MAX_SIDE} per side"
         )
+
     check_size(
         f"EXR file '{path}'",
         4 * width * height * count,
@@ -98,6 +100,7 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
         across, down = struct.unpack("<2IB", attributes.get("tiles", b""))[:2]
         if min(across, down) < 1 or 4 * across * down * count > _MAX_TILE_BYTES:
             raise _damaged(path, f"tiles of {across} × {down} samples")
+
     check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
 
 
@@ -165,6 +168,7 @@ def _checked_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
         isinstance(name, str) for name in lamps
     ):
         raise ValueError(f"{WHITE_LAMPS} must be a list of names")
+
     reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
     if not (
         1 <= reduced["factor"] < math.inf
@@ -172,6 +176,7 @@ def _checked_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
         and min(reduced["samples"]) >= 1
     ):
         raise ValueError("reduced must be a factor of at least 1 and two numbers of samples")
+
     if not SMALLEST <= header.get("luminance_cd_per_m2", 1.0) <= LARGEST:
         raise ValueError(f"luminance_cd_per_m2 must be {SMALLEST:g} to {LARGEST:g}")
     return metadata
@@ -447,6 +452,7 @@ def write_exr(
             for band, nm in enumerate(channel_image.wavelength_nm)
         }
         header["spectralLayoutVersion"] = "1.0"
+
     if image.factors:
         channels |= {
             f"factor.{r}": partial(_released, picture) for r, picture in enumerate(image.factors[1])
@@ -526,6 +532,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
             "a file from pixsim.write_exr",
             hint,
         )
+
     try:
         metadata = _checked_metadata(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
@@ -539,6 +546,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
             spectra = np.array(metadata["spectra_w_per_m2_nm"])
             pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
             return SpectralImage(*bands, factors=(spectra, pictures), **options)
+
         data = np.stack([channels[_band_channel(nm)] for nm in metadata["wavelength_nm"]], axis=2)
         return SpectralImage(*bands, data=data, **options)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:

@@ -87,6 +87,7 @@ def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> Ligh
         if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
             spectral = metre == -3  # per area and per wavelength
             return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
+
     raise invalid(what, excerpt(text, typed=typed), ALLOWED_UNITS, HOW_TO_STATE)
 
 
@@ -110,6 +111,7 @@ def _factor(tokens: list[str]) -> Powers:
         powers = np.array(
             [unit == "W", unit == "m", unit.lower() == "sr", PREFIXES.get(prefix, 0)], np.int64
         )
+
     if tokens and tokens[0].lstrip("^+-").isdigit():
         powers = powers * int(tokens.pop(0).lstrip("^"))
     return powers
@@ -200,6 +202,7 @@ def read_cube(path: Path) -> Cube:
             f"'{path}'",
             "a name that ends in .exr, .npz or .hdr (ENVI, with its raw file)",
         )
+
     size_of(path, "picture", "a readable file")
     cube = reader(path)
     if (
@@ -208,6 +211,7 @@ def read_cube(path: Path) -> Cube:
         or cube.data.shape[2] != cube.wavelength_nm.size
     ):
         return cube
+
     width_nm = cube.band_width_nm[::-1] if np.ndim(cube.band_width_nm) == 1 else cube.band_width_nm
     return replace(
         cube,
@@ -254,6 +258,7 @@ def _read_spectral_exr(path: Path) -> Cube:
             "light, in channels such as S0.550,0nm",
             hint,
         )
+
     matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
     centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
     edges_nm: dict[str, tuple[float, float]] = {}
@@ -266,6 +271,7 @@ def _read_spectral_exr(path: Path) -> Cube:
                 for name in names
                 if (match := _CENTRE.fullmatch(name))
             }
+
     if not centre_nm:
         hint = (
             'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral"; of a'
@@ -275,6 +281,7 @@ def _read_spectral_exr(path: Path) -> Cube:
             "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
         )
         raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
+
     window, whole = header["dataWindow"], header["displayWindow"]
     if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
         raise invalid(
@@ -282,6 +289,7 @@ def _read_spectral_exr(path: Path) -> Cube:
             f"a crop window or non-square pixels in '{path}'",
             "a full image with square pixels",
         )
+
     width, height = (np.asarray(window[1], int) - window[0] + 1).tolist()
     _check_size(path, (height, width, len(names)))
     planes, _ = read_channels(path)
@@ -291,6 +299,7 @@ def _read_spectral_exr(path: Path) -> Cube:
             f"polarised light, {channel_list}",
             "S0 alone, or S1 to S3 equal to zero",
         )
+
     order = sorted(centre_nm, key=lambda name: centre_nm[name])
     try:
         data = np.stack([planes[name] for name in order], axis=2)
@@ -298,6 +307,7 @@ def _read_spectral_exr(path: Path) -> Cube:
         raise invalid(
             "spectral EXR", f"{channel_list} ({error})", "channels of equal size"
         ) from None
+
     # Attributes of other types may fail even to print.
     plain = {
         key: value
@@ -310,6 +320,7 @@ def _read_spectral_exr(path: Path) -> Cube:
         optional["band_width_nm"] = np.array(
             [edges_nm[name][1] - edges_nm[name][0] for name in order]
         )
+
     return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **optional)
 
 
@@ -367,6 +378,7 @@ def _read_npz(path: Path) -> Cube:
             f"wavelength_nm {wavelength_nm.dtype} {wavelength_nm.shape}",
             _NPZ_SHAPES,
         )
+
     if data.shape[2] != wavelength_nm.size and (
         hint := bands_last_hint(data.shape, wavelength_nm.size)
     ):
@@ -376,6 +388,7 @@ def _read_npz(path: Path) -> Cube:
             "(rows, columns, bands)",
             hint,
         )
+
     return Cube(data, wavelength_nm.astype(float), str(arrays.pop("units", "")), **arrays)
 
 
@@ -393,11 +406,13 @@ def _read_envi(path: Path) -> Cube:
         raise invalid(
             "ENVI file", f"'{path}', but SPy is not installed", "pip install 'pixsim[envi]'"
         ) from None
+
     content = read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER)
     if content.count(b"\n") > MAX_ENVI_LINES:
         raise invalid(
             "ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "a shorter ENVI header"
         )
+
     try:
         with (
             warnings.catch_warnings(action="ignore"),
@@ -407,6 +422,7 @@ def _read_envi(path: Path) -> Cube:
             envi.check_compatibility(header)
             _check_envi(path, header)
             image = envi.open(name, raw)
+
         if not image.using_memmap:
             got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
             raise invalid(
@@ -414,6 +430,7 @@ def _read_envi(path: Path) -> Cube:
                 got,
                 f"the {' × '.join(map(str, image.shape))} values that '{path.name}' declares",
             )
+
         data = image.open_memmap(interleave="bip")
         nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
         gap = (
@@ -431,6 +448,7 @@ def _read_envi(path: Path) -> Cube:
         raise invalid(
             "ENVI file", got, "an ENVI header with its raw file in the same folder"
         ) from None
+
     if gap is not None:
         got = (
             f"no data ({header['data ignore value']}) at row {gap[0]}, column {gap[1]}, band"
@@ -439,23 +457,27 @@ def _read_envi(path: Path) -> Cube:
         raise invalid(
             f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them."
         )
+
     if _ENVI_ORDER.search(as_text(content) or "") is None:
         words = (
             f"'{path.name}' states no byte order: it is read as 0, the least significant byte first"
         )
         warn(Note("file_as_read", words=words))
+
     if nm is None:
         raise invalid(
             "ENVI file",
             f"'{path}' without wavelength",
             "a header with wavelength = { … } and wavelength units",
         )
+
     if (
         width_nm is not None
         and width_nm.shape == nm.shape
         and np.any(np.abs(np.diff(nm)) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2)
     ):
         width_nm = None
+
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
     unit = unit_of_wavelength(str(header.get("wavelength units", "")))
@@ -518,6 +540,7 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
         raise invalid(
             "ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers"
         )
+
     for field, neutral in _ENVI_NEUTRAL.items():
         stated = (float(value) for value in np.atleast_1d(header.get(field, [])))
         if (other := next((number for number in stated if number != neutral), None)) is not None:

@@ -183,6 +183,7 @@ class SpectralImage:
                 f"an array of shape {self.wavelength_nm.shape}",
                 "(B,), at least one",
             )
+
         if np.shape(band_width_nm) not in ((), (1,), self.wavelength_nm.shape):
             got, bands = f"an array of shape {np.shape(band_width_nm)}", self.wavelength_nm.size
             raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
@@ -244,6 +245,7 @@ class SpectralImage:
             pictures = self._pictures_with_margin
         else:
             pictures = self.data if self.factors is None else self.factors[1]
+
         for array in (self.wavelength_nm, self.band_width_nm, *self.within, *spectra, pictures):
             update_with_array(hasher, array)
         return hasher.hexdigest()
@@ -266,6 +268,7 @@ class SpectralImage:
                 self.margin,
                 f"0 or more, and less than half of the {width} × {height} samples given",
             )
+
         self._pictures_with_margin = pictures
         inside = slice(self.margin, height - self.margin), slice(self.margin, width - self.margin)
         if self.factors:
@@ -305,6 +308,7 @@ class SpectralImage:
             for part in strips(*pictures.shape[1:]):
                 total[part] += spectrum[index] * picture[part]
                 release(picture[part])
+
         return total
 
     @property
@@ -340,6 +344,7 @@ class SpectralImage:
                 f"an array of shape {weight.shape}",
                 f"({self.wavelength_nm.size},), one for each band",
             )
+
         if self.factors:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
             terms = (
@@ -348,6 +353,7 @@ class SpectralImage:
             )
         else:
             terms = ((weight[band], self.data[(*part, band)]) for band in np.flatnonzero(weight))
+
         total = np.zeros(
             [len(range(*span.indices(n))) for span, n in zip(part, self.shape, strict=True)]
         )
@@ -378,6 +384,7 @@ class SpectralImage:
             raise invalid(
                 "columns", columns, f"1 to {width}, and at least one row of square samples"
             )
+
         before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
         factor = float(f"{before['factor'] * ratio:.12g}")
         header = self.header | {"reduced": {"samples": before["samples"], "factor": factor}}
@@ -416,6 +423,7 @@ class SpectralImage:
                 f"an array of shape {planes.shape}",
                 f"({len(self.planes)}, rows, columns)",
             )
+
         content: dict[str, Any] = (
             {"factors": (self.factors[0], planes)}
             if self.factors
@@ -496,6 +504,7 @@ class SpectralImage:
             raise invalid(
                 "irradiance", got, f"finite values, spectra and bands, at most {MAX_VALUE:.4g}"
             )
+
         if len(spectra) == 1 and (
             low < lowest_allowed(self.header, high) or float(spectra.min()) < 0
         ):
@@ -567,6 +576,7 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
         picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         for row, column in outliers
     ]
+
     # Brighter than the rest of the picture, alone among its neighbours.
     stand_alone = all(
         np.count_nonzero(neighbourhood > brightest_other) == 1 for neighbourhood in neighbourhoods
@@ -589,11 +599,13 @@ def without_outliers(image: SpectralImage) -> SpectralImage | None:
             and all(isinstance(index, int) for index in outlier)
         ):
             return None  # the header of another program
+
         row, column = outlier
         if not (0 <= row < planes.shape[1] and 0 <= column < planes.shape[2]):
             return None
         neighbourhood = planes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         planes[:, row, column] = np.median(neighbourhood, axis=(1, 2))
+
     return image.with_planes(
         planes, header={name: value for name, value in image.header.items() if name != OUTLIERS}
     )
@@ -646,6 +658,7 @@ def _running(values: NDArray[Any], edges: Array) -> Array:
         row = below[here] - rows.start
         result[here] = total[row] + (at[here] - below[here])[:, None] * strip[row]
         release(values[rows])
+
     return np.diff(result, axis=0)
 
 
@@ -665,6 +678,7 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
             low = float(np.minimum(low, part.min()))
             high = float(np.maximum(high, part.max()))
             release(part)
+
     return low, high
 
 
@@ -715,10 +729,12 @@ class Spectrum:
                 f"{x.size} wavelengths, {self.values.size} values",
                 "two nodes or more, in increasing order",
             )
+
         if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
             raise invalid(
                 "spectrum", "NaN or infinity among the wavelengths or values", "finite numbers"
             )
+
         if self.values.max() > MAX_COUNT or self.values.min() < -MAX_COUNT:
             raise invalid(
                 "spectrum",

@@ -61,6 +61,7 @@ def illuminant(name: str, wavelength_nm: Positives) -> Array:
             ", ".join(illuminant_names()),
             did_you_mean(name, illuminant_names()),
         )
+
     nm, power = table[:, 0], table[:, 1 + names.index(name)]
     is_stated = np.isfinite(power)
     return np.interp(

@@ -48,6 +48,7 @@ class PictureFile:
                 while remaining:  # one write is at most 2 GiB
                     remaining = remaining[self._file.write(remaining) :]
                 self._offsets[digest] = offset
+
         return StoredImage(image, self, self._offsets[digest])
 
     def mapped(self, offset: int, shape: tuple[int, ...]) -> NDArray[np.float32]:

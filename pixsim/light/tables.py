@@ -92,6 +92,7 @@ def as_text(content: bytes) -> str | None:
         encoding = "utf-16-le" if halves[1] else "utf-16-be"
     else:
         encoding = "utf-8-sig"
+
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError:
@@ -127,6 +128,7 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
         text = as_text(read_bytes(path, what, allowed, max_bytes))
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
+
     if text is None:
         raise ValueError(f"got '{path}', which is no text; allowed: {allowed}")
 
@@ -174,6 +176,7 @@ def _separator(lines: Sequence[str]) -> str | None:
         return ";"
     if lines and all("\t" in line.strip() for line in lines):
         return "\t"
+
     # In 400 0,3 the comma is a decimal mark; in 400, 0.3 it is not.
     if all(
         len(words := line.split()) > 1 and all(as_number(word, ",") is not None for word in words)
@@ -239,6 +242,7 @@ def read_table(
             _value_unit(title) or stated
             for title, stated in zip(titles[1:count], units[1:], strict=True)
         ]
+
     units = [("", 0) if index in percent_columns else stated for index, stated in enumerate(units)]
     if len({symbol == "%" for symbol, _ in units[1:]}) > 1:
         raise ValueError(
@@ -259,6 +263,7 @@ def read_table(
                 f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
             )
             warn(Note("file_as_read", words=f"{words}Fractions have no % in their title"))
+
         values = tuple(_scaled(row[index], power) for row in rows)
         columns.append(Column(names[index], "" if is_percent else symbol, values))
 
@@ -269,6 +274,7 @@ def read_table(
             f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}."
             f" {hint}{mend}"
         )
+
     return WavelengthTable(nm, tuple(columns))
 
 
@@ -299,6 +305,7 @@ def _split_rows(
             )
         else:
             headers.append(row)
+
     return headers, rows, percent_columns
 
 

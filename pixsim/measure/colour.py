@@ -146,6 +146,7 @@ class Colour:
         variances = noise.var(axis=1)
         count = noise.shape[1]
         together = variances[1] + variances[2]
+
         # Of a sum of two variances, with their covariance; normal noise.
         covariance = float(np.mean(noise[1] * noise[2]))
         spread = math.sqrt(2 * (variances[1] ** 2 + variances[2] ** 2 + 2 * covariance**2) / count)
@@ -167,6 +168,7 @@ class Colour:
         )
         relative_variance = variance / (self.truth.white_e * p.dn_per_e) ** 2
         luminance, *chrominance = (opponent**2 * relative_variance).sum(axis=1)
+
         # The matrix need not keep white.
         mean = GREY * float(opponent[0].sum())
         return mean / math.sqrt(luminance), mean / math.sqrt(sum(chrominance))
@@ -229,6 +231,7 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
             rendition.mixed_by(collection.mixing_um2, rates),
             collection.white_e_per_s,
         )
+
     check_separable(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)
     largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
@@ -295,6 +298,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         raise invalid(
             "colour", got, f"more than {_MIN_WHITE_SIGMAS:g} standard errors in each channel", hint
         )
+
     grey = field_of("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)
     min_count = int(counts.min())

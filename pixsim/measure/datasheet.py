@@ -386,6 +386,7 @@ def datasheet_settings(
             "fields of a pixel beside a file",
             "Set these values in the Pixel instead.",
         )
+
     name = None if file is None else os.fspath(file)
     if name is not None and (
         name in packaged_sensors() or (name.endswith(".toml") and "pixel" in read_toml(Path(name)))
@@ -399,6 +400,7 @@ def datasheet_settings(
                 " only one of them."
             )
         pixel = fields | {"technology": name}
+
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
     settings = run_settings(
         files, {name: value for name, value in options.items() if value is not None}
@@ -805,6 +807,7 @@ def _colour_entries(sheet: DataSheet) -> list[Entry]:
                 f"{grey}; temporal noise of {noise}",
             )
         )
+
     return lines
 
 
@@ -834,6 +837,7 @@ def _spatial_entries(sheet: DataSheet) -> list[Entry]:
     )
     gain_source = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
     whole = estimators.spatial_parts(FrameStack(1, map_e, np.zeros_like(map_e)))
+
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [
@@ -899,6 +903,7 @@ def _dark_entries(sheet: DataSheet) -> list[Entry]:
             f" {current:.4g}"
         )
         current *= float(gain.mean())
+
     entries = [
         _emva_entry("dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
         _emva_entry("dark current, from the variance", "μ_I.var", unit, from_variance, current, at),
@@ -909,6 +914,7 @@ def _dark_entries(sheet: DataSheet) -> list[Entry]:
         doubling = estimators.doubling_k(temperatures, values, errors)
         name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
         entries.append(_emva_entry(name, "ϑ_d", "K", doubling, true_k, _doubling_from(p)))
+
     return entries
 
 
@@ -1047,4 +1053,5 @@ def _speed_entries(sheet: DataSheet) -> list[Entry]:
         entries.append(
             _speed_entry(name, f"S_noise{snr:g}", "", speed, true, f"10 / H_S/N; {daylight}", note)
         )
+
     return entries

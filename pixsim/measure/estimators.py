@@ -85,6 +85,7 @@ def stack(frames: Iterable[Frames]) -> FrameStack:
         count += 1
         total = total + wide
         squares = squares + wide * wide
+
     if count < 2:
         raise invalid("frames of a stack", count, "2 or more")
     sum_of_squares = (count * squares - total * total).astype(float) / count
@@ -439,6 +440,7 @@ def dark_current(
         dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels, row_noise)
     )
     variance = variance_slope / gain
+
     # K² doubles the relative error of K.
     gain_error = 2 * variance.value / gain.value * gain.error / gain.value
     error = math.hypot(variance_slope.error / gain.value**2, gain_error)

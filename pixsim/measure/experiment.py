@@ -151,6 +151,7 @@ class Experiment:
             first = self.frame(0.0, time_s, *key, number, 0, sensor=sensor)
             second = self.frame(0.0, time_s, *key, number, 1, sensor=sensor)
             pairs.append(pair(first, second))
+
         return series(times_s, pairs)
 
     def warmed(self, temperature_k: float) -> Sensor:
@@ -231,6 +232,7 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
             f"enough bits {room}",
             "Raise pixel.bits, or reduce the dark noise.",
         )
+
     raised = replace(readout, adc=replace(adc, black_level_dn=float(min_level_dn)))
     if dark_spread_e(raised, integration_s) * raised.dn_per_e >= _FINE_DN:
         return raised
@@ -261,6 +263,7 @@ def _usual_integration_s(readout: Readout, exposure: Exposure) -> float:
             " charge",
             expected,
         )
+
     return integration_s
 
 
@@ -323,6 +326,7 @@ def make_experiment(
         raise invalid(
             "shape", f"{shape[0]} × {shape[1]} pixels", f"at least {MIN_SIDE} × {MIN_SIDE}"
         )
+
     derived = derive(pixel, load_technology(pixel.technology))
     for note in pixel_notes(derived):
         warn(note)

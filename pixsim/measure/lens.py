@@ -245,6 +245,7 @@ def lens_data(
             "light on the axis",
             "Check its clear apertures and semi-diameters.",
         )
+
     spots = [
         _spot(lens, float(angle), wavelengths, bool(is_dark))
         for angle, is_dark in zip(fields, dark, strict=True)
@@ -282,6 +283,7 @@ def lens_data(
         for index, psf in enumerate(psfs):
             mtf[index, 0] = line_mtf(psf.sum(axis=1), pitch, frequency)
             mtf[index, 1] = line_mtf(psf.sum(axis=0), pitch, frequency)
+
     for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
         psfs.insert(int(index), np.zeros_like(psfs[0]))
         mtf = np.insert(mtf, index, np.nan, axis=0)
@@ -339,6 +341,7 @@ def spot_points() -> tuple[Array, Array]:
         points = 6 * ring
         radii.append(np.full(points, ring / _SPOT_RINGS))
         angles.append((np.arange(points) + 0.5) / (3 * ring) * np.pi)
+
     radius = np.concatenate(radii)
     radius *= _SPOT_RINGS / (_SPOT_RINGS + 0.5)  # a ring is the middle of its area
     angle = np.concatenate(angles)
@@ -360,6 +363,7 @@ def _rms_wavefronts(lens: Lens, field_deg: Array) -> Array:
             continue
         coefficients = np.linalg.lstsq(basis, opd[is_traced], rcond=None)[0]
         rms_waves.append(float(np.std(opd[is_traced] - basis @ coefficients)))
+
     return np.array(rms_waves)
 
 
@@ -392,6 +396,7 @@ def _point_spreads(
         if 2 * window * pitch_um / UM_PER_NM * widest_per_nm > MAX_FINE_WAVES:
             return []
         psfs.append(np.fft.fftshift(periodic_psf(light, 0.0, float(height), pitch_um, window)))
+
     return psfs
 
 
@@ -424,7 +429,9 @@ def ray_spreads(
                 line_mtf(line.astype(float), 2 * half_width_um / LINE_BINS, frequency_lp_per_mm)
                 * limit
             )
+
         mtf.append(lines)
+
     return psfs, np.array(mtf)
 
 
@@ -497,7 +504,9 @@ def cross_section(lens: Lens) -> _CrossSection:
             before = _BEFORE_LENS * length_mm
             z = np.column_stack([z[:, 0] - before, z])
             y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
+
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
+
     glass_behind = [surface.glass != AIR for surface in surfaces]
     return _CrossSection(length_mm, outlines, glass_behind, (stop_z_mm, stop_radius_mm), rays)
 
@@ -570,10 +579,12 @@ def lens(
                 f"{value:g}",
                 f"a number above 0, {_MIN_ARGUMENT:g} to {1 / _MIN_ARGUMENT:g}",
             )
+
     if len(wavelength_nm) > _MAX_WAVELENGTHS:
         raise invalid(
             setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {_MAX_WAVELENGTHS}"
         )
+
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
         raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     if reflectance is not None and not 0 <= reflectance < 1:
@@ -585,11 +596,13 @@ def lens(
         changed_lens = _changed_lens(
             file_lens, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm
         )
+
     if progress:
         surfaces = len(changed_lens.prescription.surfaces)
         wavelengths = len(wavelength_nm or changed_lens.prescription.wavelengths_nm)
         is_slow = surfaces * wavelengths > _MANY_TO_TRACE
         progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if is_slow else "trace")
+
     return lens_data(changed_lens, wavelength_nm, pitch_um, tuple(notes), reflectance)
 
 

@@ -325,6 +325,7 @@ def edge_response(
     is_resolved = frequency <= bins_a_pixel / BINS_A_PIXEL
     frequency = frequency[is_resolved]
     sfr = sfr[is_resolved]
+
     # Anticlockwise, as y points down; clockwise if transposed.
     angle = float(np.degrees(np.arctan(fit.slope)))
     nyquist = min(_nyquist_cy_per_px(weighted.grids, period) for weighted in channels)
@@ -403,6 +404,7 @@ def _measured_channels(
             mosaic = Layout.parse(layout)
         except ValueError as error:
             raise PixsimError(f"layout: {error}.") from None
+
     if mosaic is not None and mosaic.planes > 1:
         if whole.ndim != 2 or whole.shape[0] % mosaic.planes:
             raise invalid(
@@ -410,6 +412,7 @@ def _measured_channels(
                 f"{layout} for a picture of shape {whole.shape}",
                 f"rows that {mosaic.planes} planes divide",
             )
+
         planes = dict(zip(mosaic.channels, np.split(whole, mosaic.planes), strict=True))
         channels = [
             _WeightedChannel(weight, [_channel_grid(_cropped(planes[letter], region))])
@@ -429,6 +432,7 @@ def _measured_channels(
             got,
             f"at least {_MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic",
         )
+
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
     def grids(places: Sequence[tuple[int, int]]) -> list[_ChannelGrid]:
@@ -446,6 +450,7 @@ def _measured_channels(
                 f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}",
             )
         return [_WeightedChannel(1.0, grids([(row, column)]))], period, channel
+
     if mosaic is None:
         green = _find_green(data, channel or "", (y0, x0))
         return [_WeightedChannel(1.0, grids(green))], period, channel
@@ -515,6 +520,7 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
             "row,column, or G",
             hint,
         )
+
     steps = {}
     for row in (0, 1):
         for column in (0, 1):
@@ -536,6 +542,7 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
             " stands out as green"
         )
         raise invalid(setting("channel"), got, "row,column", hint)
+
     places = " and ".join(f"{row},{column}" for row, column in green)
     words = (
         f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2"
@@ -562,6 +569,7 @@ def _nyquist_cy_per_px(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -
             if strength[row % period[0], column % period[1]] > 1e-6:
                 u, v = column / period[1], row / period[0]
                 frequencies.append((u * u + v * v) / (2 * u))
+
     return min(frequencies)
 
 
@@ -576,6 +584,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
             f"{data.dtype} of shape {data.shape}",
             "one channel of numbers, (rows, columns)",
         )
+
     if region is not None:
         if len(region) != 4:
             raise invalid(
@@ -583,6 +592,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
                 ",".join(map(str, region)) or "nothing",
                 "four numbers, x0,y0,x1,y1",
             )
+
         x0, y0, x1, y1 = region
         height, width = data.shape
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
@@ -591,13 +601,16 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
                 ",".join(map(str, region)),
                 f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1",
             )
+
         data = data[y0:y1, x0:x1]
+
     if min(data.shape) < _MIN_SIDE_PX:
         raise invalid(
             "edge picture",
             f"{data.shape[1]} × {data.shape[0]} pixels",
             f"at least {_MIN_SIDE_PX} a side",
         )
+
     data = data.astype(float)
     if not np.isfinite(data).all():
         raise invalid(
@@ -605,6 +618,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
             f"{np.count_nonzero(~np.isfinite(data))} values that are NaN or infinite",
             "finite values",
         )
+
     # So that squares are numbers; a black picture has no contrast, which is said later.
     largest = np.abs(data).max()
     if largest and not SMALLEST <= largest <= LARGEST:
@@ -652,6 +666,7 @@ def _contrast(channels: Sequence[_WeightedChannel]) -> float:
         raise invalid(
             "edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint
         )
+
     for channel, (_, low, high) in zip(channels, sides, strict=True):
         noise = max(
             np.diff(side, axis=0).std() / np.sqrt(2)
@@ -662,6 +677,7 @@ def _contrast(channels: Sequence[_WeightedChannel]) -> float:
             hint = "Average several frames, or use more light."
             got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
             raise invalid("edge picture", got, f"at least {_MIN_STEP_SIGMAS:g} σ", hint)
+
     below = -min(low, high) / abs(high - low)
     if below > _MAX_BELOW_BLACK:
         words = (
@@ -669,6 +685,7 @@ def _contrast(channels: Sequence[_WeightedChannel]) -> float:
             " too high for the contrast"
         )
         warn(Note("edge_picture", words=words))
+
     return float(contrast)
 
 
@@ -812,6 +829,7 @@ def _check_kinks(
                 )
             )
         return
+
     at = int(np.argmax(kinks))
     if not clipped[at]:
         return
@@ -951,7 +969,8 @@ def _fit_edge(grids: Sequence[_ChannelGrid], sign: float, spacing: int) -> _Edge
     for grid in grids:
         edge_px = curve(grid.row)
         margin_px = np.minimum(edge_px - grid.x[0], grid.x[-1] - edge_px)
-        lines += np.count_nonzero(margin_px >= reach_px)
+        lines += int(np.count_nonzero(margin_px >= reach_px))
+
     if rows.size < _MIN_LINES * lines:
         raise _no_edge(f"an edge in {rows.size} of {lines} lines")
     residual = float(np.sqrt(np.mean((centres - curve(rows)) ** 2)))
@@ -1034,6 +1053,7 @@ def _degree_of_edge(row: Array, centre: Array) -> int:
     """
     scaled = 2 * (row - row.min()) / np.ptp(row) - 1
     basis = np.linalg.qr(legvander(scaled, _MAX_DEGREE))[0]
+
     # Independent of each other, and as uncertain as the edge of a row.
     coefficient = basis.T @ centre
     freedom = row.size - basis.shape[1]
@@ -1141,6 +1161,7 @@ def _rows_and_window(
             expected,
             "Without a slant the edge samples only one phase of the pixels.",
         )
+
     grain = min(_bins_a_pixel_to_try(spacing))
     half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
     if half_px < MIN_HALF_WINDOW_PX:
@@ -1151,6 +1172,7 @@ def _rows_and_window(
             f"at least {MIN_HALF_WINDOW_PX} px",
             "Give a --region with the edge in its middle.",
         )
+
     inside = row[margin_px >= half_px]
     steps = int(inside.size * abs(slope) / spacing)
     if steps < 1:
@@ -1159,6 +1181,7 @@ def _rows_and_window(
             " the channel"
         )
         raise invalid("edge picture", f"{inside.size} lines across the edge", expected)
+
     count = round(steps * spacing / abs(slope))
     start = (inside.size - count) // 2
     return inside[max(start, 0) : max(start, 0) + count], half_px
@@ -1206,6 +1229,7 @@ def edge_spread(
         indices.append(index[inside])
         values.append(grid.data[inside])
         distances.append(distance[inside])
+
     index = np.concatenate(indices)
     value = np.concatenate(values)
     distance_px = np.concatenate(distances)
@@ -1267,6 +1291,7 @@ def _sfr_bounds(
     window = tukey(spread.size, TAPER)
     line = np.gradient(spread) * window
     total = float(line.sum())
+
     # A bin is in the central differences on either side of it.
     before = np.append(0.0, window[:-1])
     after = np.append(window[1:], 0.0)
@@ -1283,6 +1308,7 @@ def _sfr_bounds(
         change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
         along = (change * np.conj(value / (abs(value) or 1.0))).real
         sigma[number] = math.sqrt(float(along**2 @ variance)) / abs(total)
+
     low, high = _modulus_interval(sfr, sigma)
     correction = _filter_response(frequency, bins_a_pixel)
     return low / correction, high / correction
@@ -1328,6 +1354,7 @@ def _modulus_interval(modulus: Array, sigma: Array) -> tuple[Array, Array]:
         is_out_of_range = -np.expm1(-square / 2) < chance
         noncentrality = np.where(is_out_of_range, 0.0, chndtrinc(square, 2.0, chance))
         bound[near] = np.sqrt(np.nan_to_num(noncentrality)) * sigma[near]
+
     return low, high
 
 
@@ -1358,6 +1385,7 @@ def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None
         centred = distance_px[side] - distance_px[side].mean()
         slopes.append(float(centred @ spread[side] / (centred @ centred)))
         errors.append(float(centred**2 @ variance[side]) / float(centred @ centred) ** 2)
+
     step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(_MAX_SHADING * step, _SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
@@ -1390,6 +1418,7 @@ def _warn_of_correlation(
         if pairs.any() and noise[beside].std() > _MIN_NOISE * step:
             products = (noise[:, 1:] * noise[:, :-1])[pairs]
             correlations.append(float(products.mean() / (noise[beside] ** 2).mean()))
+
     if correlations and max(correlations) > _MAX_CORRELATION:
         words = (
             f"the noise of neighbouring pixels is correlated ({max(correlations):.2f}), as after"
@@ -1447,6 +1476,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
                 words=f"{encoding}: the SFR is that of light only if the values are linear in it",
             )
         )
+
     rgb = None
     if data.ndim == 3:
         rgb = channel or LUMINANCE
@@ -1456,11 +1486,13 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
                 f"'{channel}' of '{path}', a picture of red, green and blue",
                 f"R, G, B, {LUMINANCE}",
             )
+
         data = (
             data @ np.array(list(LUMINANCE_WEIGHTS.values()))
             if rgb == LUMINANCE
             else data[..., "RGB".index(rgb)]
         )
+
     layout = layout_of(metadata, data.shape) if rgb is None else None
     levels = black_levels_of(metadata, data.shape)
     if levels is not None:
@@ -1473,10 +1505,12 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
             is_image and not math.isfinite(value)
         ):  # a text of another program under the same name
             continue
+
         if not low <= value <= high:
             got = f"{name} = {excerpt(str(metadata[name])) if math.isnan(value) else f'{value:g}'}"
             raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
+
     if stated_number(metadata, "saturated_fraction") > _MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
         words = (
@@ -1484,6 +1518,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
             " code and may lie beside it"
         )
         warn(Note("edge_picture", words=f"{words}: {_SHARPENS}"))
+
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)
@@ -1537,6 +1572,7 @@ def sfr(
         raise invalid(
             setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}"
         )
+
     for name, level_dn in (("black", black), ("saturation", saturation)):
         if level_dn is not None and not math.isfinite(level_dn):
             raise invalid(setting(name), f"{level_dn:g}", "a finite number")
@@ -1554,6 +1590,7 @@ def sfr(
             raise invalid(
                 setting(name), f"{top:g} with a black level of {highest_level:g}", "more than it"
             )
+
         edge = edge_response(
             picture.data.astype(float) - level,
             region=region,
@@ -1562,6 +1599,7 @@ def sfr(
             layout=layout or picture.layout,
             channel=channel if picture.channel is None else None,
         )
+
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     return replace(
         edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes)

@@ -122,12 +122,14 @@ class Camera(Record):
                 f" = {self.object_distance_m:g} ({1e3 * self.object_distance_m:g} mm): no real"
                 " image forms. Increase the object distance or use a shorter focal length"
             )
+
         if self.magnification > LARGEST_MAGNIFICATION:
             raise ValueError(
                 f"got focal_length_mm = {self.focal_length_mm:g} with object_distance_m ="
                 f" {self.object_distance_m:g}, which magnifies {self.magnification:g} times;"
                 f" allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object distance"
             )
+
         if self.working_f_number < _FASTEST_WORKING_F_NUMBER:
             raise ValueError(
                 f"f_number = {self.f_number:g} is too small for a thin lens in air: the working"
@@ -149,6 +151,7 @@ class Camera(Record):
                 f" sine of the angle and of the cone of light at f/{self.f_number:g} together below"
                 f" 1, the horizon, not {sine:.3g}. Give smaller angles or a larger f_number"
             )
+
         return self
 
     @model_validator(mode="after")
@@ -163,6 +166,7 @@ class Camera(Record):
                 f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one"
                 " of them"
             )
+
         self._corner_within("lens.relative_illumination", self.fall_off)
         return self
 
@@ -349,6 +353,7 @@ class Camera(Record):
             raise invalid(
                 "window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}"
             )
+
         height_mm = (
             None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
         )
@@ -454,6 +459,7 @@ class CameraOptions(Record):
                 list(self.pixels),
                 "pixels together with pixel.pitch_um, or die_mm and die_height_mm",
             )
+
         fixed: tuple[str, ...] = ()
         if camera.lens:
             fixed = ("focal_length_mm", "f_number", "object_distance_m", "chief_ray_angle")
@@ -465,6 +471,7 @@ class CameraOptions(Record):
             raise invalid(
                 "camera", got, "the lens of that light", "Render the scene with the other lens."
             )
+
         return Camera(
             **camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"})
         )
@@ -480,6 +487,7 @@ class CameraOptions(Record):
                 f"camera.pixels = {list(self.pixels)} needs the pitch of the sensor"
                 " (pixel.pitch_um)"
             )
+
         die_mm = {}
         for name, count in zip(("die_mm", "die_height_mm"), self.pixels, strict=True):
             size_mm = 1e-3 * count * pitch_um
@@ -490,7 +498,9 @@ class CameraOptions(Record):
                     f" {list(self.pixels)} of {pitch_um:g} µm, which are {size_mm:.6g} mm, by"
                     " more than half a pixel; give one of them"
                 )
+
             die_mm[name] = round(size_mm, _DIE_DIGITS) if stated_mm is None else stated_mm
+
         return CameraOptions(**self.model_dump() | die_mm)
 
     def assumption(self, camera: Camera) -> str:

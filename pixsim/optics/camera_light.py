@@ -88,6 +88,7 @@ class CameraPupil:
         else:
             height_mm, angle_deg = np.array([row[:2] for row in self.chief_ray_angle]).T
             tangent = np.tan(np.radians(np.interp(1e-3 * radius_um, height_mm, angle_deg)))
+
         return thin_lens_pupil(self.f_number, tangent, azimuth_deg, self.magnification)
 
     def _traced(self, radius_um: Array, azimuth: Array, rings: int, spokes: int) -> Directions:
@@ -151,6 +152,7 @@ def camera_factor(
         return field_factor(
             shape, pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification, part
         )
+
     y_mm, x_mm = (
         1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span]
         for n, span in zip(shape, part, strict=True)

@@ -135,6 +135,7 @@ def camera_of_light(
         raise invalid(
             "lens.file", got, "the lens of that light", "Render the scene with this lens."
         )
+
     die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
     camera = options.over(
         checked(
@@ -166,12 +167,14 @@ def _from_cube(
                 "irradiance, or radiance and a camera",
                 hint,
             )
+
         irradiance_per_value = (
             unit.factor
             * camera.transmittance
             * camera_factor(camera, cube.data.shape[:2], sampling_um)
         )
         header["camera"] = camera.model_dump()
+
     if cube.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = _positive(path, "white_cd_per_m2", cube.white_cd_per_m2)
 
@@ -181,6 +184,7 @@ def _from_cube(
         with np.errstate(over="ignore", invalid="ignore"):
             data[:, :, band] = file_values.astype(float) * irradiance_per_value
         _check_band(path, data[:, :, band], file_values, centre_nm)
+
     _check_not_black(path, data.any())
     if outliers := find_outliers(data @ width_nm):
         header[OUTLIERS] = [list(sample) for sample in outliers]
@@ -194,6 +198,7 @@ def _from_cube(
             " neighbours. Remove them at their source"
         )
         warn(Note("light_file", file=path.name, words=words))
+
     _note_bands(path, nm, width_nm)
 
     # The light is taken as uniform within each band.
@@ -261,16 +266,19 @@ def _read_pixsim_exr(
             " keeps it"
         )
         warn(Note("light_file", file=path.name, words=words))
+
     # Check the pictures of the factors: a band that is made of them may be slightly below zero, as
     # may be what rings.
     if image.factors:
         planes = list(image.factors[1])
     else:
         planes = [image.band(band) for band in range(image.wavelength_nm.size)]
+
     for plane, centre_nm in zip(planes, np.resize(image.wavelength_nm, len(planes)), strict=True):
         highest = float(np.nanmax(plane, initial=0.0))
         lowest = lowest_allowed(image.header, highest)
         _check_band(path, plane, plane, float(centre_nm), lowest)
+
     _check_not_black(path, any(plane.any() for plane in planes))
     if image.factors and (image.factors[0] < 0).any() and image.header.get(RINGS) is not True:
         # Single samples are below zero by the noise of a render, whose factors are independent.
@@ -284,6 +292,7 @@ def _read_pixsim_exr(
             raise invalid(
                 f"light in '{path}'", got, "0 or more", "Correct the spectra of its factors."
             )
+
     return image
 
 
@@ -305,6 +314,7 @@ def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
             allowed,
             f"{unit}." if unit else "Remove the bands outside this range.",
         )
+
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
         numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"
@@ -313,11 +323,13 @@ def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
                 f"band widths in '{path}'", width_nm, f"one or {nm.size} positive numbers, in nm"
             )
         return nm, np.broadcast_to(width_nm.astype(float), nm.shape)
+
     if nm.size == 1:
         hint = (
             "Add band_width_nm to the .npz, as an attribute to the EXR, or fwhm to the ENVI header."
         )
         raise invalid(f"band width in '{path}'", "none, for a single band", "a width in nm", hint)
+
     middle = (nm[1:] + nm[:-1]) / 2
     return nm, np.diff(np.concatenate([[2 * nm[0] - middle[0]], middle, [2 * nm[-1] - middle[-1]]]))
 
@@ -350,6 +362,7 @@ def _agreed_unit(
             "the same unit",
             "Leave units (--units) out.",
         )
+
     if not unit.spectral:
         raise invalid(
             name,
@@ -357,6 +370,7 @@ def _agreed_unit(
             foreign.ALLOWED_UNITS,
             foreign.HOW_TO_STATE,
         )
+
     return unit, text
 
 
@@ -384,6 +398,7 @@ def _agreed_pitch(
             "the pitch of the samples on the sensor in µm",
             hint,
         )
+
     values = list(pitches.values())
     if not np.allclose(values, values[0], rtol=_PITCH_TOLERANCE, atol=0.0):
         got = ", ".join(f"{pitch:.9g} µm by {source}" for source, pitch in pitches.items())
@@ -393,6 +408,7 @@ def _agreed_pitch(
             f" {die_mm:.9g})."
         )
         raise invalid(f"pitch of '{path}'", got, "equal pitches", hint)
+
     return values[0]
 
 
@@ -401,6 +417,7 @@ def _positive(path: Path, what: str, value: object) -> float:
         number = float(np.asarray(value).item())
     except (TypeError, ValueError):
         number = np.nan
+
     low, high = PICTURE_BOUNDS[what]
     if not low <= number <= high:
         got = "no number" if np.isnan(number) else f"{number:g}"

@@ -90,6 +90,7 @@ class Glass:
         else:
             fits = count % 2 == 1
             expected = "an odd number of finite numbers: c1, then pairs"
+
         if self.formula == 4:
             fits = fits and count > _POLES
             expected += f", at least {_POLES + 1} for formula 4"
@@ -104,6 +105,7 @@ class Glass:
         """
         wavelength_um = np.asarray(wavelength_nm, float) / 1e3
         low, high = self.range_um
+
         # A line given in nm may differ from the end of a range in µm by a rounding.
         above_low = (wavelength_um >= low * (1 - 1e-12)) & (wavelength_um > 0)
         inside = above_low & (wavelength_um <= high * (1 + 1e-12))
@@ -124,6 +126,7 @@ class Glass:
             n = self._index_of_formula(wavelength_um)
             if any(self.shift):
                 n = n + self.shift[0] + self.shift[1] / wavelength_um**2
+
         low_n, high_n = _INDEX_RANGE
         plausible = (n >= low_n) & (n <= high_n)
         if not np.all(plausible):
@@ -133,6 +136,7 @@ class Glass:
                 f"{low_n:g} to {high_n:g}",
                 "Check its coefficients.",
             )
+
         return np.asarray(n)
 
     def _index_of_formula(self, wavelength_um: Array) -> Array:
@@ -290,6 +294,7 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
             got,
             f"n_d above 1, and V_d from {low:g} to {high:g}",
         )
+
     wider = (n + n_d - 1) / (abbe + v_d) - (n_f - n_c)
     b = wider / (LINES_UM["F"] ** -2 - LINES_UM["C"] ** -2)
     name = f"{glass.name}, n_d {n_d:+g}, V_d {v_d:+g}"
@@ -419,6 +424,7 @@ def _listed_names(
             ", ".join(names),
             f"Glasses of one name differ between makers. {hint}".strip(),
         )
+
     words = (
         f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim"
         f" lacks ({', '.join(names_in(unknown_catalogues))})"
@@ -479,6 +485,7 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
         encodings = ["utf-16-be"]
     else:
         encodings = ["utf-8-sig", "latin-1"]
+
     if encodings[0].startswith("utf-16") and len(content) % 2:
         content = content[:-1]  # a file that was cut, or that an editor ended with one byte
     for encoding in encodings:
@@ -486,9 +493,11 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
             text = content.decode(encoding)
         except UnicodeDecodeError:
             continue
+
         text = text.rstrip("\0\x1a\r\n\t ")  # old files end with Ctrl-Z, or are filled up
         if not re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
             return text
+
     raise invalid(what, f"'{path}', a binary file", f"{expected} in UTF-8 or UTF-16")
 
 
@@ -545,12 +554,14 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
             raise invalid(
                 f"{where}: formula", formula, f"{min(_AGF_FORMULAS)} to {max(_AGF_FORMULAS)}"
             )
+
         c = [*parts.get("CD", ()), *([0.0] * _AGF_NUMBERS)][:_AGF_NUMBERS]
         limits = tuple(parts.get("LD", ())[:2])
         if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
             raise invalid(
                 f"{where}: LD", limits or "none", "two wavelengths in µm, the shorter first"
             )
+
         check_coefficients(c, f"{where}: CD")
         full = f"{path.stem.upper()}:{one_line(name)}"
         kind, coefficients = _AGF_FORMULAS[formula](c)
@@ -564,6 +575,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
                     f"{n_d:g}, as its line NM states",
                     "Check the file.",
                 )
+
         glasses[full] = glass
 
     lines = lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES))
@@ -582,6 +594,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
         except (ValueError, IndexError, OverflowError):
             got = f"{keyword} with {excerpt(' '.join(words))}"
             raise invalid(f"'{path}', line {number}", got, f"{keyword} as in an AGF file") from None
+
     finish()
     if not glasses:
         raise invalid("lens.glass_catalogues", f"'{path}' without a glass (line NM)", expected)

@@ -145,6 +145,7 @@ class PrescriptionOptions(Record):
                 for name in READING_OPTIONS
                 if getattr(self, name) == prescription_fields[name].default
             }
+
         if self.focus_nm is None:
             unused.add("focus_nm")
         unused |= {

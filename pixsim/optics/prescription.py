@@ -228,6 +228,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
             f"{', '.join(packaged_lenses)}; or the path of a {' or '.join(READERS)} file",
             hint,
         )
+
     options = options or PrescriptionOptions()
     user_glasses: dict[str, Glass] = {}
     for name in options.glass_catalogues:
@@ -243,6 +244,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
             reason=f"no glass of lens '{prescription.name}' is theirs",
         )
         return replace(prescription, notes=(*prescription.notes, note))
+
     return prescription
 
 
@@ -356,6 +358,7 @@ def _check_surface(surface: Surface, name: str) -> None:
                 f"finite terms A2 to A{MAX_POWER}, by the power of r",
                 hint,
             )
+
         min_size = _MIN_SAG_MM / _MAX_LENGTH_MM**power
         if 0 < abs(value) < min_size:
             allowed = f"0, or at least {min_size:.1g} in size"
@@ -422,6 +425,7 @@ class _GlassTable(Record):
                 " and ".join(begun) or "neither",
                 f"exactly one of: {'; '.join(descriptions)}",
             )
+
         if self.n is not None:
             return constant_glass(name, self.n)
         if self.n_d is not None and self.v_d is not None:
@@ -433,6 +437,7 @@ class _GlassTable(Record):
                 f"{low:g} to {high:g}",
                 "two wavelengths in µm, the shorter first",
             )
+
         assert self.formula is not None
         assert self.coefficients is not None
         numbers = self.coefficients
@@ -445,6 +450,7 @@ class _GlassTable(Record):
                 "c1, then pairs",
                 "A glass of one index is n = 1.5.",
             )
+
         return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
 
 
@@ -557,6 +563,7 @@ def _read_toml(
             options.configuration,
             f"1: '{path}' has one configuration, as every .toml file",
         )
+
     zmx_options = ("semi_diameters", "vignetting_factors", "unknown_glass")
     unused = [
         name
@@ -602,6 +609,7 @@ def _read_toml(
             )
         except PixsimError as error:
             unknown.append(str(error))
+
     if unknown:
         raise PixsimError("\n".join(unknown))
     surfaces = tuple(
@@ -663,6 +671,7 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
                 f"{radius:g}",
                 f"at least {1 / _MAX_LENGTH_MM:g} in size; inf for a plane",
             )
+
         if curvature is not None and not math.isclose(
             radius_curvature, curvature, rel_tol=_AGREEMENT, abs_tol=1e-15
         ):
@@ -673,13 +682,16 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
                 "the reciprocal of the curvature",
                 "Leave one of them out.",
             )
+
         curvature = radius_curvature if curvature is None else curvature
+
     if curvature is None:
         raise invalid(
             f"{where}: curvature_per_mm and radius_mm",
             "neither",
             "one of them; radius_mm = inf for a plane",
         )
+
     asphere = []
     for name, value in table.asphere.items():
         if not re.fullmatch(r"A\d{1,2}", name):
@@ -690,6 +702,7 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
             )
         if value:
             asphere.append((int(name[1:]), value))
+
     return Surface(
         curvature,
         table.thickness_mm,
@@ -713,6 +726,7 @@ def _toml_glass(
         if not 1 <= value <= 10:
             raise invalid(f"{where}: glass", f"{value:g}", "an index from 1 to 10, or a name")
         return constant_glass(f"n = {value:g}", value)
+
     if value in file_glasses:
         return file_glasses[value].glass(one_line(value), where)
     if value.lower() == "air":
@@ -721,6 +735,7 @@ def _toml_glass(
         raise invalid(
             f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors"
         )
+
     if six_digit_glass := code_glass(value):
         return six_digit_glass
     near = did_you_mean(value, [*filter(_is_plain, user_glasses), *catalogue()])
@@ -842,6 +857,7 @@ def _read_zmx(
             f"{len(blocks)} surfaces (lines SURF)",
             "an object, at least one surface, and an image plane",
         )
+
     if (mode := head.first("MODE")) and mode.words[:1] not in ([], ["SEQ"]):
         got = f"MODE with {excerpt(' '.join(mode.words))}"
         raise invalid(f"'{path}', line {mode.number}", got, "MODE SEQ, sequential surfaces")
@@ -883,6 +899,7 @@ def _read_zmx(
             replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance)))
             for row in vignetting
         )
+
     usage = options.vignetting_factors
     if usage is None:
         usage = "ignore" if any(surface.clips for surface in surfaces) else "use"
@@ -1005,6 +1022,7 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
             got,
             f"SURF 0 to SURF {len(blocks) - 1}, without a gap: SURF {missing[0]} is missing",
         )
+
     return head, [blocks[number] for number in range(len(blocks))], operands
 
 
@@ -1021,6 +1039,7 @@ def _new_surface(path: Path, line: _Line, blocks: dict[int, _Block]) -> _Block:
             f"SURF {number} a second time" if is_second else "SURF without a number",
             "SURF with the number of each surface, from 0, once",
         )
+
     if len(blocks) > _MAX_SURFACES + 1:
         raise invalid(f"'{path}', line {line.number}", "more surfaces", f"at most {_MAX_SURFACES}")
     blocks[number] = _Block(line=line.number, number=number)
@@ -1069,6 +1088,7 @@ def _set_configuration(
                 f" lens.configuration = {1 + active % count} reads another"
             )
         return []
+
     if configuration > count:
         range_words = "1, its only one" if count == 1 else f"1 to {count}, of '{path}'"
         raise invalid("lens.configuration", configuration, range_words)
@@ -1091,6 +1111,7 @@ def _set_configuration(
             _set_operand(path, head, blocks, operand, value)
         elif not is_same:
             unread.append(f"{keyword} {target} (line {operand.number})")
+
     if unread:
         expected = f"operands {', '.join(sorted(_READ_OPERANDS))}"
         hint = (
@@ -1098,6 +1119,7 @@ def _set_configuration(
             " again."
         )
         raise invalid(f"'{path}': configuration {configuration}", ", ".join(unread), expected, hint)
+
     return _solved_surfaces(path, blocks[1:-1])
 
 
@@ -1176,12 +1198,14 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
         value = float(text)
     except ValueError:
         value = math.nan
+
     if not math.isfinite(value):
         raise invalid(
             f"{where}, line {line.number}: {line.keyword}",
             excerpt(text),
             "a finite number, with a decimal point",
         )
+
     return value
 
 
@@ -1197,6 +1221,7 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
             "an object in air",
             "Delete the line to have the lens in air, which is another lens.",
         )
+
     curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
     if _surface_type(block) != "STANDARD" or curved:
         got = (
@@ -1204,6 +1229,7 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
             f" {names_in([_surface_type(block)])[0]}{' that is curved' if curved else ''}"
         )
         raise invalid(where, got, "a plane object, STANDARD")
+
     line = block.first("DISZ")
     if line is None or not line.words or line.words[0].upper() == "INFINITY":
         return math.inf
@@ -1216,6 +1242,7 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
         raise invalid(
             where, f"an object at {distance:g}", "a real object, in front of the lens", hint
         )
+
     telecentric = head.first("FTYP")
     if distance < FAR and telecentric and _zmx_number(f"'{path}'", telecentric, 1, 0.0):
         where = f"'{path}', line {telecentric.number}: FTYP"
@@ -1236,10 +1263,12 @@ def _check_image(path: Path, block: _Block) -> None:
         raise invalid(
             where, f"an image of curvature {float(curvature.words[0]):g}", "a plane image"
         )
+
     if kind and kind.words and kind.words[0].upper() != "STANDARD":
         raise invalid(
             where, f"an image of the type {quoted(' '.join(kind.words))}", "a plane image, STANDARD"
         )
+
     if (glass := block.first("GLAS")) and glass.words:
         raise invalid(
             where,
@@ -1304,10 +1333,12 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
     elif kind not in STEP:
         what = ", a gradient index" if kind.startswith(_GRADIENTS) else ""
         yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, _HOW_TRACED)
+
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
             expected = "refracting surfaces: pixsim traces no mirrors"
             yield invalid(f"{where}, line {glass.number}: GLAS", "'MIRROR', a mirror", expected)
+
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
         yield invalid(
             where,
@@ -1315,6 +1346,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
             "surfaces in use",
             "Delete it in the lens data editor.",
         )
+
     for tilt in block.all("SCBD"):
         if any(_is_number(word) and float(word) for word in tilt.words[1:]):
             yield invalid(
@@ -1322,12 +1354,14 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 "a tilted or decentred surface (SCBD)",
                 "surfaces on the axis",
             )
+
     for other in block.all(*_OTHER_APERTURES):
         yield invalid(
             f"{where}, line {other.number}",
             f"{other.keyword}, a {_OTHER_APERTURES[other.keyword]}",
             "discs: CLAP or FLAP",
         )
+
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
             yield invalid(
@@ -1335,6 +1369,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 "a decentred aperture (OBDC)",
                 "apertures on the axis",
             )
+
     for aperture in block.all("CLAP", "FLAP"):
         if _zmx_number(where, aperture, 0, 0.0):
             yield invalid(
@@ -1342,6 +1377,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 f"{aperture.keyword} with a hole inside",
                 "full discs, from radius 0",
             )
+
     if kind in _EXTENDED:
         stated, extra = (
             [term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)]
@@ -1385,6 +1421,7 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
             raise invalid(
                 f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0"
             )
+
         terms = {number - 2: value for number, value in extra.items() if number > 2 and value}
         if beyond := [number for number in terms if number > count]:
             where = where.partition(", ")[2]
@@ -1392,6 +1429,7 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
                 f"{where}: XDAT 1 states {count} terms; {len(beyond)} beyond are not used, as in"
                 " OpticStudio"
             )
+
         asphere = [
             (step * number, _over_power(value, radius, step * number))
             for number, value in terms.items()
@@ -1443,6 +1481,7 @@ def _fixed_semi_diameters(
             and not surface.clips
         ):
             indices.append(index)
+
         medium = surface.glass
     return tuple(indices)
 
@@ -1485,11 +1524,13 @@ def _zmx_glasses(
             else:
                 unknown.append(f"{error} {_how_to_use_numbers(line)}")
                 glasses.append(AIR)
+
     if modelled:
         notes.append(
             "glasses that no catalogue has are models of the n_d and V_d in their lines:"
             f" {', '.join(modelled)}"
         )
+
     if unknown:
         raise PixsimError("\n".join([*unknown, _HOW_TO_ADD_CATALOGUE]))
     return glasses
@@ -1530,9 +1571,11 @@ def _zmx_glass(
                 f"n_d = {n_d:g}, V_d = {v_d:g}",
                 f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}",
             )
+
         if v_d == 0:
             return constant_glass(f"n = {n_d:g}", n_d)
         return abbe_glass(_model_name(n_d, v_d), n_d, v_d)
+
     if glass := code_glass(name):
         return glass
     glass = find_glass(name, at, makers, user_glasses=user_glasses, numbers=_stated_numbers(line))
@@ -1557,12 +1600,14 @@ def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, fl
                 "OBNA with 0: the numerical aperture, or ENPD or FNUM",
             )
         return "object_numerical_aperture", _zmx_number(where, line)
+
     if head.first("FLOA"):
         if stop.semi_diameter_mm is None:
             raise invalid(
                 f"aperture of {where}", "FLOA, and no DIAM of the stop", "a stop with a size"
             )
         return "stop_diameter", 2 * stop.semi_diameter_mm
+
     expected = (
         "ENPD (entrance pupil), FNUM (f-number), OBNA (numerical aperture) or FLOA (size of the"
         " stop)"
@@ -1602,6 +1647,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
                 "0 (angles), 1 (object heights), 2 or 3 (paraxial or real image heights)",
             )
         kind = 0
+
     if _FIELD_KINDS[kind] == "object_height" and object_distance >= FAR:
         if largest and math.isinf(object_distance):
             raise invalid(
@@ -1610,6 +1656,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
                 "angles (FTYP 0), or a finite DISZ under SURF 0",
             )
         return "angle_deg", math.degrees(math.atan2(largest, object_distance))
+
     return _FIELD_KINDS[kind], largest
 
 
@@ -1649,12 +1696,14 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
         decentre = -along if _FIELD_KINDS.get(kind) == "object_height" else along
         semi_across, semi_along = (1 - cy, 1 - cx) if x else (1 - cx, 1 - cy)
         rows.setdefault(size, Vignetting(size, decentre, across=semi_across, along=semi_along))
+
     if unused:
         numbers = ", ".join(map(str, unused))
         notes.append(
             f"vignetting factors of the fields {numbers} are not used: they are not symmetric to"
             " the plane of their field"
         )
+
     sorted_rows = tuple(rows[size] for size in sorted(rows))
     has_factors = any(row != Vignetting(row.field_value) for row in sorted_rows)
     return sorted_rows if has_factors else ()

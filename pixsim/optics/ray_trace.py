@@ -114,6 +114,7 @@ def intersect(rays: Rays, surface: Surface, index: float | Array) -> Rays:
         on_sheet = (1 + k) * c * step * ray_n < 1
         if not on_sheet.all():
             step = np.where(on_sheet, step, np.nan)
+
     if surface.asphere:
         step = _aspheric_step(surface, x, y, ray_l, ray_m, ray_n, step)
 
@@ -183,6 +184,7 @@ def _series(asphere: Sequence[tuple[int, float]], square: Array) -> tuple[Array,
         if term := terms.get(power, 0.0):
             value += term
             derivative += power * term
+
     return value, derivative
 
 
@@ -199,9 +201,11 @@ def refracted(rays: Rays, surface: Surface, before: float | Array, behind: float
             _, slope = sag_and_slope(surface, rays.x * rays.x + rays.y * rays.y)
         else:
             slope = c / (1 - (1 + k) * c * rays.z)
+
         normal_x, normal_y = -slope * rays.x, -slope * rays.y
         normal = 1 / np.sqrt(1 + normal_x * normal_x + normal_y * normal_y)
         cosine = (rays.n + normal_x * rays.l + normal_y * rays.m) * normal
+
     # Γ = cos t - μ cos i; a root of a negative number is total reflection.
     gamma = np.sqrt(1 - ratio * ratio * (1 - cosine * cosine)) - ratio * cosine
     l, m, n = ratio * rays.l, ratio * rays.m, ratio * rays.n  # noqa: E741
@@ -210,6 +214,7 @@ def refracted(rays: Rays, surface: Surface, before: float | Array, behind: float
     else:
         gamma = gamma * normal
         l, m, n = l + gamma * normal_x, m + gamma * normal_y, n + gamma  # noqa: E741
+
     return Rays(rays.x, rays.y, rays.z, l, m, n, rays.path_mm, rays.passed)
 
 

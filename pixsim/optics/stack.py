@@ -94,6 +94,7 @@ class Stack:
                 expected,
                 "A photodiode lies within its pixel.",
             )
+
         if self.shift_um != "optimal" and not max(map(abs, self.shift_um)) <= self.pitch_um / 2:
             expected = f"at most half of pitch_um = {self.pitch_um:g} along x and y"
             hint = (
@@ -101,6 +102,7 @@ class Stack:
                 " the field."
             )
             raise invalid("shift_um", self.shift_um, expected, hint)
+
         if self.microlens and not self.height_um >= MIN_LENS_HEIGHT * self.pitch_um:
             expected = (
                 f"at least p/√π = {MIN_LENS_HEIGHT * self.pitch_um:.6g} under a microlens on a"
@@ -314,6 +316,7 @@ def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Ar
             "light that does not reach the photodiode at all",
             "a smaller angle, a shift or a lower stack",
         )
+
     return side, -landing / 2, weight / collected
 
 
@@ -333,12 +336,14 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
             " where the scalar model of its diffraction is doubtful; it is 1 at a pitch of"
             f" {pitch_um:.3g} µm, or with a height of {height_um:.3g} µm"
         )
+
     farthest_um = float(np.abs(stack.shifts_um(pupil.chief_cosines)).max(initial=0.0))
     if farthest_um > stack.pitch_um / 2:
         limits.append(
             f"the optimal shift reaches {farthest_um:.3g} µm, more than half of the pitch of"
             f" {stack.pitch_um:g} µm: take a lens with a smaller chief ray angle, or a lower stack"
         )
+
     return limits
 
 
@@ -364,6 +369,7 @@ def _shares_of_pupil(stack: Stack, pupil: Pupil) -> Array:
         return _shares_of_rays(
             stack, Directions(chief[..., None, :], np.ones((*chief.shape[:-1], 1)), chief)
         )
+
     flat = pupil.flat()
     shares = np.empty((len(flat.centre), OFFSETS.size, OFFSETS.size))
     for first in range(0, len(flat.centre), POINTS):
@@ -446,6 +452,7 @@ def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Arra
         angle = np.arctan2((end - start) * distance, square + start * end)
         rational = (end - start) * (square - start * end) / from_axis2
         result[is_span] = (rational + angle / distance) / (2 * square)
+
     return result
 
 
@@ -626,6 +633,7 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
             else:
                 collected = _interpolated_shares(landing[part] - low, *table)
             result[part, band] = _mean_shares(weight[part], collected)
+
     return result.reshape(*shape, *result.shape[1:])
 
 

@@ -58,6 +58,7 @@ def irradiance_factor(
                 "N (1 + |m|) ≥ 0.5",
                 "A thin lens in air cannot be faster than f/0.5.",
             )
+
         a = tan_alpha**2
         t = tan_field**2
         p = (1 - a) + t
@@ -147,6 +148,7 @@ def thin_lens_pupil(
             "infinity or NaN",
             "finite numbers: a pupil at the horizon sends no light",
         )
+
     outward = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
     sideways = np.stack([-np.sin(azimuth), np.cos(azimuth)], -1)
     tan_alpha = 0.5 / (f_number * (1 + abs(magnification)))
