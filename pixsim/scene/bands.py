@@ -26,9 +26,8 @@ _MIN_SHIFT_NM = 1.0  # shift of the centroid from the band centre below which th
 _PULSES_PER_PASS = 4
 SHAPE_TOLERANCE = 0.1  # error of any band, relative to the brightest band of the same light
 _PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
-_FLANK_STEPS = (
-    2  # zeros at either end of a pulse, so that the film's combined table has no other nodes
-)
+# Zeros at either end of a pulse, so that the film's combined table has no other nodes.
+_FLANK_STEPS = 2
 # regularisation towards linear interpolation between pulses, which limits noise amplification
 STIFFNESS = 1e-4
 # where XYZ must be right: a third of the error with as many pulses, and 3 to 25 % more noise

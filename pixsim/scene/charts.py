@@ -38,9 +38,8 @@ MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 _CSF_STEPS = 2**18
 _CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
-_TEXELS_PER_CYCLE = (
-    32  # at the highest frequency: bilinear interpolation keeps its contrast to 0.3 %
-)
+# At the highest frequency: bilinear interpolation keeps its contrast to 0.3 %.
+_TEXELS_PER_CYCLE = 32
 MAX_LP_PER_MM = (  # scene parameter of the CSF chart: its highest frequency on the sensor
     "max_lp_per_mm"
 )

@@ -195,9 +195,8 @@ def write_colour_chart(
     beside = resolved(path)
     slides = [beside.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
     nm, radiance = primaries()
-    intensities = (
-        math.pi * PROJECTOR_M**2 * radiance
-    )  # of a screen that reflects all light: L = E/π, E = I/r²
+    # Of a screen that reflects all light: L = E/π, E = I/r².
+    intensities = math.pi * PROJECTOR_M**2 * radiance
     cutoff_deg = math.degrees(math.atan(_BEAM / PROJECTOR_M))
     projectors = [
         _PROJECTOR.format(

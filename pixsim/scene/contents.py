@@ -339,9 +339,8 @@ _METAL_COSINES = (1.0, 0.7, 0.3)
 MAX_POWER = 3  # of a reflectance, for interreflections of similar surfaces; higher orders are weak
 _TO_AND_FRO = (0.5, 0.8, 0.95)
 _MAX_PRODUCTS = 160
-_MAX_SPECTRA = (
-    256  # of surfaces; more take longer to plan than a pass for every band takes to render
-)
+# Of surfaces; more take longer to plan than a pass for every band takes to render.
+_MAX_SPECTRA = 256
 _NEUTRAL_SPREAD = 1e-6
 
 

@@ -24,10 +24,8 @@ MAX_BYTES = 2 << 30
 # Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the
 # lens, and of paths.
 CHART_SAMPLES, PATH_SAMPLES = 1 << 27, 20_000_000
-BYTES_PER_CELL, BYTES_PER_VALUE = (
-    48,
-    24,
-)  # float64 light, its transforms and integrals; each pulse in two halves and the result
+# Float64 light, its transforms and integrals; each pulse in two halves and the result.
+BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 _STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error

@@ -14,10 +14,8 @@ from pixsim.base.errors import invalid
 from pixsim.light.quantities import ILLUMINANCE
 from pixsim.scene.contents import Lamp
 
-_ALLOWED_LUX = (
-    1e-9,
-    1e9,
-)  # starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light
+# Starlight has 1e-4, the sun 1e5; beyond, float32 would not hold all of the light.
+_ALLOWED_LUX = (1e-9, 1e9)
 _BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
 
 

@@ -185,16 +185,13 @@ class CachedRenders:
 Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 _SAMPLES_PER_KERNEL = 1 << 25
-SAMPLES_TOGETHER = (
-    1 << 22
-)  # of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart
-_CELLS_PER_KERNEL = (
-    1 << 23
-)  # memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare
+# Of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart.
+SAMPLES_TOGETHER = 1 << 22
+# Memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare.
+_CELLS_PER_KERNEL = 1 << 23
 _SCALAR_STRIPS = 16
-_SAMPLES_PER_STRIP = (
-    1 << 16
-)  # of scalar variants; with fewer, the start of a render takes longer than the samples
+# Of scalar variants; with fewer, the start of a render takes longer than the samples.
+_SAMPLES_PER_STRIP = 1 << 16
 # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
 _SPP_PER_RENDER = 4096
 _BLACK_HINT = (
@@ -208,9 +205,8 @@ _PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and o
 # the number of samples of a strip, modulo 2³². Consecutive runs take consecutive seeds.
 _SEED_STRIDE = 2654435761
 _LEVEL_STRIDE = 1000003
-LEVEL_FACTOR = (
-    4  # keeps sample counts for which the result is the same bit for bit on any number of threads
-)
+# Keeps sample counts for which the result is the same bit for bit on any number of threads.
+LEVEL_FACTOR = 4
 
 
 class _FilmRows(NamedTuple):
@@ -308,10 +304,8 @@ class Renderer:
             check_resolution(side)
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.margin = plan.film.margin(self.size, self.pitch_um)
-        self.field = (
-            self.size[0] + 2 * self.margin,
-            self.size[1] + 2 * self.margin,
-        )  # cells that are rendered
+        # Cells that are rendered.
+        self.field = (self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin)
         self.on_axis = (
             float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
             * camera.transmittance

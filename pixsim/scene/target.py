@@ -24,9 +24,8 @@ from pixsim.optics.camera import Camera
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
 SIZES = ("size_mm", "size_mrad", "size_um")
 _BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
-_MIN_STEP = (
-    1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
-)
+# Of the background: float32 holds a smaller change with an error of more than 0.6 %.
+_MIN_STEP = 1e-5
 
 
 class Target(Record):

@@ -24,22 +24,15 @@ if TYPE_CHECKING:
     import mitsuba
     from mitsuba.parser import ParserState
 
-REFERENCES = (
-    "ResolvedReference",
-    "Reference",
-    "Object",
-)  # kinds of properties that are other nodes
+# Kinds of properties that are other nodes.
+REFERENCES = ("ResolvedReference", "Reference", "Object")
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
 _MAX_NESTED = 24  # references within references
 _MIN_VOLUME = 1e-200  # of a transformed unit cube
-_LIKELY_NM = (
-    150.0,
-    3000.0,
-)  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
-MAX_SMALL, SMALL_TREES = (
-    1 << 16,
-    32,
-)  # characters of a scene whose tree stays in memory, and how many do
+# Of a table: one whose numbers are so in another unit, and not in nm, has that unit.
+_LIKELY_NM = (150.0, 3000.0)
+# Characters of a scene whose tree stays in memory, and how many do.
+MAX_SMALL, SMALL_TREES = 1 << 16, 32
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
 # of renders, each with four times the samples of the one before; of its radiance, where none
 # follows
-LEVELS, NOISE = (6, 1e-3)
+LEVELS, NOISE = 6, 1e-3
 SEED = 0
 
 

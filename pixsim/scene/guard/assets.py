@@ -20,10 +20,8 @@ from pixsim.scene.mitsuba import mitsuba_folder
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?")
 _NO_METAL = "none"
 _ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
-MIN_PLAIN, MAX_PLAIN = (
-    -5,
-    16,
-)  # powers of ten between which numbers are written without an exponent, as Python's floats
+# Powers of ten between which numbers are written without an exponent, as Python's floats.
+MIN_PLAIN, MAX_PLAIN = -5, 16
 
 
 def check_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:

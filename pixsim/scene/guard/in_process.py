@@ -32,15 +32,10 @@ if TYPE_CHECKING:
     )
     from mitsuba.parser import ParserConfig, ParserState
 
-_SCALAR_BLOCK = (
-    32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
-)
-OF_THE_LENS = (
-    "focal_length",
-    "fov_axis",
-    "aperture_radius",
-    "focus_distance",
-)  # properties that the camera states
+# Fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads.
+_SCALAR_BLOCK = 32
+# Properties that the camera states.
+OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
 
 
 _loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = (
@@ -181,9 +176,8 @@ class InProcessTracer:
             draws.set_samples_per_wavefront(spp)
             draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
             index = dr.arange(mi.UInt32, cells * count * spp)
-            sequence = (
-                index // spp
-            )  # of samples that the sampler stratifies: those of a pass in a cell
+            # Of samples that the sampler stratifies: those of a pass in a cell.
+            sequence = index // spp
             cell = sequence // count
             group, row = sequence - cell * count, cell // width
             corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))

@@ -19,6 +19,7 @@ from pixsim.scene.guard.plate import with_plate
 from pixsim.scene.guard.plugins import PLUGINS, Plugin, PropertyRule
 from pixsim.scene.guard.strength import with_strength
 
+# Elements of properties.
 VALUES = (
     "float",
     "integer",
@@ -29,7 +30,7 @@ VALUES = (
     "vector",
     "spectrum",
     "transform",
-)  # elements of properties
+)
 _STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 # Why some plugins of Mitsuba are not in the table.
 REASONS = {

@@ -156,8 +156,19 @@ _SHAPE_CHILDREN, _SENSOR_CHILDREN = (
     ("film", "sampler", "medium"),
 )
 _SCENE_CHILDREN = (
-    "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
-)  # fmt: skip
+    "sensor",
+    "film",
+    "sampler",
+    "rfilter",
+    "integrator",
+    "emitter",
+    "shape",
+    "bsdf",
+    "texture",
+    "medium",
+    "phase",
+    "volume",
+)
 
 # Kind -> name -> plugin.
 PLUGINS: dict[str, dict[str, Plugin]] = {
