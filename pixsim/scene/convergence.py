@@ -120,42 +120,51 @@ def render_until(
     time limit leaves no picture.
     """
     begun_s = time.monotonic()
-    ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
-    job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
-    _ = job.diffuser  # now: behind the renders no time may be left for a white plate
+    ends_at_s = None
+    if max_seconds is not None:
+        ends_at_s = begun_s + (1 + GRACE) * max_seconds + GRACE_S
+    renderer = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
+    _ = renderer.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
-        pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
+        pictures, spp = renderer.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
-        return job.image(pictures, spp, render_noise=asdict(noise)), noise
+        return renderer.image(pictures, spp, render_noise=asdict(noise)), noise
 
     derived = [
         derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
         for pixel in pixels
     ]
-    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
+
+    # Limits, of the time or of the samples. Where the same renders ran out of time before, their
+    # number is the limit.
+    pixel_content = [
+        [physics.pixel.model_dump(), physics.technology.content] for physics in derived
+    ]
     limits = content_hash(
-        [sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
+        [pixel_content, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
     )
-    runs_in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
-    max_samples = math.inf
-    if max_seconds is None:
-        max_samples = plan.most_samples / (
-            PAIR * math.prod(job.size) * plan.light.passes
-        )  # per film cell
+    runs_in_time = None
+    if renderer.cache and max_seconds is not None:
+        runs_in_time = renderer.cache.runs_in_time(limits)
+    max_samples = _max_samples(renderer) if max_seconds is None else math.inf
+    has_long_paths = plan.many_bounces and max_seconds is None
+    # Samples that a half is expected to need, before its noise is known
+    needed = max_samples if has_long_paths else UNKNOWN * plan.samples.spp
 
     halves: list[list[Array]] = [[], []]
-    runs, level, at_level = 0, 0 if max_seconds is None else _FIRST_LEVEL, 0
+    runs = 0
     weight, samples = 0.0, 0  # samples per film cell of each half, and of both
+    level = 0 if max_seconds is None else _FIRST_LEVEL
+    pairs_at_level = 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    needed = (
-        max_samples if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
-    )
-    note, progress = "", progress and _never_back(progress)
+    note = ""
+    progress = progress and _never_back(progress)
     ended: _EndedBy | None = None
     while ended is None:
-        pair = _pair(job, runs, level, weight, needed, progress, note)
+        pair = _pair(renderer, runs, level, weight, needed, progress, note)
         try:
-            renders = pair if max_seconds is None else [*pair]  # all of it or nothing
+            # With a time limit, all of a pair counts or nothing.
+            renders = pair if max_seconds is None else [*pair]
         except OutOfTimeError:
             if not runs:
                 raise
@@ -166,50 +175,74 @@ def render_until(
             halves[number] = halves[number] or [zeros(picture.shape) for picture in pictures]
             _add(halves[number], pictures, spp)
             del pictures  # or it would be a third picture in memory
-            runs, samples = runs + 1, samples + spp
-        weight, at_level = weight + spp, at_level + 1
+            runs += 1
+            samples += spp
+        weight += spp
+        pairs_at_level += 1
 
-        fraction, relative = noise_of(job, halves, weight, derived, exposure)
-        delta_e = _halves_delta_e(
-            job, halves, weight, delta_e_between if tolerance_delta_e else None
-        )
+        # Noise
+        fraction, relative = noise_of(renderer, halves, weight, derived, exposure)
+        measure = delta_e_between if tolerance_delta_e else None
+        delta_e = _halves_delta_e(renderer, halves, weight, measure)
         noise = RenderNoise(
             fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e
         )
-        is_far = noise.excess**2 > LEVEL_FACTOR / 2
+
+        # Samples of the next pair
         samples_left = max_samples - weight
-        if level < 0 or (
-            is_far
-            and at_level >= PAIRS_A_LEVEL
-            and spp < MAX_SPP
-            and spp * LEVEL_FACTOR <= samples_left
-        ):
-            level, at_level = level + 1, 0
+        if level < 0 or _needs_more_samples(noise, spp, pairs_at_level, samples_left):
+            level += 1
+            pairs_at_level = 0
+
+        # End
         spent_s = time.monotonic() - begun_s
-        is_late = max_seconds is not None and (
-            runs >= runs_in_time if runs_in_time else spent_s > max_seconds
-        )
+        is_late = spent_s > max_seconds if max_seconds is not None else False
+        if runs_in_time:
+            is_late = runs >= runs_in_time
         ended = _ended_by(noise, no_samples_left=spp > samples_left, is_late=is_late)
         noise = replace(noise, ended_by=ended or "target")
 
+        # Progress
         note = f", render noise {noise.fraction:.2g} of sensor noise"
         needed = min(noise.excess**2 * weight, max_samples)
         if max_seconds is not None:
             needed = min(needed, weight * max_seconds / max(spent_s, 1e-9))
-            job.ends_at_s = begun_s + max_seconds  # there is a picture now
-    if ended == "max_seconds" and job.cache:
-        job.cache.store_runs_in_time(limits, runs)
+            renderer.ends_at_s = begun_s + max_seconds  # there is a picture now
+
+    if ended == "max_seconds" and renderer.cache:
+        renderer.cache.store_runs_in_time(limits, runs)
     if noise.delta_e is None:
-        noise = replace(noise, delta_e=_halves_delta_e(job, halves, weight, delta_e_between))
+        delta_e = _halves_delta_e(renderer, halves, weight, delta_e_between)
+        noise = replace(noise, delta_e=delta_e)
     if ended != "target":
         warn(_limit_note(ended, plan, noise, max_seconds))
+
     _average(halves[0], halves[1], weight)
     halves.pop()
-    rounded = {
+    entry = {
         key: float(f"{value:.6g}") if isinstance(value, float) else value
         for key, value in asdict(noise).items()
     }
-    return job.image(halves[0], samples, render_noise=rounded), noise
+    return renderer.image(halves[0], samples, render_noise=entry), noise
+
+
+def _max_samples(renderer: Renderer) -> float:
+    """Return the limit of the samples per film cell of each half."""
+    plan = renderer.plan
+    return plan.most_samples / (PAIR * math.prod(renderer.size) * plan.light.passes)
+
+
+def _needs_more_samples(
+    noise: RenderNoise, spp: int, pairs_at_level: int, samples_left: float
+) -> bool:
+    """Return whether the next pair has four times the samples: far from the target, after some
+    pairs with as many, and within the limits.
+
+    spp, samples_left : samples per film cell of a render, and those that a half may still have
+    """
+    is_far = noise.excess**2 > LEVEL_FACTOR / 2
+    may_grow = spp < MAX_SPP and spp * LEVEL_FACTOR <= samples_left
+    return is_far and may_grow and pairs_at_level >= PAIRS_A_LEVEL
 
 
 def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:
@@ -238,7 +271,7 @@ def _never_back(progress: Progress) -> Progress:
 
 
 def _pair(
-    job: Renderer,
+    renderer: Renderer,
     runs: int,
     level: int,
     weight: float,
@@ -250,11 +283,11 @@ def _pair(
 
     weight, needed : samples per film cell of the renders before, and those that are needed
     """
-    spp = job.plan.samples.spp * LEVEL_FACTOR**level
+    spp = renderer.plan.samples.spp * LEVEL_FACTOR**level
     total = max(needed, weight + spp)
     for number in range(PAIR):
         first, last = ((weight + spp * part / PAIR) / total for part in (number, number + 1))
-        yield job.run(runs + number, share_of(progress, first, last, note), level)
+        yield renderer.run(runs + number, share_of(progress, first, last, note), level)
 
 
 def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:
@@ -278,21 +311,21 @@ def _average(first_half: Sequence[Array], second_half: Sequence[Array], weight: 
 
 
 def _halves_delta_e(
-    job: Renderer,
+    renderer: Renderer,
     halves: Sequence[Sequence[Array]],
     weight: float,
     delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None,
 ) -> float | None:
-    """Return half of the mean ΔE between the pictures of two halves; None where it is not asked
-    for, or one of them is black.
+    """Return half of the mean ΔE between the pictures of two halves; None where nobody compares
+    them, or one of them is black.
 
     weight : samples of each half
     """
-    if delta_e_between is None or not all(
-        any(job.has_light(picture) for picture in half) for half in halves
-    ):
+    if delta_e_between is None:
         return None
-    first, second = (job.image(_means(half, weight), 0) for half in halves)
+    if not all(any(renderer.has_light(picture) for picture in half) for half in halves):
+        return None
+    first, second = (renderer.image(_means(half, weight), 0) for half in halves)
     return delta_e_between(first, second) / 2
 
 
@@ -320,24 +353,20 @@ def _limit_note(ended: _EndedBy, plan: Plan, noise: RenderNoise, max_seconds: fl
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
-        remains = "render noise makes up to {} ΔE, {} tolerated".format(
-            *distinct_texts(noise.delta_e, noise.tolerance_delta_e)
+        delta_e, tolerance = distinct_texts(noise.delta_e, noise.tolerance_delta_e)
+        words = (
+            f"{causes[ended]}: render noise makes up to {delta_e} ΔE, {tolerance} tolerated. Raise"
+            " --max-seconds or --tolerance-delta-e"
         )
-        return Note(
-            "render_noise",
-            words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e",
-        )
-    remains = "render noise is {} of the sensor noise, target {}".format(
-        *distinct_texts(noise.fraction, noise.target)
+        return Note("render_noise", words=words)
+
+    fraction, target = distinct_texts(noise.fraction, noise.target)
+    factor = _samples_factor(noise.fraction, noise.target)
+    words = (
+        f"{causes[ended]}: render noise is {fraction} of the sensor noise, target {target}; about"
+        f" {factor:.15g} times as many samples reach it. Raise --max-seconds or --render-noise"
     )
-    factor = (
-        f"; about {_samples_factor(noise.fraction, noise.target):.15g} times as many samples"
-        " reach it"
-    )
-    return Note(
-        "render_noise",
-        words=f"{causes[ended]}: {remains}{factor}. Raise --max-seconds or --render-noise",
-    )
+    return Note("render_noise", words=words)
 
 
 def _samples_factor(noise: float, target: float) -> float:
@@ -353,11 +382,10 @@ Settings = TypeVar("Settings", bound=Effort)
 
 
 def without_clock(settings: Settings, image: SpectralImage) -> Settings:
-    """Return the settings that make the same picture again, whatever the clock says; those asked
-    for if they have no time limit.
+    """Return the settings that make the same picture again, whatever the clock says.
 
     A time limit may have ended the render, whose noise is then the target, and may have chosen the
-    film.
+    film. Settings without a time limit stay as they are.
 
     settings : with `max_seconds` as the user gave it
     image : of a render with these settings
@@ -367,12 +395,13 @@ def without_clock(settings: Settings, image: SpectralImage) -> Settings:
     noise = image.header["render_noise"]
     no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S, "resolution": image.shape[1]}
     if noise["ended_by"] == "max_seconds":
-        no_limit |= {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
+        no_limit["render_noise"] = noise["fraction"] * (1 + ROUNDING)
+        no_limit["tolerance_delta_e"] = None
     return settings.model_copy(update=no_limit)
 
 
 def noise_of(
-    job: Renderer,
+    renderer: Renderer,
     halves: list[list[Array]],
     weight: float,
     pixels: Sequence[PixelPhysics],
@@ -383,33 +412,48 @@ def noise_of(
 
     Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
     pixels, those of `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
+
+    weight : samples of each half
     """
-    worst = worst_relative = 0.0
+    fractions = [0.0]
+    relatives = [0.0]
     for physics in pixels:
-        side = physics.pitch_um, physics.aperture_side_um
-        parts = measured_parts(job.size, job.pitch_um / physics.pitch_um, job.margin)
-        rates = [
-            [
-                integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side)
-                for part in parts
-            ]
-            for half in halves
-        ]
-        first, second = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
-        rate, error_rate = np.maximum((first + second) / 2, 0.0), (first - second) / 2
+        parts = measured_parts(renderer.size, renderer.pitch_um / physics.pitch_um, renderer.margin)
+        first, second = (_signal_rates(renderer, half, physics, parts) / weight for half in halves)
+        mean_rate = np.maximum((first + second) / 2, 0.0)
+        error_rate = (first - second) / 2
+
         readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
-        time_s = integration_time_s(exposure, readout, float(rate.max()))
-        variance_e2 = (
-            frame_variance_dn2(rate * time_s, time_s, readout, fixed_pattern=False)
-            / readout.dn_per_e**2
-        )
+        time_s = integration_time_s(exposure, readout, float(mean_rate.max()))
+        variance_dn2 = frame_variance_dn2(mean_rate * time_s, time_s, readout, fixed_pattern=False)
         error_e = error_rate * time_s
-        worst = max(worst, math.sqrt(float(np.mean(error_e**2 / variance_e2))))
-        power = float(np.mean((rate * time_s) ** 2))
-        worst_relative = max(
-            worst_relative, math.sqrt(float(np.mean(error_e**2)) / power) if power else 0.0
+        fraction = float(np.mean(error_e**2 / (variance_dn2 / readout.dn_per_e**2)))
+        fractions.append(math.sqrt(fraction))
+        power_e2 = float(np.mean((mean_rate * time_s) ** 2))
+        if power_e2:
+            relatives.append(math.sqrt(float(np.mean(error_e**2)) / power_e2))
+    return max(fractions), max(relatives)
+
+
+def _signal_rates(
+    renderer: Renderer,
+    pictures: Sequence[Array],
+    physics: PixelPhysics,
+    parts: Sequence[tuple[slice, slice]],
+) -> Array:
+    """Return the photocurrents of the pixels in parts of the film, (pixels,) electrons/s, times
+    the weight of the pictures.
+    """
+    rates = [
+        integrate_pixels(
+            _rate(renderer, pictures, physics, part),
+            renderer.pitch_um,
+            physics.pitch_um,
+            physics.aperture_side_um,
         )
-    return worst, worst_relative
+        for part in parts
+    ]
+    return np.concatenate([rate.ravel() for rate in rates])
 
 
 def measured_parts(
@@ -426,18 +470,21 @@ def measured_parts(
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 
     cells_per_pixel = math.ceil(1 / pixels_per_cell)
-    down, across = (
-        spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner)))
-        for count in shape
-    )
     rows, columns = (
-        [slice(part.start + margin, part.stop + margin) for part in side] for side in (down, across)
+        [
+            slice(part.start + margin, part.stop + margin)
+            for part in spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner)))
+        ]
+        for count in shape
     )
     return list(product(rows, columns))
 
 
 def _rate(
-    job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]
+    renderer: Renderer,
+    pictures: Sequence[Picture],
+    physics: PixelPhysics,
+    part: tuple[slice, slice],
 ) -> Array:
     """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory
     for all bands.
@@ -447,16 +494,14 @@ def _rate(
     """
     rows, columns = part
     # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
-    units = np.split(
-        ideal_rate(job.units, physics)[0],
-        np.cumsum([picture.shape[2] for picture in pictures])[:-1],
-    )
+    borders = np.cumsum([picture.shape[2] for picture in pictures])[:-1]
+    units = np.split(ideal_rate(renderer.units, physics)[0], borders)
 
     rate = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     for strip in strips(*rate.shape):
-        which = slice(rows.start + strip.start, rows.start + strip.stop)
+        film_rows = slice(rows.start + strip.start, rows.start + strip.stop)
         for picture, unit in zip(pictures, units, strict=True):
-            rate[strip] += np.einsum("ijp,p->ij", picture[which, columns], unit)
-            release(picture[which, columns])
-        rate[strip] *= job.fall_off(which, columns)
+            rate[strip] += np.einsum("ijp,p->ij", picture[film_rows, columns], unit)
+            release(picture[film_rows, columns])
+        rate[strip] *= renderer.fall_off(film_rows, columns)
     return rate

@@ -57,32 +57,35 @@ def film(
 ) -> dict[str, Any]:
     """Describe a specfilm for some rows: float32 with a box filter, so that cells are means and
     runs are reproducible.
+
+    responses : spectral response of each channel
+    size : (H, W) of the whole film
+    top, bottom : first row, and the row after the last
     """
     height, width = size
-    whole = {
+    description: dict[str, Any] = {
         "type": "specfilm",
         "width": width,
         "height": height,
         "component_format": "float32",
         "rfilter": {"type": "box"},
-    }
-    crop = {
         "crop_offset_x": 0,
         "crop_offset_y": int(top),
         "crop_width": width,
         "crop_height": int(bottom - top),
     }
-    return whole | crop | {f"band{channel}": response for channel, response in enumerate(responses)}
+    for channel, response in enumerate(responses):
+        description[f"band{channel}"] = response
+    return description
 
 
 def film_response(pulse: Pulse) -> dict[str, Any]:
+    """Describe a pulse as the spectral response of a film's channel."""
     return regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
 def passes_of(fit: Fit, span: Span = VISIBLE) -> Passes | None:
-    """Return the passes of a light in a range; None if there is one, or none, which nothing can be
-    shared with.
-    """
+    """Return the passes of a light that are traced together; None if there are fewer than two."""
     if len(fit.passes) < 2:
         return None
     step_nm = fit.pulses[0].step_nm
@@ -98,23 +101,20 @@ KIND = "render"
 
 
 def _hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
-    """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and
-    display act by the plan.
+    """Return a hash of all that a job's runs depend on; pixel and display act by the plan.
+
+    state : parsed for the camera
     """
     lights = []
-    samples = plan.samples
     for light in plan.light.lamps:
         pulses = [
             [pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses
         ]
-        lights.append(
-            [
-                light.lamp.spectrum is None,
-                sorted(light.lamp.pictures.items()),
-                pulses,
-                light.fit.passes,
-            ]
-        )
+        is_unknown = light.lamp.spectrum is None
+        pictures = sorted(light.lamp.pictures.items())
+        lights.append([is_unknown, pictures, pulses, light.fit.passes])
+
+    samples = plan.samples
     settings: list[Any] = [
         samples.lens,
         samples.integrator,
@@ -122,25 +122,23 @@ def _hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: in
         samples.sampler,
         plan.light.regular_tables,
     ]
-    tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
-    size = scene.film_shape(camera, state)
-    margin = plan.film.margin(size, 1e3 * camera.die_mm / size[1])
-    settings += [margin, *plan.film.ends] if margin else []
-    settings.extend(
-        [index, name, table.nodes_nm.tolist(), table.values.tolist()]
-        for index, name, table in plan.light.held
-    )
+    shape = scene.film_shape(camera, state)
+    margin = plan.film.margin(shape, 1e3 * camera.die_mm / shape[1])
+    if margin:
+        settings += [margin, *plan.film.ends]
+    for index, name, table in plan.light.held:
+        settings.append([index, name, table.nodes_nm.tolist(), table.values.tolist()])
     return content_hash(
         [
-            tree,
-            size,
+            hash_of_tree(state),
+            shape,
             scene.sensor_id,
             scene.choice.variant,
             camera.without_veil.model_dump(),
             lights,
             settings,
             seed,
-            version,
+            cache.version_fingerprint("mitsuba", "drjit"),
         ]
     )
 
@@ -148,10 +146,13 @@ def _hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: in
 class CachedRenders:
     """The cached runs of one job: the first ones, as many as fit into the cache's share of one
     entry.
+
+    job : hash of all that its runs depend on
     """
 
     def __init__(self, job: str) -> None:
-        self.job, self.size_bytes = job, 0
+        self.job = job
+        self.size_bytes = 0
 
     def find(self, index: int, level: int) -> tuple[Pictures, int] | None:
         """Return the pictures of a run and its samples per film cell, or None."""
@@ -164,13 +165,18 @@ class CachedRenders:
 
     def store(self, index: int, level: int, pictures: Pictures, spp: int) -> None:
         self.size_bytes += sum(picture.nbytes for picture in pictures)
-        if cache.has_room(self.size_bytes):
-            named = {f"light{number}": picture for number, picture in enumerate(pictures)}
-            cache.store_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
+        if not cache.has_room(self.size_bytes):
+            return
+        content: dict[str, NDArray[Any]] = {"spp": np.array(spp)}
+        for number, picture in enumerate(pictures):
+            content[f"light{number}"] = picture
+        cache.store_arrays(KIND, self._key(index, level), content)
 
     def runs_in_time(self, limits: str) -> int | None:
         """Return the number of runs after which time ran out under the same limits, or None; the
         clock is not reproducible.
+
+        limits : hash of them
         """
         content = cache.arrays(KIND, f"{self.job}-{limits}")
         return None if content is None else int(content["runs"])
@@ -209,9 +215,12 @@ _LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = 4
 
 
-class _FilmRows(NamedTuple):
-    """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows,
-    columns, pulses).
+class _RowTrace(NamedTuple):
+    """The trace of some rows of a film.
+
+    rows : of the film
+    pulses : whose pictures it gives
+    trace : returns the pictures of a seed, (rows, columns, pulses)
     """
 
     rows: slice
@@ -219,14 +228,17 @@ class _FilmRows(NamedTuple):
     trace: Callable[[int], NDArray[np.float32]]
 
 
-class Work(NamedTuple):
-    """Parts of the pictures of a light, each the average of some renders; `spp`: samples per film
-    cell and pass.
+class _LightTraces(NamedTuple):
+    """The traces that give the pictures of a light.
+
+    renders : whose average each picture is
+    spp : samples per film cell and pass, of all renders together
+    rows : traces of the rows of the film
     """
 
     renders: int
     spp: int
-    parts: list[_FilmRows]
+    rows: list[_RowTrace]
 
 
 def render(
@@ -272,8 +284,8 @@ def render(
         if plan is not None and plan.light.plate is None and not plan.light.chart_white:
             got = "a plan that was made without it"
             raise invalid("diffuser", got, "no plan", "Leave `plan` out, or `diffuser`.")
-    job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
-    return job.image(*job.run(0, progress))
+    renderer = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
+    return renderer.image(*renderer.run(0, progress))
 
 
 class Renderer:
@@ -295,67 +307,80 @@ class Renderer:
         ends_at_s: float | None = None,
     ) -> None:
         camera = plan.film.camera_of(camera)
-        self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
-        self.seen, self.distortion = rendered_camera(camera), distortion_of(camera)
-        text = self.text = scene.text_for_camera(self.seen)
-        state = parse_tree(text.text, scene.choice.reading)
-        self.size = scene.film_shape(self.seen, state)
+        self.scene = scene
+        self.camera = camera
+        self.plan = plan
+        self.seed = seed
+        self.ends_at_s = ends_at_s
+        self.film_camera = rendered_camera(camera)
+        self.distortion = distortion_of(camera)
+
+        # Film: the picture, and the cells around it that are rendered too.
+        self.text = scene.text_for_camera(self.film_camera)
+        state = parse_tree(self.text.text, scene.choice.reading)
+        self.size = scene.film_shape(self.film_camera, state)
         for side in self.size:
             check_resolution(side)
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.margin = plan.film.margin(self.size, self.pitch_um)
-        # Cells that are rendered.
-        self.field = (self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin)
-        self.on_axis = (
-            float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
-            * camera.transmittance
-        )
-        wide = (
-            self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]})
-            if self.margin
-            else self.seen
-        )
-        lens: dict[str, Any] = {"type": plan.samples.lens, "fov": wide.fov_deg}
-        if plan.samples.lens == "thinlens":
-            lens |= {
-                "aperture_radius": camera.aperture_radius_m,
-                "focus_distance": camera.object_distance_m,
-            }
-        lamps = tuple(
-            Lamps(light.lamp.pictures, light.lamp.spectrum is not None)
-            for light in plan.light.lamps
-        )
-        sensor = sensor_node(state, scene.sensor_id)[0]
-        equal_steps = irregular_tables(state) if plan.light.regular_tables else {}
-        tables = tuple(
-            (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
-            for (index, name), (table, values) in equal_steps.items()
-        )
-        tables += tuple(
-            (index, name, irregular(table.nodes_nm, table.values))
-            for index, name, table in plan.light.held
-        )
-        passes = tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps)
-        files = asset_files(state)
-        self.job = TraceJob(
-            scene.choice.variant,
-            text.text,
-            lamps,
-            sensor,
-            lens,
-            plan.samples.integrator,
-            tables,
-            self.field,
-            passes,
-            files,
-        )
-        self.packaged, self.ends_at_s = (
-            is_packaged(text, [Path(file.path) for file in files]),
-            ends_at_s,
-        )
-        self.cache = CachedRenders(_hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.rendered_size = (self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin)
+
+        # Irradiance on the axis per radiance
+        factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+        self.on_axis = factor * camera.transmittance
+
+        # What is traced
+        self.job = self._trace_job(state)
+        files = [Path(file.path) for file in self.job.files]
+        self.packaged = is_packaged(self.text, files)
         self.sees_infinity = any(
             node.plugin in _PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter")
+        )
+        self.cache: CachedRenders | None = None
+        if keep:
+            self.cache = CachedRenders(_hash_of_job(scene, state, camera, plan, seed))
+
+    def _trace_job(self, state: Tree) -> TraceJob:
+        """Return what is to be traced, as plain numbers and texts.
+
+        state : the scene, parsed for the camera
+        """
+        plan, scene, camera = self.plan, self.scene, self.camera
+
+        # The lens sees the margin too.
+        wide_camera = self.film_camera
+        if self.margin:
+            wide_mm = self.film_camera.die_mm * self.rendered_size[1] / self.size[1]
+            wide_camera = self.film_camera.model_copy(update={"die_mm": wide_mm})
+        lens: dict[str, Any] = {"type": plan.samples.lens, "fov": wide_camera.fov_deg}
+        if plan.samples.lens == "thinlens":
+            lens["aperture_radius"] = camera.aperture_radius_m
+            lens["focus_distance"] = camera.object_distance_m
+
+        # Spectra of surfaces in place of those in the scene
+        equal_steps = irregular_tables(state) if plan.light.regular_tables else {}
+        regular_tables = [
+            (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
+            for (index, name), (table, values) in equal_steps.items()
+        ]
+        held_tables = [
+            (index, name, irregular(table.nodes_nm, table.values))
+            for index, name, table in plan.light.held
+        ]
+        return TraceJob(
+            variant=scene.choice.variant,
+            text=self.text.text,
+            lamps=tuple(
+                Lamps(light.lamp.pictures, neutral=light.lamp.spectrum is not None)
+                for light in plan.light.lamps
+            ),
+            sensor=sensor_node(state, scene.sensor_id)[0],
+            lens=lens,
+            integrator=plan.samples.integrator,
+            tables=(*regular_tables, *held_tables),
+            size=self.rendered_size,
+            passes=tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps),
+            files=asset_files(state),
         )
 
     @cached_property
@@ -364,22 +389,17 @@ class Renderer:
 
         Else it is a child, which can be killed, and which a failing card may end too.
         """
-        in_this_process = (
-            self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        )
-        return (
-            InProcessTracer(self.job)
-            if in_this_process
-            else ChildTracer(self.job, lambda: self.ends_at_s)
-        )
+        uses_card = self.scene.choice.processors is not None
+        if self.packaged and not uses_card and self.ends_at_s is None:
+            return InProcessTracer(self.job)
+        return ChildTracer(self.job, lambda: self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each rendered cell
         of some rows and columns.
         """
-        return camera_factor(self.camera, self.field, self.pitch_um, (rows, columns)) * (
-            self.camera.transmittance / self.on_axis
-        )
+        factor = camera_factor(self.camera, self.rendered_size, self.pitch_um, (rows, columns))
+        return factor * (self.camera.transmittance / self.on_axis)
 
     def run(
         self, index: int, progress: Progress | None = None, level: int = 0
@@ -390,31 +410,34 @@ class Renderer:
         Runs of different index or level are independent. Each level has four times the samples of
         the one before, rounded up to one of `SAMPLE_COUNTS`.
         """
-        result = (
-            self.cache.find(index, level) if self.cache and not self.plan.samples.exact else None
-        )
-        if result is None:
+        # An exact picture takes no longer than reading a file.
+        cached = None if self.plan.samples.exact else self.cache
+        result = cached.find(index, level) if cached else None
+        if result is not None:
+            if progress:
+                progress(1.0)
+        else:
             try:
                 _ = self.depths_m  # now: behind the renders no time may be left
                 result = self._rendered(index, level, progress)
             except PixsimError as error:
-                card = self.source.choice.processors is not None and not isinstance(
-                    error, OutOfTimeError
-                )
-                hint = (
-                    f" To render without the graphics card: --variant {self.source.choice.reading}."
-                    if card
-                    else ""
-                )
-                error.args = (self.text.with_place(str(error)) + hint,)
+                error.args = (self._explained(error),)
                 raise
-            if (
-                self.cache and not self.plan.samples.exact
-            ):  # which takes no longer than reading a file
-                self.cache.store(index, level, *result)
-        elif progress:
-            progress(1.0)
-        return [self.distorted(planes) for planes in result[0]], result[1]
+            if cached:
+                cached.store(index, level, *result)
+
+        pictures, spp = result
+        return [self.distorted(planes) for planes in pictures], spp
+
+    def _explained(self, error: PixsimError) -> str:
+        """Return the message of an error with places in the user's files, and how to do without a
+        graphics card if one was used.
+        """
+        message = self.text.with_place(str(error))
+        if self.scene.choice.processors is None or isinstance(error, OutOfTimeError):
+            return message
+        reading = self.scene.choice.reading
+        return f"{message} To render without the graphics card: --variant {reading}."
 
     @cached_property
     def depths_m(self) -> list[float]:
@@ -426,20 +449,23 @@ class Renderer:
         """
         if self.plan.samples.lens == "perspective":
             return []
+
         key = self.cache and f"{self.cache.job}-depths"
         content = cache.arrays(KIND, key) if key else None
-        depths_m = self.tracer.depths(_DEPTH_PLACES) if content is None else content["depths_m"]
-        if key and content is None:
-            cache.store_arrays(KIND, key, {"depths_m": depths_m})
+        if content is None:
+            depths_m = self.tracer.depths(_DEPTH_PLACES)
+            if key:
+                cache.store_arrays(KIND, key, {"depths_m": depths_m})
+        else:
+            depths_m = content["depths_m"]
 
-        seen_m = depths_m if self.sees_infinity else depths_m[~np.isinf(depths_m)]
-        if not seen_m.size or np.isnan(seen_m).any():
+        if not self.sees_infinity:
+            depths_m = depths_m[~np.isinf(depths_m)]
+        if not depths_m.size or np.isnan(depths_m).any():
             return []
-        defocus = np.abs(1 / seen_m - 1 / self.camera.object_distance_m)
-        return [
-            float(depth_m)
-            for depth_m in (seen_m.min(), seen_m.flat[defocus.argmin()], seen_m.max())
-        ]
+        defocus = np.abs(1 / depths_m - 1 / self.camera.object_distance_m)
+        sharpest_m = depths_m.flat[defocus.argmin()]
+        return [float(depths_m.min()), float(sharpest_m), float(depths_m.max())]
 
     def distorted(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return pictures (H, W, pulses) as the chief rays of a real lens show them; as they are
@@ -447,7 +473,8 @@ class Renderer:
         """
         if self.distortion is None:
             return planes
-        widening = self.seen.die_mm / self.camera.die_mm
+
+        widening = self.film_camera.die_mm / self.camera.die_mm
         result: NDArray[np.float32] = zeros(planes.shape, np.float32)
         for pulse in range(planes.shape[2]):
             result[:, :, pulse] = self.distortion.applied(
@@ -460,168 +487,174 @@ class Renderer:
         """Render each strip as an average of renders in float64, with consecutive seeds."""
         if self.plan.samples.exact:
             return self._exact(), 0
+
         spp = self.plan.samples.spp * LEVEL_FACTOR**level
         if level:
             spp = next((count for count in SAMPLE_COUNTS if count >= spp), spp)
-        works = [self._work(scene, spp) for scene in range(len(self.plan.light.lamps))]
-        count, number = sum(work.renders * len(work.parts) for work in works), 0
-        first = self.seed * _SEED_STRIDE + level * _LEVEL_STRIDE + index * count
+        lights = [self._light_traces(light, spp) for light in range(len(self.plan.light.lamps))]
+
+        count = sum(traces.renders * len(traces.rows) for traces in lights)
+        first_seed = self.seed * _SEED_STRIDE + level * _LEVEL_STRIDE + index * count
+        number = 0
         pictures = []
-        for light, work in zip(self.plan.light.lamps, works, strict=True):
-            planes: NDArray[np.float32] = zeros((*self.field, len(light.fit.pulses)), np.float32)
-            for rows, channels, trace in work.parts:
-                total = np.zeros((rows.stop - rows.start, self.field[1], len(channels)))
-                for _ in range(work.renders):
-                    total += _checked(trace((first + number) % 2**32), len(channels)) / work.renders
+        for light, traces in zip(self.plan.light.lamps, lights, strict=True):
+            planes: NDArray[np.float32] = zeros(
+                (*self.rendered_size, len(light.fit.pulses)), np.float32
+            )
+            for rows, pulses, trace in traces.rows:
+                total = np.zeros((rows.stop - rows.start, self.rendered_size[1], len(pulses)))
+                for _ in range(traces.renders):
+                    picture = _checked(trace((first_seed + number) % 2**32), len(pulses))
+                    total += picture / traces.renders
                     number += 1
                     if progress:
                         progress(number / count)
-                planes[rows, :, channels] = total
+                planes[rows, :, pulses] = total
                 release(planes[rows])
             mirror_margins(planes, self.margin, self.plan.film.ends)
             pictures.append(planes)
-        return pictures, works[0].spp
+        return pictures, lights[0].spp
 
-    def _work(self, scene: int, requested_spp: int) -> Work:
-        """Divide the traces of a light: its passes together, or a pass at a time; strips; averages
+    def _light_traces(self, scene: int, requested_spp: int) -> _LightTraces:
+        """Divide the render of a light: its passes together, or a pass at a time; strips; averages
         of shorter renders.
 
+        scene : of the job, one for each light
         requested_spp : samples per film cell and pass; most samplers round the number up, to
             stratify them
         """
         light, sampler = self.plan.light.lamps[scene], self.plan.samples.sampler
         renders = -(-requested_spp // _SPP_PER_RENDER)
         spp = self.tracer.sample_count(sampler, -(-requested_spp // renders))
-        # Scalar variants have no kernels that passes could share.
-        together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
-        samples, samples_per_kernel = (
-            (spp * len(light.fit.passes), SAMPLES_TOGETHER)
-            if together
-            else (spp, _SAMPLES_PER_KERNEL)
-        )
-        parts: list[_FilmRows] = []
-        film_strips = [
-            slice(*borders)
-            for borders in pairwise(self._strip_borders(samples, samples_per_kernel))
-        ]
-        if together:
+
+        # All passes in one kernel. Scalar variants have no kernels that passes could share.
+        rows: list[_RowTrace] = []
+        if self.job.passes[scene] is not None and not self.job.variant.startswith("scalar"):
             pulses = list(range(len(light.fit.pulses)))
-            for rows in film_strips:
+            for strip in self._film_strips(spp * len(light.fit.passes), SAMPLES_TOGETHER):
                 trace = partial(
-                    self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp
+                    self.tracer.trace_together, scene, (strip.start, strip.stop), sampler, spp
                 )
-                parts.append(_FilmRows(rows, pulses, trace))
-            return Work(renders, renders * spp, parts)
-        for channels in light.fit.passes:
-            responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
-            for rows in film_strips:
-                crop = film(responses, self.field, rows.start, rows.stop)
-                parts.append(
-                    _FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp))
-                )
-        return Work(renders, renders * spp, parts)
+                rows.append(_RowTrace(strip, pulses, trace))
+            return _LightTraces(renders, renders * spp, rows)
+
+        # One pass at a time, whose pulses are the channels of a film
+        film_strips = self._film_strips(spp, _SAMPLES_PER_KERNEL)
+        for pulses in light.fit.passes:
+            responses = [film_response(light.fit.pulses[pulse]) for pulse in pulses]
+            for strip in film_strips:
+                crop = film(responses, self.rendered_size, strip.start, strip.stop)
+                trace = partial(self.tracer.trace, scene, crop, sampler, spp)
+                rows.append(_RowTrace(strip, pulses, trace))
+        return _LightTraces(renders, renders * spp, rows)
 
     def _exact(self) -> Pictures:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp,
-        so they are all alike.
+        so they are all the same.
         """
-        assert self.plan.film.chart is not None
-        picture = (
-            replace(self.plan.film.chart, shape=self.field) if self.margin else self.plan.film.chart
-        ).picture()
+        chart = self.plan.film.chart
+        assert chart is not None
+        if self.margin:
+            chart = replace(chart, shape=self.rendered_size)
+        picture = chart.picture()
         mirror_margins(picture, self.margin, self.plan.film.ends)
         return [
             np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses)))
             for light in self.plan.light.lamps
         ]
 
-    def _strip_borders(self, spp: int, samples_per_kernel: int) -> list[int]:
-        """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
-        height, width = self.field
+    def _film_strips(self, spp: int, samples_per_kernel: int) -> list[slice]:
+        """Return the rows of the parts of a render, so that Ctrl-C works between them.
+
+        spp : samples per film cell of all passes in a kernel
+        """
+        height, width = self.rendered_size
         samples = height * width * spp
         if self.job.variant.startswith("scalar"):
-            parts = min(_SCALAR_STRIPS, -(-samples // _SAMPLES_PER_STRIP))
+            count = min(_SCALAR_STRIPS, -(-samples // _SAMPLES_PER_STRIP))
         else:
-            parts = max(-(-samples // samples_per_kernel), -(-height * width // _CELLS_PER_KERNEL))
-        return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
+            count = max(-(-samples // samples_per_kernel), -(-height * width // _CELLS_PER_KERNEL))
+        borders = np.linspace(0, height, min(count, height) + 1).astype(int).tolist()
+        return [slice(first, stop) for first, stop in pairwise(borders)]
 
-    def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
-        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into
-        the header.
+    def image(self, pictures: Sequence[Picture], spp: int, **entries: Any) -> SpectralImage:
+        """Return the irradiance of mean pictures with `spp` samples per film cell.
+
+        entries : of the header, beside those that pixsim always writes
         """
         if not any(self.has_light(picture) for picture in pictures):
-            dark_skies = warnings_of_skies(
-                parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading
-            )
-            raise invalid(
-                "rendered picture",
-                "a black picture",
-                "some light",
-                " ".join(dark_skies) or _BLACK_HINT,
-            )
-        header = (
-            provenance(self.source, self.camera, self.plan, self.seed, spp)
-            | {"film": list(self.size)}
-            | self.diffuser
-            | more
-        )
-        header |= (
-            {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])}
-            if self.depths_m
-            else {}
-        )
+            reading = self.scene.choice.reading
+            dark_skies = warnings_of_skies(parse_tree(self.text.text, reading), reading)
+            hint = " ".join(dark_skies) or _BLACK_HINT
+            raise invalid("rendered picture", "a black picture", "some light", hint)
+
+        header = provenance(self.scene, self.camera, self.plan, self.seed, spp)
+        header["film"] = list(self.size)
+        header |= self.diffuser | entries
+        if self.depths_m:
+            rounded_m = [float(f"{depth_m:.6g}") for depth_m in self.depths_m]
+            header[DEPTHS] = finite_or_none(rounded_m)
+
         if self.plan.light.factored:
-            planes = [
-                picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])
-            ]
-            stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)
-            for rows in strips(*self.field):
-                fall_off = self.fall_off(rows)
-                for place, plane in zip(stored, planes, strict=True):
-                    place[rows] = plane[rows] * fall_off
-                    release(place[rows])
-                release(*(picture[rows] for picture in pictures))
-            return self._image(header, factors=(self.spectra, stored), margin=self.margin)
-        bands = self.plan.light.bands.width_nm.size
-        if (
-            4 * bands * math.prod(self.field) > mapped.MAX_MEMORY_BYTES
-        ):  # in a file each band has a place of its own
-            data = np.moveaxis(zeros((bands, *self.field), np.float32), 0, 2)
-        else:
-            data = np.empty((*self.field, bands), np.float32)
-        for rows in strips(*self.field):
-            for band, values in enumerate(
-                self._bands([picture[rows] for picture in pictures], self.fall_off(rows))
-            ):
-                data[rows, :, band] = values
-                release(data[rows, :, band])
+            factors = self.spectra, self._pulse_planes(pictures)
+            return self._image(header, factors=factors, margin=self.margin)
+        return self._image(header, data=self._band_planes(pictures), margin=self.margin)
+
+    def _pulse_planes(self, pictures: Sequence[Picture]) -> NDArray[np.float32]:
+        """Return the pictures of all pulses with the fall-off of the lens, (pulses, H, W)."""
+        planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
+        result: NDArray[np.float32] = zeros((len(planes), *self.rendered_size), np.float32)
+        for rows in strips(*self.rendered_size):
+            fall_off = self.fall_off(rows)
+            for target, plane in zip(result, planes, strict=True):
+                target[rows] = plane[rows] * fall_off
+                release(target[rows])
             release(*(picture[rows] for picture in pictures))
-        return self._image(header, data=data, margin=self.margin)
+        return result
+
+    def _band_planes(self, pictures: Sequence[Picture]) -> NDArray[np.float32]:
+        """Return the irradiance in all bands, (H, W, B)."""
+        count = self.plan.light.bands.width_nm.size
+        size_bytes = 4 * count * math.prod(self.rendered_size)
+        result: NDArray[np.float32]
+        if size_bytes > mapped.MAX_MEMORY_BYTES:  # in a file each band has a place of its own
+            result = np.moveaxis(zeros((count, *self.rendered_size), np.float32), 0, 2)
+        else:
+            result = np.empty((*self.rendered_size, count), np.float32)
+
+        for rows in strips(*self.rendered_size):
+            row_pictures = [picture[rows] for picture in pictures]
+            bands = self._bands(row_pictures, self.fall_off(rows))
+            for band, irradiance in enumerate(bands):
+                result[rows, :, band] = irradiance
+                release(result[rows, :, band])
+            release(*row_pictures)
+        return result
 
     @cached_property
     def diffuser(self) -> dict[str, Any]:
         """The entry of a header on a white plate at the object's distance, or on texel value 1 of
-        an emissive chart, if asked for.
+        an emissive chart, if the scene wants one.
 
         Raises PixsimError if no light reaches the plate.
         """
         light, plate = self.plan.light, self.plan.light.plate
-        if not self.source.diffuser:
+        if not self.scene.diffuser:
             return {}
         if plate is None:
             return {DIFFUSER: light.chart_white}
+
         spectrum = _plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
         per_nm = spectrum.cell_means(light.bands.edges_nm)
-        return {
-            DIFFUSER: {
-                "distance_m": float(f"{plate.distance_m:.6g}"),
-                DIFFUSER_W: [float(f"{band_w:.9g}") for band_w in per_nm],
-            }
+        entry = {
+            "distance_m": float(f"{plate.distance_m:.6g}"),
+            DIFFUSER_W: [float(f"{band_w:.9g}") for band_w in per_nm],
         }
+        return {DIFFUSER: entry}
 
     def has_light(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
-        for rows in strips(*self.field):
+        for rows in strips(*self.rendered_size):
             if picture[rows].any():
                 return True
             release(picture[rows])
@@ -650,12 +683,12 @@ class Renderer:
         return self._image({}, factors=(self.spectra, np.eye(len(self.spectra))[:, None, :]))
 
     def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
-        b = self.plan.light.bands
+        bands = self.plan.light.bands
         return SpectralImage(
-            b.wavelength_nm,
-            b.width_nm,
+            bands.wavelength_nm,
+            bands.width_nm,
             self.pitch_um,
-            within=(b.nodes_nm, b.shares),
+            within=(bands.nodes_nm, bands.shares),
             header=header,
             **light,
         )
@@ -679,18 +712,14 @@ def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> Non
 def _checked(values: NDArray[np.float32], channels: int) -> Array:
     """Return the values of a render. Raises PixsimError if one is negative or not finite."""
     if values.shape[2] != channels:
-        raise invalid(
-            "integrator",
-            f"{values.shape[2]} channels per pixel",
-            "an integrator for radiance only, such as path",
-        )
+        got = f"{values.shape[2]} channels per pixel"
+        raise invalid("integrator", got, "an integrator for radiance only, such as path")
     if not np.isfinite(values).all() or values.min() < 0:
-        hint = "Check the scene's spectra and textures."
         raise invalid(
             "rendered picture",
             "NaN, infinite or negative values",
             "finite values of 0 or more",
-            hint,
+            "Check the scene's spectra and textures.",
         )
     return values.astype(float)
 
@@ -698,7 +727,8 @@ def _checked(values: NDArray[np.float32], channels: int) -> Array:
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
     decisions = [
-        f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions
+        f"{decision.subject}: {'kept' if decision.kept else 'left out'}, {decision.reason}"
+        for decision in plan.decisions
     ]
     variant = scene.choice.variant
     if plan.samples.exact:  # nothing is traced: a graphics card has no part in it
@@ -707,25 +737,24 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "scene": scene.path.name,
         "scene_hash": scene.content_hash,
         "parameters": scene.shown_parameters,
-    }
-    header |= {
         "camera": camera.model_dump(),
         "seed": seed,
         "spp": spp,
         "variant": variant,
         "plan": decisions,
-    }
-    header |= {
         "bound_e": plan.bound_e if plan.bounded else None,
         "spare_e": plan.spare_e,
         "diffraction": plan.film.diffraction,
         "pixsim": VERSION,
     }
     if plan.film.tiling is not None:
-        header |= {LENS_HEADER: asdict(plan.film.tiling), RINGS: True}
+        header[LENS_HEADER] = asdict(plan.film.tiling)
+        header[RINGS] = True
+
     header |= plan.light.white_header(plan.light.bands.edges_nm)
     if scene.white_cd_per_m2:
-        return header | {LUMINANCE: float(f"{scene.white_cd_per_m2:.9g}")}
+        header[LUMINANCE] = float(f"{scene.white_cd_per_m2:.9g}")
+        return header
     return header | plan.light.chart_white
 
 
@@ -738,26 +767,31 @@ def _plate_spectrum(
     Samples are added until the standard error over the cells of its picture is at most a thousandth
     of it.
 
-    keep, ends_at_s : as of `Renderer`
+    keep, ends_at_s : as in `Renderer`
 
     Raises PixsimError if no light reaches it.
     """
-    job = Renderer(
+    renderer = Renderer(
         plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s
     )
-    job.job = replace(job.job, lens=plate.lens)
-    bands, per_nm = plate.plan.light.bands, np.zeros(0)
+    renderer.job = replace(renderer.job, lens=plate.lens)
+    bands = plate.plan.light.bands
+    per_nm = np.zeros(0)
     for level in range(white_plate.LEVELS):
-        pictures, _ = job.run(0, level=level)
-        parts = [
+        pictures, _ = renderer.run(0, level=level)
+        radiances = [
             picture.astype(float) @ light.fit.spectra
             for light, picture in zip(plate.plan.light.lamps, pictures, strict=True)
         ]
-        cells = np.sum(parts, axis=0).reshape(-1, bands.width_nm.size)
-        per_nm, power = cells.mean(axis=0), cells @ bands.width_nm
-        if power.std(ddof=1) / math.sqrt(power.size) <= white_plate.NOISE * power.mean():
+        cells = np.sum(radiances, axis=0).reshape(-1, bands.width_nm.size)
+        per_nm = cells.mean(axis=0)
+
+        power = cells @ bands.width_nm
+        standard_error = power.std(ddof=1) / math.sqrt(power.size)
+        if standard_error <= white_plate.NOISE * power.mean():
             break
     if not per_nm @ bands.width_nm > 0:
         raise dark_plate(plate.distance_m)
-    edges = bands.edges_nm
-    return Spectrum(np.repeat(edges, 2)[1:-1], np.repeat(np.maximum(per_nm, 0.0), 2))
+
+    nodes_nm = np.repeat(bands.edges_nm, 2)[1:-1]
+    return Spectrum(nodes_nm, np.repeat(np.maximum(per_nm, 0.0), 2))

@@ -582,7 +582,7 @@ def test_renderer_image_memory_is_bounded(large):
     pictures = [np.full((1024, 1024, 1), 0.5)]
     image, most = traced(lambda: large.image(pictures, 4))
     assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
-    small = large.source.with_parameters(resolution=256)
+    small = large.scene.with_parameters(resolution=256)
     full = Renderer(small, large.camera, make_render_plan(small, full=True), 0)
     pulses = [
         np.full((256, 256, len(light.fit.pulses)), 0.5, np.float32)
