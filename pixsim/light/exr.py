@@ -301,10 +301,10 @@ def write_rows(
     """Write an uncompressed EXR a few rows at a time, from functions that map a slice of rows to
     (rows, W) float32.
 
-    OpenEXR's Python module needs all channels in memory at once. The layout is that of "OpenEXR
-    File Layout" (openexr.com, technical documentation): one part, scan lines, 32-bit floats.
-    `texts` go into the header; a margin of samples at each side is outside of the display window.
-    Raises OSError.
+    OpenEXR's Python module needs all channels in memory at once. The layout is in "OpenEXR File
+    Layout" (openexr.com, technical documentation): one part, scan lines, 32-bit floats. `texts` go
+    into the header; a margin of samples at each side is outside of the display window. Raises
+    OSError.
     """
     height, width = shape
     names = sorted(channels, key=str.encode)  # the format prescribes this order

@@ -165,8 +165,8 @@ _ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 mar
 
 @dataclass(frozen=True)
 class Cube:
-    """Values (H, W, B) and band centres (B,) as a file states them, and its other metadata; None or
-    "" if it has none.
+    """Values (H, W, B) and band centres (B,) as a file states them, and its other metadata. None or
+    "" stand for missing ones.
 
     wavelength_unit : symbol of the unit that the file states for its wavelengths, if it does
     per_nm : whether the format writes W m⁻² sr⁻¹ and means W m⁻² sr⁻¹ nm⁻¹
@@ -330,7 +330,7 @@ def _edges(match: re.Match[str]) -> tuple[float, float]:
 
 
 def _is_not_rgb(names: Sequence[str]) -> bool:
-    """Whether channels have other names than those of colours, depth and opacity."""
+    """Whether no channel has a name for a colour, depth or opacity."""
     return not any(
         name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "X", "Z") for name in names
     )
@@ -486,7 +486,7 @@ def _read_envi(path: Path) -> Cube:
 
 @contextmanager
 def _plain_envi(path: Path, content: bytes) -> Iterator[tuple[str, str | None]]:
-    """The names of a header that SPy reads, and of its raw file; None where SPy finds it.
+    """Yield the name of a header that SPy reads, and of its raw file, or None where SPy finds it.
 
     SPy needs a byte order, and reads text in the encoding of the system. A copy states the order of
     nearly all machines, in ASCII.

@@ -148,7 +148,7 @@ class SpectralImage:
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum ×
         picture. With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
     within : distribution of the light within each band, (nodes in nm (B, n), shares of the light
-        (B, n)); None puts it at `wavelength_nm`
+        (B, n)); by default it is all at `wavelength_nm`
     header : provenance (camera, scene hash, seed, samples, versions), stored in files as JSON
     margin : samples of the given pictures at each side that lie beyond the picture; a real lens's
         blur takes light from there
@@ -412,7 +412,7 @@ class SpectralImage:
         """Return an image of the same bands with other `planes`, (n, H, W), of any height and
         width.
 
-        pitch_um, header : None keeps those of this image
+        pitch_um, header : by default as in this image
         margin : of the planes, as for a new image
 
         Raises PixsimError if there are not as many planes as this image has.
@@ -475,7 +475,7 @@ class SpectralImage:
 
     @property
     def white_spectrum(self) -> Array | None:
-        """Light of the scene's white in each band, (B,) in any unit; None if it is unknown.
+        """Light of the scene's white in each band, (B,) in any unit, or None if it is unknown.
 
         White is a white plate where the header has one (`DIFFUSER`), else the lamps that the scene
         names as its white, else the spectrum that all lamps share.
@@ -553,8 +553,8 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
     at most 1 in 10 000.
 
     Such are fireflies of a path tracer, and hot pixels. Each is more than `OUTLIER` times the
-    brightest other sample and its neighbours; none is in a picture that is dark beside them, as of
-    a star.
+    brightest other sample and its neighbours; none is in a picture that is dark beside them, like a
+    star.
 
     >>> picture = np.ones((50, 50))
     >>> picture[3, 4] = 1e6
@@ -586,7 +586,7 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
 
 def without_outliers(image: SpectralImage) -> SpectralImage | None:
     """Return an image whose outliers, as its header states them, are the median of their
-    neighbours; None if it states none.
+    neighbours, or None if it states none.
     """
     outliers = image.header.get(OUTLIERS)
     if not isinstance(outliers, list) or not outliers:
@@ -798,8 +798,8 @@ def tabulated(values: Array) -> Spectrum:
 
 
 def regular_values(table: Spectrum) -> Array | None:
-    """Resample a table at equal steps without changing it; None if no step of at least 0.1 nm does
-    so.
+    """Resample a table at equal steps without changing it, or return None if no step of at least
+    0.1 nm does so.
     """
     distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
     whole = np.rint(distances).astype(int)

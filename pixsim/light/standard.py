@@ -44,8 +44,8 @@ def illuminant(name: str, wavelength_nm: Positives) -> Array:
     """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0
     outside 360-780 nm.
 
-    It is linear between the points of the tables. Those of FL and LED begin at 380 nm, and that of
-    D65 ends at 830 nm.
+    It is linear between the points of the tables. The tables of FL and LED begin at 380 nm, and the
+    one of D65 ends at 830 nm.
 
     name : one of `illuminant_names`
 

@@ -82,7 +82,7 @@ class WavelengthTable:
 
 
 def as_text(content: bytes) -> str | None:
-    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1; None if
+    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1. None if
     it is no text.
     """
     halves = [content[start::2].count(0) for start in (0, 1)]
@@ -105,7 +105,7 @@ class Cells:
     """Rows of a table that are neither blank nor comments, with their line numbers, as cells
     without blanks around them.
 
-    separator : of the columns; None for blanks
+    separator : of the columns, or None for blanks
     comment : the last line of comment before the first row of numbers
     """
 
@@ -171,7 +171,7 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
 
 
 def _separator(lines: Sequence[str]) -> str | None:
-    """The mark between the columns of lines of numbers; None for blanks."""
+    """The mark between the columns of lines of numbers, or None for blanks."""
     if any(";" in line for line in lines):
         return ";"
     if lines and all("\t" in line.strip() for line in lines):
@@ -392,8 +392,8 @@ def unit_of_wavelength(text: str) -> str:
 
 
 def _value_unit(title: str) -> tuple[str, int] | None:
-    """Unit that the title of values states, and the power of ten that converts to it; None without
-    one.
+    """Unit that the title of values states, and the power of ten that converts to it, or None
+    without one.
     """
     if responsivity := _AMPERE_PER_WATT.search(title):
         return A_PER_W, PREFIXES[responsivity[1]]

@@ -3,10 +3,10 @@ mosaic, next to closed forms.
 
 Even fields of the chromatic patches of ISO 17321-1, of a perfect white and of 18 % grey fill frames
 of one device. White is at 72 % of saturation in the channel that it fills most, so that grey is at
-13 % (ISO 15739). Means over the pixels of each channel, over those of white, are the balanced
-responses, to which the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise is that
-of the difference of two frames of grey, as luminance Y and as R - Y and B - Y of the display's
-linear light, of single samples without interpolation between pixels.
+13 % (ISO 15739). The mean of each channel over its mean in white is the balanced response, to which
+the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise is measured in the
+difference of two frames of grey, as luminance Y and as R - Y and B - Y of the display's linear
+light, of single samples without interpolation between pixels.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Colour:
     readout : how the pixels are read, without a channel
     patches_dn, patches_error_dn : (18, C) means and their standard errors
     white_dn, white_error_dn : (C,)
-    gain_error : (C,) relative, of the mean gain of the device's pixels in each channel against that
-        of its type
+    gain_error : (C,) relative, of the mean gain of the device's pixels in each channel, for devices
+        of one type
     grey_dn : (C,)
     grey_noise_dn : (n, C) temporal noise of single samples
     seed : of the redraws
@@ -92,7 +92,7 @@ class Colour:
 
     @cached_property
     def measured(self) -> Rendition:
-        """The chart as the frames have it; XYZ are those of the tables."""
+        """The chart as the frames have it, with XYZ from the tables."""
         return replace(
             self.truth.rendition, responses=np.maximum(self.patches_dn / self.white_dn, 0.0)
         )
@@ -137,7 +137,7 @@ class Colour:
         return np.asarray(self.truth.white_e.max() / self.truth.white_e)
 
     def snr(self) -> tuple[Estimate, Estimate]:
-        """Mean luminance of grey over the noise of luminance, and over that of R - Y and B - Y
+        """Mean luminance of grey over the noise of luminance, and over the noise of R - Y and B - Y
         together.
         """
         opponent = _opponents(self.measured)

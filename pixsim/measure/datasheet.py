@@ -140,7 +140,7 @@ class DataSheet(Result):
     grey_photons, bright_photons : per pixel, of `grey` and `bright_stack`
     channels : of a colour sensor, the light series of its other channels
     colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be
-        told apart; None if monochrome
+        told apart, or None if monochrome
     """
 
     experiment: Experiment = field(repr=False)
@@ -221,8 +221,8 @@ class DataSheet(Result):
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
-        """(temperatures in K, dark currents from the mean); their errors exclude that of K, which
-        they share.
+        """(temperatures in K, dark currents from the mean); their errors exclude the error of K,
+        which they share.
         """
         gain = Estimate(self.transfer.gain_dn_per_e.value)
         currents = [
@@ -322,11 +322,11 @@ def datasheet(
     file : a TOML file with a table [pixel], such as a data sheet; the file of a technology, or the
         name of a packaged one
     config : one or more TOML files with [pixel] and [exposure]; later ones take precedence
-    pixel : a Pixel, or fields of one, each in its unit, which override those of the files
+    pixel : a Pixel, or fields of one, each in its unit, which override the files
     exposure : integration time of the light series and gain of all frames, as an Exposure or its
         fields; by default 30 ms, or less where the dark current is high
     wavelength_nm : of the light; by default the peak of the response
-    seed : of the sensor and its noise; None means that of `config`, or 0
+    seed : of the sensor and its noise, by default as in `config`, or 0
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and if the pixel's codes are so coarse that no frame shows
@@ -428,7 +428,7 @@ def measure(
     """Capture every frame of the experiment and return its data sheet; `stage` receives the
     progress.
 
-    wavelength_nm : of the light on the other channels of a colour sensor; None takes the peak of
+    wavelength_nm : of the light on the other channels of a colour sensor, by default the peak of
         each
 
     Raises PixsimError if codes are so coarse that no frame shows noise.
@@ -919,7 +919,7 @@ def _dark_entries(sheet: DataSheet) -> list[Entry]:
 
 
 def mean_offset_e(experiment: Experiment) -> float:
-    """Mean offset of the device's pixels: that of a few columns need not be 0."""
+    """Mean offset of the device's pixels; with few columns it need not be 0."""
     offsets = experiment.sensor.offset_e, experiment.sensor.column_offset_e
     return float(sum(offset.mean() for offset in offsets if offset is not None))
 

@@ -192,8 +192,8 @@ def mean_error(variance: float | Array, pixels: int, row_noise: RowNoise = _NO_R
 
 
 def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float = 0.0) -> Estimate:
-    """Least-squares slope through the origin; `common_error` is that of a constant subtracted from
-    every y.
+    """Least-squares slope through the origin. `common_error` is the standard error of a constant
+    subtracted from every y.
     """
     power = float(np.sum(x * x))
     error = math.hypot(
@@ -203,8 +203,8 @@ def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float
 
 
 def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimate]:
-    """Slope and intercept by least squares with equal weights; standard errors from those of the
-    points.
+    """Slope and intercept by least squares with equal weights, with standard errors by the errors
+    of the points.
     """
     middle = x - x.mean()
     power = float(np.sum(middle**2))
@@ -278,8 +278,8 @@ def photon_transfer(
     that many pixels.
 
     row_noise : for the standard errors
-    gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels,
-        which the standard errors of R and η include
+    gain_spread : PRNU. Mean gains of sensors of one type differ by gain_spread/√pixels, which the
+        standard errors of R and η include
     """
     signal = light.mean_dn - dark_mean_dn
     excess = light.variance_dn2 - dark_variance_dn2

@@ -70,7 +70,7 @@ class Experiment:
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
-    asked_black_dn : black level given by the user; that of the sensor's ADC is the one used
+    asked_black_dn : black level in the user's settings; the level of the sensor's ADC is used
     """
 
     sensor: Sensor = field(repr=False)
@@ -118,7 +118,7 @@ class Experiment:
         """The light series of the same device under the filter of another channel, to the same
         electrons.
 
-        wavelength_nm : of the light; None takes the peak of the channel's response
+        wavelength_nm : of the light, by default the peak of the channel's response
 
         Raises PixsimError for a wavelength without response.
         """
@@ -313,8 +313,8 @@ def make_experiment(
 
     Parameters
     ----------
-    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current
-        is high; gain_db is that of all frames
+    exposure : integration_s of the light series, by default 30 ms, less if the dark current is
+        high; gain_db of all frames
     wavelength_nm : of the light; by default the peak of the response
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well

@@ -91,7 +91,7 @@ class LensData(Result):
     psfs : (n, n) of each field; the chief ray of the primary wavelength in the middle
     psf_pitch_um : of the squares over which PSFs are means
     dark : (F,), whether no light reaches the image of a field: its spot and MTF are NaN, its PSF 0
-    geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the
+    geometric : whether aberrations are so large that PSFs and MTFs follow from rays, times the
         limit of diffraction
     frequency_lp_per_mm : (n,)
     mtf : (F, 2, n), tangential and sagittal
@@ -139,7 +139,7 @@ class LensData(Result):
 
     @property
     def focused_ghost(self) -> Ghost | None:
-        """The ghost with the smallest blur; None without two surfaces that reflect."""
+        """The ghost with the smallest blur, or None without two surfaces that reflect."""
         return min(self.ghosts, key=lambda ghost: ghost.blur_mm, default=None)
 
     @property
@@ -176,8 +176,8 @@ class LensData(Result):
         return 100 * (1 - self.lens.fresnel_transmittance(self.lens.primary_nm))
 
     def axial_colour(self) -> tuple[Array, Array]:
-        """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from that
-        of the primary one, (m,).
+        """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from the
+        focus of the primary one, (m,).
         """
         low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
         nm = np.linspace(low, high, _CURVE_FIELDS) if high > low else np.array([low])
@@ -223,7 +223,7 @@ def lens_data(
 ) -> LensData:
     """Trace a lens.
 
-    wavelength_nm : of equal weight; those of its file by default
+    wavelength_nm : of equal weight, by default as in its file
     pitch_um : of a pixel whose Nyquist frequency is looked at
     notes : of how the file was read
     reflectance : of coated surfaces in air; None for bare glass
@@ -546,16 +546,16 @@ def lens(
     f_number : stop the lens down
     field_deg : largest field angle that is looked at
     refocus : move the image plane to the paraxial focus, or to the least rms wavefront on the axis
-        or over the field; None means the file's plane, or axis if an object distance or `focus_nm`
-        is given
-    focus_nm : wavelength of that focus; None means those of the file
+        or over the field. By default it is the file's plane, or axis if an object distance or
+        `focus_nm` is given
+    focus_nm : wavelength of that focus, by default all of the file
     object_distance_m : of the object from the entrance pupil
-    wavelength_nm : of equal weight; empty means those of the file
+    wavelength_nm : of equal weight, by default all of the file
     pitch_um : of a pixel, whose Nyquist frequency joins 10, 30 and 60 lp/mm
     configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass : as in
         `load_lens`
-    reflectance : share of the light that coated surfaces in air reflect, for what two of them
-        reflect; None means bare glass
+    reflectance : share of the light that coated surfaces in air reflect, for light that two of them
+        reflect; by default bare glass
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and for what pixsim does not trace.
@@ -615,7 +615,7 @@ def _changed_lens(
     object_distance_m: float | None,
     focus_nm: float | None = None,
 ) -> Lens:
-    """Return a lens as the options of `pixsim lens` change it; None leaves it as its file has it.
+    """Return a lens as the options of `pixsim lens` change it; an option of None changes nothing.
 
     Raises PixsimError as the methods of `Lens` do.
     """

@@ -136,12 +136,12 @@ class EdgeResponse(Result):
     edge_degree : of the polynomial that was fitted to the edge; 1 for a straight edge
     edge_sagitta_px : largest distance of the edge from the straight line through its ends, along
         the rows or columns across it
-    mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for
-        a bound above the last one
+    mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the noise of the picture, with
+        None for a bound above the last one
     nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or
         less for a channel of a mosaic
-    channel : that was measured; None for a picture of one channel
-    pitch_um : of the pixels; None if it is unknown
+    channel : that was measured, or None for a picture of one channel
+    pitch_um : of the pixels, or None if it is unknown
     notes : warnings of the picture
     """
 
@@ -168,7 +168,7 @@ class EdgeResponse(Result):
 
     @property
     def mtf50_cy_per_px(self) -> float | None:
-        """Frequency at which the SFR first falls to one half; None if it does not up to the last
+        """Frequency at which the SFR first falls to one half, or None if it does not up to the last
         frequency.
         """
         return first_crossing(self.frequency_cy_per_px, self.sfr, 0.5)
@@ -637,7 +637,7 @@ def _runs_along_rows(channels: Sequence[_WeightedChannel]) -> bool:
 
 
 def _step(grids: Sequence[_ChannelGrid], axis: int) -> float:
-    """Mean of the last quarter less that of the first, along an axis."""
+    """Mean of the last quarter less the mean of the first, along an axis."""
     low, high = _side_means(grids, axis)
     return high - low
 
@@ -881,8 +881,8 @@ def _smallest_step(side: Array) -> float:
 
 
 def _noise_sigma(side: Array, code: float) -> float:
-    """Standard deviation of a side's noise, from differences between rows; a few outliers, as of
-    the edge, do not count.
+    """Standard deviation of a side's noise, from differences between rows; a few outliers at the
+    edge do not count.
     """
     difference = np.diff(side, axis=0)
     size = np.abs(difference)
@@ -1035,8 +1035,8 @@ def _row_edges(
 
 
 def _noise_variance(data: Array) -> Array:
-    """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of
-    the two sides.
+    """Variance of the noise of each pixel: linear in the signal, as for shot noise, between the
+    variances of the two sides.
     """
     sides = [_sampled_rows(side) for side in _outer_columns(data)]
     variances = [_noise_sigma(side, _smallest_step(side)) ** 2 for side in sides]
@@ -1048,8 +1048,8 @@ def _noise_variance(data: Array) -> Array:
 
 
 def _degree_of_edge(row: Array, centre: Array) -> int:
-    """Degree of the polynomial for the edges of rows (px): that of the highest term that is no
-    chance and matters, or 1.
+    """Degree of the polynomial for the edges of rows (px): of the highest term that is significant
+    and large enough to matter, or 1.
     """
     scaled = 2 * (row - row.min()) / np.ptp(row) - 1
     basis = np.linalg.qr(legvander(scaled, _MAX_DEGREE))[0]
@@ -1318,13 +1318,13 @@ def _mtf50_interval(
     spread: Array, variance: Array, bins_a_pixel: int, frequency: Array
 ) -> tuple[float | None, float | None]:
     """Interval of 95 % of the MTF50: the frequencies at which the interval of the SFR holds one
-    half; None for no such bound.
+    half, or None for no such bound.
 
-    Frequencies between those of the DFT share their noise, so the bounds are of a finer scale. Both
-    ends are where their bound stays below one half up to the next frequency of the DFT: shorter
-    dips are noise.
+    Frequencies between the steps of the DFT share their noise, so the bounds are of a finer scale.
+    Both ends are where their bound stays below one half up to the next frequency of the DFT:
+    shorter dips are noise.
 
-    frequency : those of the DFT, from 0
+    frequency : of the DFT, from 0
     """
     fine = np.linspace(0.0, frequency[-1], FINER * (frequency.size - 1) + 1)
     low, high = _sfr_bounds(spread, variance, bins_a_pixel, fine)
@@ -1541,18 +1541,18 @@ def sfr(
 
     image : raw.exr of `pixsim run`, another .exr, .npy, .npz of one array, .png of 16 bits, or
         .tiff of 16 bits or floating point
-    pitch_um : of the pixels, for frequencies on the sensor; None means that of the file
+    pitch_um : of the pixels, for frequencies on the sensor, by default as in the file
     channel : of a picture in colour: R, G, B, or another letter of its filters, `luminance`, or a
-        place of the mosaic as row,column; None means luminance of red, green and blue, and none of
-        a mosaic
+        place of the mosaic as row,column. By default luminance of red, green and blue; for a mosaic
+        it must be stated
     layout : colour filters of a mosaic, upper row first, as RG/GB, or R+G+B for planes one below
-        the other; None means those of the file
-    black : level of no light as stored, in DN, which affects the contrast only; None means that of
+        the other, by default as in the file
+    black : level of no light as stored, in DN, which affects the contrast only; by default as in
         the file, or 0
-    saturation : value as stored, in DN, from which a pixel counts as saturated; None means that of
+    saturation : value as stored, in DN, from which a pixel counts as saturated, by default as in
         the file
-    region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; None
-        means the whole picture
+    region : x0, y0, x1, y1 of the edge in pixels from the upper left, x1 and y1 excluded; by
+        default the whole picture
 
     Raises PixsimError if the file is no linear picture, and as `edge_response` does.
 

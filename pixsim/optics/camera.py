@@ -1,4 +1,4 @@
-"""The camera: a thin lens and the die behind it, and the options that replace those of a scene."""
+"""The camera: a thin lens and the die behind it, and the options that replace a scene's."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ class Camera(Record):
 
     @property
     def relative_illumination(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """Image heights in mm, and the illumination there relative to the axis; None if no table
+        """Image heights in mm, and the illumination there relative to the axis, or None if no table
         states it.
         """
         rows = self.fall_off or self.chief_ray_angle
@@ -418,7 +418,7 @@ DIE_FIELDS = ("die_mm", "die_height_mm", "pixels")
 
 @checked_methods
 class CameraOptions(Record):
-    """Camera fields that replace those of the scene; None keeps the value of the scene."""
+    """Camera fields that replace the scene's; a field of None keeps the value of the scene."""
 
     focal_length_mm: FocalLength | None = Field(
         None, description=Camera.model_fields["focal_length_mm"].description

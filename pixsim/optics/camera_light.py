@@ -1,9 +1,9 @@
 """The light of a camera over its sensor: from which directions it comes, and how it falls off
 towards the corners.
 
-Both are those of a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief
-ray angles. Then the exit pupil is the same disc, as wide on the axis, but seen at the table's
-angle: its semi-axes in direction cosines are about NA cos CRA, and NA cos³CRA along the field. The
+Both are as for a thin lens (`pixsim.optics.thin_lens`), unless the camera has a table of chief ray
+angles. Then the exit pupil is the same disc, as wide on the axis, but seen at the table's angle:
+its semi-axes in direction cosines are about NA cos CRA, and NA cos³CRA along the field. The
 fall-off remains Foote's, of the field angle seen from the lens, unless the table has one. A real
 lens has the pupil of its trace: the directions at each image point whose rays, traced backwards,
 get through.
@@ -54,7 +54,7 @@ class CameraPupil:
         everywhere
     magnification : image over object size
     chief_ray_angle : `Camera.chief_ray_angle`
-    real : lens whose pupil is traced, with `chief_ray_angle` of its trace; None for a thin lens
+    real : lens whose pupil is traced, with `chief_ray_angle` of its trace, or None for a thin lens
     """
 
     f_number: float
@@ -74,8 +74,8 @@ class CameraPupil:
         """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast,
         from the axis.
 
-        Beyond the image circle of a real lens, where no light arrives, it is that of the outermost
-        light.
+        Beyond the image circle of a real lens, where no light arrives, it is the pupil of the
+        outermost light.
 
         rings, spokes : of rays of a traced pupil; spokes a multiple of 4
         """
@@ -142,9 +142,9 @@ def camera_factor(
     """Return the irradiance on the sensor over the radiance of the scene, (H, W) sr, at each sample
     of a grid on the axis.
 
-    It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, that of the axis
-    times it, linear between its image heights, and with `Camera.fall_off` by `dense_fall_off`. The
-    transmittance is not part of it.
+    It is `field_factor`; with a relative illumination in `Camera.chief_ray_angle`, its value on the
+    axis times the table, linear between image heights, and with `Camera.fall_off` by
+    `dense_fall_off`. The transmittance is not part of it.
 
     shape, pitch_um, part : as for `field_factor`
     """

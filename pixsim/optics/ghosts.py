@@ -3,7 +3,7 @@ share, and where it focuses.
 
 Of light on the axis, the surface j reflects R_j back, and a surface i in front of it R_i forth
 again. On its way it crosses the surfaces in between twice more than light that goes straight
-through, so a pair has R_i R_j Π (1 - R_k)² of that, i < k < j. The focus is that of paraxial rays,
+through, so a pair has R_i R_j Π (1 - R_k)² of that, i < k < j. The focus is the paraxial one,
 unfolded at each reflection (W. T. Welford, Aberrations of Optical Systems, 1986, ch. 3). Apertures
 stop none of it here, and the sensor, which reflects too, is no surface of the lens.
 """
@@ -43,7 +43,7 @@ def reflectances(indices: Sequence[float], coated: float | None = None) -> Array
     n))² without a coating.
 
     indices : (S + 1,) in front of the lens and behind each surface
-    coated : reflectance of surfaces between air and another medium; None for bare ones
+    coated : reflectance of surfaces between air and another medium, or None for bare ones
     """
     n = np.asarray(indices, float)
     bare = ((n[1:] - n[:-1]) / (n[1:] + n[:-1])) ** 2

@@ -255,7 +255,7 @@ TOLERANCE_N_D, TOLERANCE_V_D = 5e-4, 0.01
 
 
 def _code_numbers(name: str) -> tuple[float, float] | None:
-    """Return n_d and V_d of a six-digit code, as 517642 or 516800.641673; None for another name.
+    """Return n_d and V_d of a six-digit code, as 517642 or 516800.641673, or None for another name.
 
     >>> _code_numbers("517642"), _code_numbers("003283")
     ((1.517, 64.2), (2.003, 28.3))
@@ -269,7 +269,7 @@ def _code_numbers(name: str) -> tuple[float, float] | None:
 
 
 def code_glass(name: str) -> Glass | None:
-    """Return the Cauchy glass of a six-digit code; None for another name."""
+    """Return the Cauchy glass of a six-digit code, or None for another name."""
     numbers = _code_numbers(name)
     if numbers is None or numbers[1] < ABBE_NUMBERS[0]:
         return None
@@ -309,8 +309,8 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
 
 
 def _maker_of(listed: str, makers: Sequence[str]) -> str | None:
-    """Return the maker among `makers` of a catalogue by its name in a file, as SCHOTT_2017; None if
-    it is of no one of them.
+    """Return the maker among `makers` that a catalogue is of, by its name in a file, as
+    SCHOTT_2017, or None.
     """
     name = listed.upper()
     name = _OTHER_NAMES.get(name, name)
@@ -328,8 +328,8 @@ _NAME_BY_PIXSIM = re.compile(rf"{_N_D_AND_V_D}|n = [-+.e\d]{{1,24}}|dispersion f
 
 
 def named(name: str) -> str:
-    """Return the name of a glass for a message: plain words of a file, that of the maker before
-    them, and what pixsim adds.
+    """Return the name of a glass for a message: plain words of a file, with the maker before them,
+    and what pixsim adds.
 
     >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
     ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")

@@ -83,7 +83,7 @@ class Surface:
     glass : medium behind the surface
     conic : k of the conic; 0 for a sphere
     asphere : (power j, A_j in mm^(1-j)), each power at least 2 and once
-    semi_diameter_mm : of the surface; None if the file does not state it
+    semi_diameter_mm : of the surface, or None if the file does not state it
     clips : whether `semi_diameter_mm` is a clear aperture that stops rays, or else for drawings
         only
     """
@@ -148,7 +148,7 @@ class Prescription:
     surfaces : in the order of the light, without object and image plane
     stop : index of the surface that is the stop, from 0
     aperture : what `aperture_value` is: the diameter of the paraxial entrance pupil or of the stop
-        in mm, the f-number, that of the paraxial light in the image, or the numerical aperture in
+        in mm, the f-number, the working f-number of paraxial light, or the numerical aperture in
         front of the lens
     field_of_view : what `field_value` is: the largest field angle in degrees, or the largest object
         height, or paraxial or real image height, in mm
@@ -1070,8 +1070,8 @@ def _set_configuration(
     configuration: int | None,
     notes: list[str],
 ) -> list[int]:
-    """Change the lines of a file to those of a configuration, and return the surfaces (from 0)
-    whose thickness is to be solved.
+    """Set the lines of a file to a configuration, and return the surfaces (from 0) whose thickness
+    is to be solved.
 
     Raises PixsimError if there is no such configuration, or if it changes what pixsim does not
     read.

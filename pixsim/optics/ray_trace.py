@@ -2,8 +2,8 @@
 
 A ray is a point (x, y, z) with direction cosines (l, m, n), n > 0, relative to the vertex of the
 last surface that it has crossed. Rays of a batch may have any shape (...). A ray that misses a
-surface, or is totally reflected, is NaN from there on. The formulas are those of G. H. Spencer and
-M. V. R. K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
+surface, or is totally reflected, is NaN from there on. The formulas are by G. H. Spencer and M. V.
+R. K. Murty (J. Opt. Soc. Am. 52, 672, 1962).
 """
 
 from __future__ import annotations
@@ -231,8 +231,7 @@ def at_plane(rays: Rays, z_mm: float, index: float | Array) -> Rays:
 def paraxial(
     surfaces: Sequence[Surface], indices: Sequence[float | Array], height: Array, angle: Array
 ) -> tuple[Array, Array]:
-    """Trace paraxial rays from the vertex of the first surface to that of the last; return height
-    and n·angle behind it.
+    """Trace paraxial rays from the first vertex to the last; return height and n·angle behind it.
 
     height : at the first vertex, (...), in mm
     angle : index times slope in front of it, (...), a number

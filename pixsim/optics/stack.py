@@ -5,8 +5,7 @@ A square photodiode of side w lies centred in a pixel of pitch p, at a depth h i
 n. At the surface there is either a microlens over the whole pixel, focused on the photodiode's
 plane, or an opening of side w in a dark layer. A ray of direction cosines s in air has the tangents
 t = s/√(n² - s²) in the medium (`refraction` exact), or s/n (paraxial). It lands at x = h t - shift
-from the centre of its pixel's photodiode, where the shift is that of the lens or opening towards
-the axis.
+from the centre of its pixel's photodiode, where the lens or opening is shifted towards the axis.
 
 * microlens: the landing point depends on the direction only, so a photodiode collects the part of
   the pupil that lands on it.
@@ -182,7 +181,7 @@ def stack_collection(
     (3, 3) [dy + 1, dx + 1].
 
     It is geometric, without diffraction; what is missing to 1 is lost or lands further away. The
-    phase space behind it is that of P. B. Catrysse and B. A. Wandell, J. Opt. Soc. Am. A 19 (2002)
+    phase space behind it is after P. B. Catrysse and B. A. Wandell, J. Opt. Soc. Am. A 19 (2002)
     1610.
 
     pitch_um : of the pixels
@@ -220,8 +219,8 @@ def collected_shares(
     5) [dy + 2, dx + 2].
 
     pupil : of the points (...) of the sensor
-    wavelength_nm : (B,), for diffraction under the microlens, which gives (..., B, 5, 5); None:
-        geometric
+    wavelength_nm : (B,), for diffraction under the microlens, which gives (..., B, 5, 5); geometric
+        by default
 
     What is missing to 1 is lost. A bare pixel has the same shares at each wavelength.
 
@@ -281,12 +280,12 @@ def aperture_mtf(
 
 
 def aperture_side_um(stack: Stack, pupil: Pupil | Directions) -> Array:
-    """Return the sides (x, y) of the box whose MTF falls as that of `aperture_mtf` at low
-    frequencies, (..., 2).
+    """Return the sides (x, y) of the box whose MTF falls like `aperture_mtf` at low frequencies,
+    (..., 2).
 
     √12 times the standard deviation of where on the pixel light enters that the photodiode
-    collects: the pitch under a microlens. At the Nyquist frequency of the pixels the box's MTF is
-    that of the aperture to .002 up to f/1.4 in usual stacks.
+    collects: the pitch under a microlens. At the Nyquist frequency of the pixels the MTFs of box
+    and aperture agree to .002 up to f/1.4 in usual stacks.
 
     pupil : of the points (...) of the sensor
 
@@ -435,7 +434,7 @@ def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Arra
     """Return ∫ x^power ρ dx from `start` to `end` at y, (...), with ρ = 1, or 1/(1 + x² + y²)² in
     exact refraction.
 
-    ρ is the area of direction cosines over that of tangents, divided by n². The differences are
+    ρ is the area of direction cosines over the area of tangents, divided by n². The differences are
     written without cancellation.
     """
     if not exact:
@@ -552,8 +551,7 @@ def _crossings(
     edge: Array,
     rises: NDArray[np.bool],
 ) -> Array:
-    """Return the angles (n,) within brackets at which coordinates are those of edges, by Newton's
-    method.
+    """Return the angles (n,) within brackets at which coordinates reach edges, by Newton's method.
 
     rises : whether the coordinate is above the edge at the end of the bracket
     """

@@ -34,8 +34,8 @@ class _Veil:
 
 
 def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
-    """Return the veil of a picture, or of the one of which it is a part (`with_veil_of_whole`);
-    None without veiling glare.
+    """Return the veil of a picture, or of the whole one of which it is a part
+    (`with_veil_of_whole`), or None without veiling glare.
 
     Beyond its ends, a table of shares is constant.
 
