@@ -86,7 +86,7 @@ def collected_charge_e(
     Parameters
     ----------
     photocurrent_e_per_s, integration_s : finite, ≥ 0, broadcast together
-    diode : from `diode_of`; None takes that of the default pixel
+    diode : from `diode_of`; None takes the photodiode of the default pixel
 
     Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, approaching the
     charge down to V_oc as the diode turns forward. The relative error is below 1e-10 (measured:
@@ -95,15 +95,18 @@ def collected_charge_e(
 
     Raises PixsimError if an argument is negative or not finite.
 
-    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s  # dark charge is collected too, and far from forward bias none is lost
+    Dark charge is collected too, and none is lost far from forward bias:
+
+    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s
     >>> round(float(collected_charge_e(1e5, 0.03)) - 0.03 * (1e5 + dark_e_per_s), 6)
     0.0
     """
-    kind = diode or default_diode()
-    current, time_s = np.asarray(photocurrent_e_per_s, float), np.asarray(integration_s, float)
+    diode = diode or default_diode()
+    current = np.asarray(photocurrent_e_per_s, float)
+    time_s = np.asarray(integration_s, float)
     check_broadcast(photocurrent_e_per_s=current.shape, integration_s=time_s.shape)
     current, time_s = np.broadcast_arrays(current, time_s)
-    return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
+    return charge_from_total_e(current + diode.saturation_current_e_per_s, time_s, diode)
 
 
 def charge_from_total_e(
@@ -123,14 +126,16 @@ def charge_from_total_e(
         generated = np.minimum(total_e_per_s * integration_s, np.finfo(float).max)
     if not diode.saturation_current_e_per_s:
         return generated
+
     with np.errstate(divide="ignore"):
         log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
     result = np.where(_reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
     turning = np.flatnonzero((result > _charge_before_turning_e(log_ratio, diode)).ravel())
-    for block in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
-        result.flat[block] = _charge_while_turning_e(
-            generated.flat[block], log_ratio.flat[block], diode
-        )
+    if turning.size:
+        for block in np.array_split(turning, -(-turning.size // BLOCK)):
+            result.flat[block] = _charge_while_turning_e(
+                generated.flat[block], log_ratio.flat[block], diode
+            )
     return result
 
 
@@ -140,8 +145,8 @@ def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
 
 
 def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
-    """Return the charge down to p = -`_BUMP`, where the diode loss is only e^-`_BUMP` C V_T; 0 if the
-    reset is beyond.
+    """Return the charge down to p = -`_BUMP`, where the diode loss is only e^-`_BUMP` C V_T; 0 if
+    the reset is beyond.
     """
     drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - _BUMP, 0.0)
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
@@ -160,16 +165,11 @@ def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
     knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), _BUMP)
-    borders = np.sort(
-        np.hstack(
-            [
-                np.broadcast_to(regular, (log_ratio.size, regular.size)),
-                np.clip(knees, -_BUMP, _BUMP),
-            ]
-        ),
-        axis=1,
+    borders = np.hstack(
+        [np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -_BUMP, _BUMP)]
     )
-    return np.maximum(borders, _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None])
+    reset = _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None]
+    return np.maximum(np.sort(borders, axis=1), reset)
 
 
 def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
@@ -177,10 +177,10 @@ def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Arra
     broadcasts to it.
     """
     half = (high - low)[..., None] / 2
-    p, v_oc = low[..., None] + half * (1 + NODES), equilibrium_v[..., None]
-    excess_ff = diode.capacitance_ff(
-        v_oc + diode.thermal_v * np.logaddexp(0.0, -p)
-    ) - diode.capacitance_ff(v_oc)
+    p = low[..., None] + half * (1 + NODES)
+    v_oc = equilibrium_v[..., None]
+    bias_v = v_oc + diode.thermal_v * np.logaddexp(0.0, -p)
+    excess_ff = diode.capacitance_ff(bias_v) - diode.capacitance_ff(v_oc)
     return E_PER_FC * diode.thermal_v * (half * WEIGHTS * excess_ff * expit(p)).sum(axis=-1)
 
 
@@ -189,27 +189,30 @@ def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) 
     then by Newton.
     """
     v_t = diode.thermal_v
-    v_oc, x_0 = -v_t * log_ratio, _reset_to_equilibrium(log_ratio, diode)
+    v_oc = -v_t * log_ratio
     scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
-    borders = _panel_borders(log_ratio, diode)
+    x_0 = _reset_to_equilibrium(log_ratio, diode)
     p_0 = _other_side(x_0)
+
+    # Charge that is collected, and that the diode conducts, up to each border. The drop at the
+    # reset is exactly 0, so that the smallest charges keep their precision.
+    borders = _panel_borders(log_ratio, diode)
     x = np.logaddexp(0.0, -borders)
-    # The drop at the reset is exactly 0, so that the smallest charges keep their precision.
     drop_v = np.where(borders > p_0[:, None], v_t * np.maximum(x_0[:, None] - x, 0.0), 0.0)
     collected = diode.charge_e(diode.reset_voltage_v, drop_v)
-    taken = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
-    taken[:, 1:] += np.cumsum(
-        _bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1
-    )
-    row, panel = (
-        np.arange(x_0.size),
-        np.maximum((collected + taken <= generated_e[:, None]).sum(axis=1) - 1, 0),
-    )
-    start, wanted = borders[row, panel], generated_e - (collected + taken)[row, panel]
-    width = (
-        borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start
-    )  # 0 after the last panel, where V_oc is reached
-    step = _solve_panel(wanted, start, width, v_oc, scale_e, diode)
+    conducted = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
+    bumps = _bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode)
+    conducted[:, 1:] += np.cumsum(bumps, axis=1)
+
+    # The panel in which the generated charge is reached. It has no width after the last one, where
+    # V_oc is reached.
+    row = np.arange(x_0.size)
+    passed = (collected + conducted <= generated_e[:, None]).sum(axis=1)
+    panel = np.maximum(passed - 1, 0)
+    start = borders[row, panel]
+    width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start
+    remaining_e = generated_e - (collected + conducted)[row, panel]
+    step = _solve_panel(remaining_e, start, width, v_oc, scale_e, diode)
     return collected[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
 
 
@@ -225,37 +228,40 @@ def _charge_of_step_e(
 
 
 def _solve_panel(
-    wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode
+    generated_e: Array,
+    start: Array,
+    width: Array,
+    equilibrium_v: Array,
+    scale_e: Array,
+    diode: Diode,
 ) -> Array:
-    """Return the step in p from `start`, within the panel, that generates the wanted charge, by
+    """Return the step in p from `start`, within the panel, in which a charge is generated, by
     Newton's method.
     """
     step = np.zeros_like(start)
     for _ in range(NEWTON_STEPS):
         collected, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
-        taken = scale_e * (step - fall) + _bump_e(start, start + step, equilibrium_v, diode)
+        conducted = scale_e * (step - fall) + _bump_e(start, start + step, equilibrium_v, diode)
         bias_v = equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)
         slope = E_PER_FC * diode.thermal_v * diode.capacitance_ff(bias_v)
-        better = np.clip(step + (wanted_e - collected - taken) / slope, 0.0, width)
-        done = np.abs(better - step) <= 1e-14 * better
-        step = better
-        if done.all():
+        next_step = np.clip(step + (generated_e - collected - conducted) / slope, 0.0, width)
+        converged = np.abs(next_step - step) <= 1e-14 * next_step
+        step = next_step
+        if converged.all():
             break
     return step
 
 
 LINEAR_WITHIN = 1e-6  # of the well: largest error of the linear law below `linear_limit_e`
-_LINEAR_SHARE = (
-    0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
-)
+# Of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there.
+_LINEAR_SHARE = 0.9
 _TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
 _FIRST_ENTRIES = 129  # on each side of the knee, before refinement
 _SOFT_FULL = 0.99  # of the full well: a soft saturation counts as full from here
 _MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
-_MAX_GENERATED = (
-    1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
-)
-_SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
+# Of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-.
+_MAX_GENERATED = 1e20
+_SEARCH_RANGE = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
 
 
 def stored_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
@@ -280,16 +286,14 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
     """
     if not diode.saturation_current_e_per_s:
         return float("inf")
-    low, high = (limit * full_well_e for limit in _SEARCHED)
+    low, high = (limit * full_well_e for limit in _SEARCH_RANGE)
     for _ in range(4):  # each pass narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
-        lost = grid - stored_charge_e(grid, integration_s, diode)
-        below = max(
-            int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right"))
-            - 1,
-            0,
-        )
-        low, high = float(grid[below]), float(grid[min(below + 1, 256)])
+        lost = np.maximum.accumulate(grid - stored_charge_e(grid, integration_s, diode))
+        above = int(np.searchsorted(lost, LINEAR_WITHIN * full_well_e, "right"))
+        below = max(above - 1, 0)
+        low = float(grid[below])
+        high = float(grid[min(below + 1, 256)])
     return low
 
 
@@ -317,17 +321,24 @@ def refined(
     right to `within`.
     """
     values = function(entries)
-    low, high = np.stack([entries[:-1], values[:-1]]), np.stack([entries[1:], values[1:]])
+    low = np.stack([entries[:-1], values[:-1]])
+    high = np.stack([entries[1:], values[1:]])
     pieces = [np.stack([entries, values])]
     while low.size:
-        lines = low + (high - low) / 3, high - (high - low) / 3
-        first, second = (np.stack([line[0], function(line[0])]) for line in lines)
-        off = np.maximum(np.abs(first - lines[0])[1], np.abs(second - lines[1])[1]) > within
+        # The function and the line through both ends, at a third and at two thirds.
+        first_line = low + (high - low) / 3
+        second_line = high - (high - low) / 3
+        first = np.stack([first_line[0], function(first_line[0])])
+        second = np.stack([second_line[0], function(second_line[0])])
         pieces += [first, second]
-        low, high = (
-            np.hstack([ends[:, off] for ends in side])
-            for side in ((low, first, second), (first, second, high))
-        )
+
+        first_error = np.abs(first - first_line)[1]
+        second_error = np.abs(second - second_line)[1]
+        is_coarse = np.maximum(first_error, second_error) > within
+        new_low = [ends[:, is_coarse] for ends in (low, first, second)]
+        new_high = [ends[:, is_coarse] for ends in (first, second, high)]
+        low = np.hstack(new_low)
+        high = np.hstack(new_high)
     table = np.hstack(pieces)
     entries, values = table[:, np.argsort(table[0])]
     return entries, np.maximum.accumulate(values)
@@ -337,46 +348,41 @@ def refined(
 def level_table(
     diode: Diode, full_well_e: float, integration_s: float | None, bent: bool
 ) -> _LevelTable:
-    """Tabulate a well limit (a time of None: the hard clip of `swing`) and a conversion (`bent`:
-    V(Q)), to 1e-6 of the well.
+    """Tabulate a well limit and a conversion, to 1e-6 of the well.
+
+    integration_s : None for the hard clip of `swing`
+    bent : whether the conversion is V(Q)
     """
 
     def level(log_generated: Array) -> Array:
-        generated_e = np.exp(log_generated)
-        stored = (
-            generated_e
-            if integration_s is None
-            else stored_charge_e(generated_e, integration_s, diode)
-        )
+        stored = np.exp(log_generated)
+        if integration_s is not None:
+            stored = stored_charge_e(stored, integration_s, diode)
         stored = np.minimum(stored, _MAX_STORED * full_well_e)
         return converted_e(stored, full_well_e, diode) if bent else stored
 
-    first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
+    first_e = LINEAR_WITHIN * full_well_e
+    last_e = full_well_e
     if integration_s is not None:
         last_e = _MAX_GENERATED * full_well_e
-        first_e = (
-            first_e
-            if bent
-            else _LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
-        )
-    knee = np.linspace(
-        np.log(first_e), np.log(min(_MAX_STORED * full_well_e, last_e)), _FIRST_ENTRIES
-    )
-    beyond = (
-        np.linspace(knee[-1], np.log(last_e), _FIRST_ENTRIES)[1:]
-        if last_e > full_well_e
-        else knee[:0]
-    )
-    return _LevelTable(
-        *refined(level, np.concatenate([knee, beyond]), _TABLE_WITHIN * full_well_e), first_e
-    )
+        if not bent:
+            limit_e = linear_limit_e(diode, full_well_e, integration_s)
+            first_e = _LINEAR_SHARE * min(limit_e, full_well_e)
+
+    knee_end = np.log(min(_MAX_STORED * full_well_e, last_e))
+    entries = np.linspace(np.log(first_e), knee_end, _FIRST_ENTRIES)
+    if last_e > full_well_e:
+        beyond = np.linspace(entries[-1], np.log(last_e), _FIRST_ENTRIES)[1:]
+        entries = np.concatenate([entries, beyond])
+    log_generated, level_e = refined(level, entries, _TABLE_WITHIN * full_well_e)
+    return _LevelTable(log_generated, level_e, first_e)
 
 
 def saturation_level_e(integration_s: float, readout: Readout) -> float:
     """Return the generated charge (e-) of a frame at which saturation begins: the full well of a
     hard clip, or `linear_limit_e`.
 
-    Of a burst it is that of all exposures together, if they have the same light.
+    Of a burst it is the charge of all subexposures together, if they have the same light.
 
     At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in
     the packaged processes (1 s to 0.1 ms). It is infinite without a diode current.
@@ -384,9 +390,8 @@ def saturation_level_e(integration_s: float, readout: Readout) -> float:
     diode = readout.physics.diode
     if diode is None or readout.physics.pixel.well_limit == "swing":
         return readout.exposures * readout.full_well_e
-    return readout.exposures * linear_limit_e(
-        diode, readout.full_well_e, integration_s / readout.exposures
-    )
+    subexposure_s = integration_s / readout.exposures
+    return readout.exposures * linear_limit_e(diode, readout.full_well_e, subexposure_s)
 
 
 def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArray[np.bool_]:
@@ -414,14 +419,16 @@ def stored_signal_e(generated_e: Array, integration_s: float, readout: Readout) 
     It follows the pixel's well limit and conversion. With a linear conversion, a picture whose
     brightest pixel stays below `linear_limit_e` is returned unchanged. Of one exposure.
     """
-    diode, pixel = readout.physics.diode, readout.physics.pixel
+    diode = readout.physics.diode
     full_well_e = readout.full_well_e
-    bent = not responds_linearly(readout.physics)
-    swing = pixel.well_limit == "swing"
-    if diode is None or (swing and not bent):
+    is_bent = not responds_linearly(readout.physics)
+    has_hard_clip = readout.physics.pixel.well_limit == "swing"
+    if diode is None or (has_hard_clip and not is_bent):
         return np.minimum(generated_e, full_well_e)
-    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(
-        diode, full_well_e, integration_s
-    ):
-        return generated_e
-    return level_table(diode, full_well_e, None if swing else integration_s, bent)(generated_e)
+
+    if not is_bent:
+        limit_e = linear_limit_e(diode, full_well_e, integration_s)
+        if generated_e.max(initial=0.0) <= limit_e:
+            return generated_e
+    table = level_table(diode, full_well_e, None if has_hard_clip else integration_s, is_bent)
+    return table(generated_e)

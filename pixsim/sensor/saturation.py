@@ -18,27 +18,22 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 
 _SHOT_NODES = 65
-GAIN_NODES, OFFSET_NODES = (
-    37,
-    19,
-)  # at least; more if they would be wider apart than the temporal noise
+# At least; more if they would be wider apart than the temporal noise.
+GAIN_NODES = 37
+OFFSET_NODES = 19
 _MAX_NODES = 1000  # of gain times offset
 _MAX_NODE = 5.0  # σ
-CLIP_REACH = (
-    8.0  # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution
-)
-PEAK_RANGE, PEAK_POINTS = (
-    (0.3, 1.0),
-    15,
-)  # of the brightest light, and light levels that bracket the peak
+# σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution.
+CLIP_REACH = 8.0
+PEAK_RANGE = (0.3, 1.0)  # of the brightest light
+PEAK_POINTS = 15  # light levels that bracket the peak
 _PEAK_WITHIN = 1e-5  # of the brightest light
 _BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
 _MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
 _WELL_WITHIN = 1e-5  # of the saturation capacity
 _RISE_OVER = 1e-4  # of the saturation capacity, either side
-_CAPACITY_WITHIN = (
-    1e-4  # of the saturation capacity: accepted for a full well at which the variance is level
-)
+# Of the saturation capacity: accepted for a full well at which the variance is level.
+_CAPACITY_WITHIN = 1e-4
 
 
 def _normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
@@ -53,20 +48,19 @@ def _normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
 
 
 def _node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
-    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `_MAX_NODES` in
-    all.
+    """Nodes of the spreads of gain and offset, which are in units of the temporal noise;
+    `_MAX_NODES` in all.
 
     Nodes wider apart than the temporal noise would be seen one by one at the clip.
     """
-    needed = [min(2 * _MAX_NODE * sigmas, _MAX_NODES) for sigmas in (gain_sigmas, offset_sigmas)]
-    gains, offsets = (
-        max(needed[0], GAIN_NODES),
-        max(needed[1], OFFSET_NODES) if offset_sigmas else 1,
-    )
+    gains = max(min(2 * _MAX_NODE * gain_sigmas, _MAX_NODES), GAIN_NODES)
+    offsets: float = 1
+    if offset_sigmas:
+        offsets = max(min(2 * _MAX_NODE * offset_sigmas, _MAX_NODES), OFFSET_NODES)
     share = min(1.0, math.sqrt(_MAX_NODES / (gains * offsets)))
-    return max(round(share * gains), GAIN_NODES), max(
-        round(share * offsets), OFFSET_NODES
-    ) if offset_sigmas else 1
+    gain_count = max(round(share * gains), GAIN_NODES)
+    offset_count = max(round(share * offsets), OFFSET_NODES) if offset_sigmas else 1
+    return gain_count, offset_count
 
 
 def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
@@ -99,41 +93,47 @@ def level_moments(
     top_e : level at the ADC's top code; levels are relative to it, which avoids cancellation there
     stored : signal level of a generated charge, e-, as `pixsim.sensor.photodiode.stored_signal_e`
     noise_e : temporal, reset and read noise
-    gain_spread : PRNU. offset_spread_e : of pixels and columns
+    gain_spread : PRNU
+    offset_spread_e : of pixels and columns
     """
     temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
-    gains, offsets = (
-        _node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e)
-        if temporal_e
-        else (1, 1)
-    )
+    gains, offsets = 1, 1
+    if temporal_e:
+        gain_sigmas = gain_spread * mean_e / temporal_e
+        offset_sigmas = offset_spread_e / temporal_e
+        gains, offsets = _node_counts(gain_sigmas, offset_sigmas)
     gain, gain_weight = _normal_nodes(gains, gain_spread)
     offset, offset_weight = _normal_nodes(offsets, offset_spread_e)
     shot, shot_weight = _normal_nodes(_SHOT_NODES, 1.0)
+
     charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + dark_e
     generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
     level = stored(generated)[:, None, :] + offset[:, None] - top_e
     first, second = clipped_moments(level, noise_e, 0.0)
-    first, second = first @ shot_weight, second @ shot_weight
+    mean = first @ shot_weight
+    variance = second @ shot_weight - mean**2
+
     weight = gain_weight[:, None] * offset_weight
-    return float(np.sum(weight * first)) + top_e, float(np.sum(weight * (second - first**2)))
+    return float(np.sum(weight * mean)) + top_e, float(np.sum(weight * variance))
 
 
 def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     """Signal (e-) at which the temporal variance peaks, of `variance` at a mean signal up to
     `brightest_e`.
     """
-    coarse = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
-    best = int(np.argmax([variance(electrons) for electrons in coarse.tolist()]))
-    bounds = float(coarse[max(best - 1, 0)]), float(coarse[min(best + 1, coarse.size - 1)])
-    options = {"xatol": _PEAK_WITHIN * brightest_e}
     from scipy.optimize import minimize_scalar  # imported where it is needed: it takes 0.1 s
 
-    return float(
-        minimize_scalar(
-            lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options
-        ).x
+    coarse_e = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
+    highest = int(np.argmax([variance(signal_e) for signal_e in coarse_e.tolist()]))
+    low_e = float(coarse_e[max(highest - 1, 0)])
+    high_e = float(coarse_e[min(highest + 1, coarse_e.size - 1)])
+    peak = minimize_scalar(
+        lambda signal_e: -variance(signal_e),
+        bounds=(low_e, high_e),
+        method="bounded",
+        options={"xatol": _PEAK_WITHIN * brightest_e},
     )
+    return float(peak.x)
 
 
 def _clipping_variance_e2(
@@ -164,7 +164,7 @@ def saturation_capacity_e(
 ) -> float:
     """μ_e.sat of a pixel with a hard clip, in a dark so short that it adds no charge.
 
-    adc_range_e : signal at the ADC's top code; None: the full well
+    adc_range_e : signal at the ADC's top code; None means the full well
     noise_e, gain_spread, offset_spread_e : as in `level_moments`
     """
     clip = full_well_e, adc_range_e, noise_e, gain_spread, offset_spread_e
