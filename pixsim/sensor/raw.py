@@ -4,10 +4,11 @@ Every format holds the digital numbers unchanged, and the same metadata: black a
 bits, pitch, gain, integration time, saturated fraction, the layout of the channels of a colour
 sensor, and of a burst the saturated pixels. Each format stores the metadata as follows:
 
-    TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as JSON in ImageDescription
+    TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as
+           JSON in ImageDescription
     PNG    a text chunk for each item; there is no sBIT chunk
-    EXR    a float32 attribute for each item, and all of it as JSON in `facts`; the channel DN is float32 too, which holds
-           24 bits exactly
+    EXR    a float32 attribute for each item, and all of it as JSON in `facts`; the channel DN is
+           float32 too, which holds 24 bits exactly
     npz    an array for each item; `dn` has the smallest unsigned integer type that holds it
 
 The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits,
@@ -51,17 +52,18 @@ UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 _MAX_BITS = 32
-_BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {
-    ".exr": 24
-}  # which float32 holds exactly
-BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
+_BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES)
+_BITS_OF[".exr"] = 24  # which float32 holds exactly
+BLACK_LEVEL_TAG = 50714
+WHITE_LEVEL_TAG = 50717
+DESCRIPTION_TAG = 270
 _BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
 _MAX_CELL = 16  # rows or columns of a cell of black levels
 
 
 @dataclass(frozen=True, repr=False)
 class RawFrame:
-    """Digital numbers of a file and their metadata; None where the file does not state an item.
+    """Digital numbers of a file and their metadata. Items that the file does not state are None.
 
     dn : (rows, columns) unsigned integers, as stored
     black_level_dn : DN without light and dark charge; (rows, columns) where it is not the same for
@@ -73,8 +75,8 @@ class RawFrame:
     dn_per_e : gain, DN per electron above the black level
     saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the
         simulation knows the charge; for files of other programs there is `top_code_fraction`
-    layout : which channel each value belongs to, as of a `Frame`
-    saturated : (rows, columns) which pixels of a burst were full in any of its exposures, as of a
+    layout : which channel each value belongs to, as in a `Frame`
+    saturated : (rows, columns) which pixels of a burst were full in any of its subexposures, as in a
         `Frame`
     """
 
@@ -91,28 +93,22 @@ class RawFrame:
 
     @property
     def top_code_fraction(self) -> float | None:
-        """Fraction of pixels at or above the white level; None if the file states neither white
-        level nor bits.
+        """Fraction of pixels at or above the white level, if the file states it or the bits.
 
         Reset noise and offsets keep saturated pixels off the top code: 42 % of the default pixels
-        under even light of 14 wells.
+        under uniform light of 14 wells.
         """
-        top = (
-            2.0**self.bits - 1
-            if self.white_level_dn is None and self.bits is not None
-            else self.white_level_dn
-        )
-        return None if top is None else float(np.mean(self.dn >= top))
+        white_dn = self.white_level_dn
+        if white_dn is None and self.bits is not None:
+            white_dn = 2.0**self.bits - 1
+        return None if white_dn is None else float(np.mean(self.dn >= white_dn))
 
     def __repr__(self) -> str:
-        facts = {name: value for name in FACTS if (value := getattr(self, name)) is not None}
-        words = [
-            f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}"
-            for name, value in facts.items()
-        ]
-        if self.layout is not None:
-            words.insert(0, f"layout={self.layout}")
-        return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
+        items = [] if self.layout is None else [f"layout={self.layout}"]
+        for name, value in _stated_facts(self).items():
+            highest = f"…{np.max(value):g}" if np.ndim(value) else ""
+            items.append(f"{name}={np.min(value):g}{highest}")
+        return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(items)}>"
 
 
 # Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours;
@@ -122,7 +118,8 @@ ENCODING = "encoding"  # what a file states about a display's encoding of its va
 # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the
 # other
 LAYOUT = "layout"
-SATURATED, BLACK_LEVEL = "saturated", "black_level_dn"
+SATURATED = "saturated"
+BLACK_LEVEL = "black_level_dn"
 FACTS = (
     "black_level_dn",
     "white_level_dn",
@@ -134,23 +131,32 @@ FACTS = (
 )
 
 
+def _stated_facts(frame: Frame | RawFrame) -> dict[str, Any]:
+    """Return the items of `FACTS` that a frame states."""
+    facts = {name: getattr(frame, name) for name in FACTS}
+    return {name: value for name, value in facts.items() if value is not None}
+
+
 def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """Return the metadata that a file stores with the digital numbers of a frame."""
-    more: dict[str, Any] = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
-    if frame.saturated is not None and (
-        isinstance(frame, RawFrame) or frame.exposures > 1
-    ):  # else the codes tell it
-        more[SATURATED] = frame.saturated
+    metadata: dict[str, Any] = {}
+    if frame.layout is not None:
+        metadata[LAYOUT] = str(frame.layout)
+    # Of a single exposure, the codes tell which pixels were saturated.
+    is_burst = isinstance(frame, RawFrame) or frame.exposures > 1
+    if frame.saturated is not None and is_burst:
+        metadata[SATURATED] = frame.saturated
+
+    facts = _stated_facts(frame)
     if isinstance(frame, RawFrame):
-        facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
         if np.ndim(facts.get(BLACK_LEVEL, 0.0)):
             facts[BLACK_LEVEL] = _cell_of(facts[BLACK_LEVEL]).tolist()
-        return more | facts
-    facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
-    top = {
-        "white_level_dn": 2**frame.bits - 1
-    } | facts  # the white level of a Frame is its top code
-    return more | {name: float(top[name]) for name in FACTS} | {"bits": int(frame.bits)}
+        return metadata | facts
+
+    facts.setdefault("white_level_dn", 2**frame.bits - 1)
+    metadata |= {name: float(facts[name]) for name in FACTS}
+    metadata["bits"] = int(frame.bits)
+    return metadata
 
 
 def _cell_of(levels: Array) -> Array:
@@ -161,20 +167,16 @@ def _cell_of(levels: Array) -> Array:
     for rows, columns in sorted(itertools.product(sides, repeat=2), key=math.prod):
         if np.array_equal(_tiled(levels[:rows, :columns], levels.shape), levels):
             return levels[:rows, :columns]
-    hint = "Subtract it before."
-    raise invalid(
-        "black_level_dn",
-        "another one for each pixel",
-        f"cells of up to {_MAX_CELL} × {_MAX_CELL} that repeat",
-        hint,
-    )
+    allowed = f"cells of up to {_MAX_CELL} × {_MAX_CELL} that repeat"
+    raise invalid("black_level_dn", "another one for each pixel", allowed, "Subtract it before.")
 
 
 def _tiled(cell: Array, shape: tuple[int, ...]) -> Array:
     """Return a picture (rows, columns) of cells side by side, which begin at the upper left."""
-    return np.tile(cell, [-(-size // part) for size, part in zip(shape, cell.shape, strict=True)])[
-        : shape[0], : shape[1]
-    ]
+    rows, columns = shape
+    height, width = cell.shape
+    counts = -(-rows // height), -(-columns // width)
+    return np.tile(cell, counts)[:rows, :columns]
 
 
 def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
@@ -207,7 +209,10 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     }
     if path.suffix.lower() not in writers:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
-    name, dn, facts = f"raw frame for '{path}'", np.asarray(frame.dn), _facts_of(frame)
+
+    name = f"raw frame for '{path}'"
+    dn = np.asarray(frame.dn)
+    facts = _facts_of(frame)
     _check_whole(name, dn)
     bits = _BITS_OF.get(path.suffix.lower(), _MAX_BITS)
     if dn.max() >= 2**bits:
@@ -215,11 +220,8 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
             name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
         )
     for fact, value in facts.items():
-        if (
-            fact not in (LAYOUT, SATURATED)
-            and not np.ndim(value)
-            and not math.isfinite(stated_number(facts, fact))
-        ):
+        is_number = fact not in (LAYOUT, SATURATED) and not np.ndim(value)
+        if is_number and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
 
@@ -230,16 +232,11 @@ def _check_whole(name: str, dn: NDArray[Any]) -> None:
     """
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
         raise invalid(name, f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
-    if not (
-        np.isfinite(dn).all()
-        and dn.min() >= 0
-        and dn.max() < 2**_MAX_BITS
-        and (dn == np.floor(dn)).all()
-    ):
-        at = first_where(~((dn >= 0) & (dn < 2**_MAX_BITS) & (dn == np.floor(dn)))) or (0, 0)
-        raise invalid(
-            name, f"{dn[at]} at row {at[0]}, column {at[1]}", "whole numbers from 0 to 2³² - 1"
-        )
+    is_whole = (dn >= 0) & (dn < 2**_MAX_BITS) & (dn == np.floor(dn))
+    if not is_whole.all():
+        row, column = first_where(~is_whole) or (0, 0)
+        got = f"{dn[row, column]} at row {row}, column {column}"
+        raise invalid(name, got, "whole numbers from 0 to 2³² - 1")
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -321,7 +318,8 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_frame(f"{folder}/raw.png", RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10))
+    ...     frame = RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10)
+    ...     write_frame(f"{folder}/raw.png", frame)
     ...     back = read_frame(f"{folder}/raw.png")
     >>> back.dn.tolist(), back.black_level_dn, back.bits, back.pitch_um
     ([[64, 1023]], 64.0, 10, None)
@@ -329,23 +327,26 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     path = Path(path)
     dn, metadata = read_picture(path, "raw frame", SUFFIXES)
     _check_whole(f"raw frame '{path}'", dn)
-    numbers = {
-        name: value for name in FACTS if math.isfinite(value := stated_number(metadata, name))
-    }
-    facts: dict[str, Any] = {
-        name: round(value) if name == "bits" else value for name, value in numbers.items()
-    }
-    if (levels := black_levels_of(metadata, dn.shape)) is not None:
+    facts: dict[str, Any] = {}
+    for name in FACTS:
+        value = stated_number(metadata, name)
+        if math.isfinite(value):
+            facts[name] = round(value) if name == "bits" else value
+    levels = black_levels_of(metadata, dn.shape)
+    if levels is not None:
         facts[BLACK_LEVEL] = levels
-    layout, saturated = layout_of(metadata, dn.shape), saturated_of(metadata, dn.shape)
+
     return RawFrame(
-        dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout, saturated=saturated
+        dn.astype(np.min_scalar_type(int(dn.max()))),
+        **facts,
+        layout=layout_of(metadata, dn.shape),
+        saturated=saturated_of(metadata, dn.shape),
     )
 
 
 def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
-    """Return the layout that a file states; None if it is absent or, as another program's item may
-    be, no layout of the frame.
+    """Return the layout that a file states, if it is a layout of the frame; an item of another
+    program may be anything.
     """
     try:
         layout = Layout.parse(str(metadata[LAYOUT]))
@@ -367,23 +368,20 @@ def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array |
 
 
 def saturated_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Return the saturated pixels, (rows, columns), that a file states; None if they are absent or
-    not of this frame.
+    """Return the saturated pixels, (rows, columns), that a file states, if they are of this
+    frame.
     """
     stated: Any = metadata.get(SATURATED)
     size = math.prod(shape)
     if isinstance(stated, np.ndarray):
         return stated if stated.shape == shape and stated.dtype == bool else None
-    with suppress(
-        TypeError, ValueError, zlib.error
-    ):  # a text of another program under the same name
-        packed = zlib.decompressobj().decompress(binascii.a2b_base64(stated), -(-size // 8))
-        if len(packed) == -(-size // 8):
-            return (
-                np.unpackbits(np.frombuffer(packed, np.uint8), count=size)
-                .reshape(shape)
-                .astype(bool)
-            )
+    # Another program may have a text under the same name.
+    with suppress(TypeError, ValueError, zlib.error):
+        byte_count = -(-size // 8)
+        packed = zlib.decompressobj().decompress(binascii.a2b_base64(stated), byte_count)
+        if len(packed) == byte_count:
+            bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=size)
+            return bits.reshape(shape).astype(bool)
     return None
 
 
@@ -566,12 +564,12 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
         if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
             metadata[ENCODING] = encoded[0]
-        if (
-            np.ptp(np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))) > 1
-        ):  # of a line, steps differ by rounding
+        steps = np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))
+        if np.ptp(steps) > 1:  # those of a straight line differ by rounding
             metadata[ENCODING] = "TransferFunction"
         samples = np.asarray(image)
-        several = _has_pages(image)
+        has_pages = _has_pages(image)
+
     if is_deep_colour:
         with (
             warnings.catch_warnings(action="ignore"),
@@ -582,24 +580,27 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
             # the lower one.
             image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
-    if several:
+    if has_pages:
         warn(Note("file_as_read", words=_pages_text(path)))
     return samples, metadata | _metadata_of_tags(path, tags)
 
 
-PHOTOMETRIC, PLANAR, TRANSFER_FUNCTION = 262, 284, 301  # tags of TIFF 6.0
-WHITE_IS_ZERO, BLACK_IS_ZERO, MOSAIC, LINEAR_RAW = (
-    0,
-    1,
-    32803,
-    34892,
-)  # photometric interpretations, of TIFF/EP and DNG too
+# Tags of TIFF 6.0.
+PHOTOMETRIC = 262
+PLANAR = 284
+TRANSFER_FUNCTION = 301
+# Photometric interpretations, of TIFF/EP and DNG too.
+WHITE_IS_ZERO = 0
+BLACK_IS_ZERO = 1
+MOSAIC = 32803
+LINEAR_RAW = 34892
+# Tags of DNG that change the digital numbers.
 _NOT_APPLIED = {
     50712: "LinearizationTable",
     50715: "BlackLevelDeltaH",
     50716: "BlackLevelDeltaV",
     50829: "ActiveArea",
-}  # of DNG
+}
 
 
 def _let_pillow_open_mosaics() -> None:
@@ -614,7 +615,7 @@ def _let_pillow_open_mosaics() -> None:
 
 
 def _pages_text(path: Path) -> str:
-    """Return what is said of a file of several pictures."""
+    """Return the note on a file of several pictures."""
     return (
         f"'{path}' has several pages: the first is read. Save the others as files of their own to"
         " read them"
@@ -631,16 +632,16 @@ def _has_pages(image: Image) -> bool:
 
 
 def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
-    """Return the cell of black levels that the tags of a TIFF state, (rows, columns); None if they
-    do not make a cell.
+    """Return the cell of black levels that the tags of a TIFF state, (rows, columns), if they make
+    one.
     """
     with suppress(IndexError, TypeError, ValueError):
         values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
         if (values == values[0]).all():
             values = values[:1]
-        sides = (
-            [int(side) for side in tags.get(_BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
-        )
+        sides = [1, 1]
+        if values.size > 1:
+            sides = [int(side) for side in tags.get(_BLACK_DIM_TAG, (1, 1))]
         levels = values.reshape(sides)
         return levels if np.isfinite(levels).all() else None
     return None
@@ -692,5 +693,6 @@ def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
 def _json_of(text: object) -> dict[str, Any]:
     """Return the table of a JSON text, or an empty one if the text is anything else."""
     with suppress(ValueError, RecursionError):
-        return table if isinstance(table := json.loads(str(text)), dict) else {}
+        table = json.loads(str(text))
+        return table if isinstance(table, dict) else {}
     return {}
