@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
@@ -46,17 +45,17 @@ class Layout:
 
     @classmethod
     def of(cls, pixel: PixelOptions) -> Layout | None:
-        """Return the layout of a pixel's frames; None without colour filters."""
+        """Return the layout of a pixel's frames, if it has colour filters."""
         return None if pixel.colour is None else cls(pixel.colour.cell, pixel.colour.is_stacked)
 
     @classmethod
     def unbinned(cls, pixel: PixelOptions) -> Layout | None:
-        """Return the layout of the pixels themselves, which differs from that of frames with
-        binning.
+        """Return the layout of the pixels themselves, if they have colour filters; with binning,
+        frames have another one.
         """
-        return (
-            None if pixel.colour is None else cls(pixel.colour.unit_cell, pixel.colour.is_stacked)
-        )
+        if pixel.colour is None:
+            return None
+        return cls(pixel.colour.unit_cell, pixel.colour.is_stacked)
 
     @classmethod
     def parse(cls, text: str) -> Layout:
@@ -64,7 +63,9 @@ class Layout:
         ValueError for another text.
         """
         is_stacked = STACK_MARK in text
-        cell = ("".join(text.split(STACK_MARK)),) if is_stacked else tuple(text.split(ROW_MARK))
+        cell = tuple(text.split(ROW_MARK))
+        if is_stacked:
+            cell = ("".join(text.split(STACK_MARK)),)
         layout = cls(cell, is_stacked)
         if not is_cell(cell) or str(layout) != text:
             raise ValueError(
@@ -102,14 +103,15 @@ class Layout:
         """
         if self.is_stacked:
             return [(np.zeros(1, int), np.zeros(1, int))]
-        columns = [
-            tuple(column for column, other in enumerate(row) if other == letter)
-            for row in self.cell
+
+        rows_by_columns: dict[tuple[int, ...], list[int]] = {}
+        for row, letters in enumerate(self.cell):
+            columns = tuple(column for column, other in enumerate(letters) if other == letter)
+            if columns:
+                rows_by_columns.setdefault(columns, []).append(row)
+        return [
+            (np.array(rows), np.array(columns)) for columns, rows in sorted(rows_by_columns.items())
         ]
-        groups = groupby(
-            sorted(range(len(columns)), key=lambda row: columns[row]), key=lambda row: columns[row]
-        )
-        return [(np.array(list(rows)), np.array(which)) for which, rows in groups if which]
 
     def numbers(self, shape: tuple[int, int]) -> NDArray[np.intp]:
         """Number of the channel of each value of a frame (rows, columns)."""
@@ -117,8 +119,10 @@ class Layout:
             plane_numbers = np.repeat(np.arange(self.planes), shape[0] // self.planes)
             return np.broadcast_to(plane_numbers[:, None], shape)
         cell = np.array([[self.channels.index(letter) for letter in row] for row in self.cell])
-        down, across = (-(-count // part) for count, part in zip(shape, cell.shape, strict=True))
-        return np.tile(cell, (down, across))[: shape[0], : shape[1]]
+        rows, columns = shape
+        height, width = cell.shape
+        counts = -(-rows // height), -(-columns // width)
+        return np.tile(cell, counts)[:rows, :columns]
 
     def parts(self, picture: NDArray[Values]) -> Iterator[NDArray[Values]]:
         """Yield views of a frame, each of the values at one place of the unit cell, or of one
@@ -134,8 +138,9 @@ class Layout:
 
 
 def channel_map(values: Array, layout: Layout, shape: tuple[int, int]) -> Array:
-    """Return the value of its channel at each place of a frame of a shape (rows, columns), from
-    those of the channels (C,).
+    """Return a picture (rows, columns) with the value of its channel at each place of a frame.
+
+    values : one of each channel, (C,)
     """
     return np.asarray(np.asarray(values, float)[layout.numbers(shape)])
 
@@ -146,10 +151,10 @@ def channel_efficiency(
     """Return the quantum efficiency of a channel, electrons per photon, in the shape (...) of the
     wavelengths; 0 outside its curve.
 
-    unfiltered : of the pixel without filters, which transmittances multiply
+    unfiltered : quantum efficiency of the pixel without filters, which transmittances multiply
 
-    Raises PixsimError if the colour's sensitivities are those of an unknown camera, or lack a
-    channel of the unit cell.
+    Raises PixsimError if the colour's sensitivities name an unknown camera, or lack a channel of
+    the unit cell.
     """
     table_nm, values = np.array(_curves(colour)[channel]).T
     value = np.interp(wavelength_nm, table_nm, values, left=0.0, right=0.0)
@@ -176,13 +181,11 @@ def _camera_curves(name: str, letters: tuple[str, ...]) -> Curves:
     nm, values = camera_sensitivities(name)
     channels = camera_channels(name)
     if missing := [letter for letter in letters if letter not in channels]:
-        hint = "Give their responses by a CSV file with a column for each letter."
-        allowed = f"channels {', '.join(channels[:-1])} and {channels[-1]}"
         raise invalid(
             "pixel.colour.sensitivities",
             f"'{name}', which has no channel {missing[0]}",
-            allowed,
-            hint,
+            f"channels {', '.join(channels[:-1])} and {channels[-1]}",
+            "Give their responses by a CSV file with a column for each letter.",
         )
     return {
         letter: tuple(zip(nm.tolist(), values[:, channels.index(letter)].tolist(), strict=True))

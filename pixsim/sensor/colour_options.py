@@ -19,38 +19,34 @@ from pixsim.light.quantities import Fraction
 
 
 def colour_excluded_by(names: Iterable[str]) -> set[str]:
-    """The fields of [pixel.colour] that cannot be given together with those of `names`."""
+    """The fields of [pixel.colour] that cannot be given together with some others.
+
+    names : of the other fields
+    """
     stated = set(names)
-    absolute = stated & set(RESPONSES) - {"sensitivities"}
-    return restated_by(ColourOptions, stated) | (
-        {"peak_quantum_efficiency"} - stated if absolute else set()
-    )
+    excluded = restated_by(ColourOptions, stated)
+    is_absolute = bool(stated & set(RESPONSES) - {"sensitivities"})
+    if is_absolute:
+        excluded |= {"peak_quantum_efficiency"} - stated
+    return excluded
 
 
 def efficiencies_of(colour: object) -> set[str]:
-    """The name of the quantum efficiency, if [pixel.colour], a table or a record, states those of
-    all channels.
+    """The name of the quantum efficiency, if [pixel.colour], a table or a record, states the
+    efficiencies of all channels.
     """
-    stated = (
-        colour
-        if isinstance(colour, dict)
-        else vars(colour)
-        if isinstance(colour, ColourOptions)
-        else {}
-    )
-    return (
-        {"quantum_efficiency"}
-        if any(stated.get(name) is not None for name in RESPONSES[:2])
-        else set()
-    )
+    fields: dict[str, object] = {}
+    if isinstance(colour, dict):
+        fields = colour
+    elif isinstance(colour, ColourOptions):
+        fields = vars(colour)
+    if any(fields.get(name) is not None for name in RESPONSES[:2]):
+        return {"quantum_efficiency"}
+    return set()
 
 
-BAYER = {
-    "rggb": ("RG", "GB"),
-    "grbg": ("GR", "BG"),
-    "gbrg": ("GB", "RG"),
-    "bggr": ("BG", "GR"),
-}  # upper row first
+# Upper row first.
+BAYER = {"rggb": ("RG", "GB"), "grbg": ("GR", "BG"), "gbrg": ("GB", "RG"), "bggr": ("BG", "GR")}
 PATTERNS: dict[str, tuple[str, ...]] = {
     **BAYER,
     "quad_rggb": ("RRGG", "RRGG", "GGBB", "GGBB"),
@@ -68,13 +64,12 @@ ALLOWED_CELL = (
 
 def is_cell(rows: Sequence[str]) -> bool:
     """Whether rows of letters are a unit cell."""
-    lengths = {len(row) for row in rows}
-    fits = (
-        len(lengths) == 1
-        and 1 <= min(lengths) <= max(lengths) <= _MAX_CELL
-        and len(rows) <= _MAX_CELL
-    )
-    return fits and all("A" <= letter <= "Z" for row in rows for letter in row)
+    widths = {len(row) for row in rows}
+    if len(widths) != 1 or len(rows) > _MAX_CELL:
+        return False
+    if not 1 <= widths.pop() <= _MAX_CELL:
+        return False
+    return all("A" <= letter <= "Z" for row in rows for letter in row)
 
 
 def channels_of(cell: Iterable[str]) -> tuple[str, ...]:
@@ -93,10 +88,9 @@ def binned_cell(cell: Sequence[str]) -> tuple[str, ...]:
     letters.
     """
     rows = [row[::BIN] for row in cell[::BIN]]
-    is_binnable = tuple(
-        "".join(letter * BIN for letter in row) for row in rows for _ in range(BIN)
-    ) == tuple(cell)
-    return tuple(rows) if is_binnable else ()
+    doubled = ["".join(letter * BIN for letter in row) for row in rows]
+    repeated = tuple(row for row in doubled for _ in range(BIN))
+    return tuple(rows) if repeated == tuple(cell) else ()
 
 
 class ColourOptions(Record):
@@ -208,8 +202,8 @@ class ColourOptions(Record):
 
     @property
     def cell(self) -> tuple[str, ...]:
-        """Rows of the unit cell of what is read: of the sums with binning; the letters of the
-        layers if they are stacked.
+        """Rows of the unit cell of frames: of the sums with binning; the letters of the layers if
+        they are stacked.
         """
         return binned_cell(self.unit_cell) if self.binning else self.unit_cell
 
@@ -220,6 +214,7 @@ class ColourOptions(Record):
 
     @property
     def curves(self) -> Curves | None:
-        """The responses of the channels; None if a camera's name stands for them."""
-        response = next(value for name in RESPONSES if (value := getattr(self, name)) is not None)
+        """The responses of the channels, unless the name of a camera stands for them."""
+        stated = [getattr(self, name) for name in RESPONSES]
+        response = next(value for value in stated if value is not None)
         return None if isinstance(response, str) else response

@@ -1,9 +1,9 @@
-"""Diffusion of charge in the silicon of a front-lit pixel: the blur of what is absorbed below the
-depletion region.
+"""Diffusion of charge in the silicon of a front-lit pixel: the blur of light that is absorbed below
+the depletion region.
 
 Light enters at the surface and is absorbed with e^(-αz). A carrier set free within the depletion
 depth L_D is collected where it is. One set free at z below it walks at random until it meets the
-depletion region or is lost, after a diffusion length L_n on average. Seib's MTF is that of the
+depletion region or is lost, after a diffusion length L_n on average. Seib's MTF describes the
 collected carriers; it is 1 at frequency 0, since the quantum efficiency holds the loss.
 
 A walk of the duration t has a Gaussian spread of σ² = 2τ along x and along y, τ = D t. Over all
@@ -29,10 +29,9 @@ from pixsim.sensor.quantities import Pitch
 SILICON_K = 300.0  # of the table of absorption
 OFFSETS = np.arange(-2.0, 3.0)  # of the pixels that collect charge, in pixels
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
-SHORTEST, LONGEST = (
-    1e-7,
-    6.5,
-)  # walks √τ, over the shorter of 1/α and L_n, and over L_n: 1e-7 and e^-42 are left out
+# Walks √τ, over the shorter of 1/α and L_n, and over L_n: 1e-7 and e^-42 are left out.
+SHORTEST = 1e-7
+LONGEST = 6.5
 
 
 ABSORPTION_RANGE_NM = (300.0, 1200.0)  # of the table
@@ -59,10 +58,13 @@ def absorption_per_um(wavelength_nm: Positives, temperature_k: Positive = SILICO
 
     Raises PixsimError if a wavelength is outside 300-1200 nm.
 
-    >>> round(float(absorption_per_um(850.0, 330.0) / absorption_per_um(850.0)), 4)  # 1.1^(300 · 46e-4)
-    1.1405
+    At 850 nm 30 K more make it 1.1^(300 · 46e-4) times larger:
+
+    >>> round(float(absorption_per_um(850.0, 330.0) / absorption_per_um(850.0)), 4)
+    1.1406
     """
-    nm, table = np.asarray(wavelength_nm, float), _absorption_table()
+    nm = np.asarray(wavelength_nm, float)
+    table = _absorption_table()
     low, high = ABSORPTION_RANGE_NM
     if not np.all((nm >= low) & (nm <= high)):
         got = nm.flat[int(np.argmax((nm < low) | (nm > high)))]
@@ -101,13 +103,11 @@ def diffusion_mtf(
     >>> round(float(diffusion_mtf(100.0, 1.0, 0.0, 1e9)), 6)  # 1/(1 + 2πf/α) with 2πf = 0.628319/µm
     0.614131
     """
-    per_um2 = (
-        diffusion_length_um**-2.0 + (2e-3 * np.pi * np.asarray(frequency_cy_per_mm, float)) ** 2
-    )
     alpha = np.asarray(absorption_per_um, float)
-    return _collected(alpha, depletion_um, 1 / np.sqrt(per_um2)) / _collected(
-        alpha, depletion_um, diffusion_length_um
-    )
+    angular_per_um = 2e-3 * np.pi * np.asarray(frequency_cy_per_mm, float)
+    length_um = 1 / np.sqrt(diffusion_length_um**-2.0 + angular_per_um**2)
+    total = _collected(alpha, depletion_um, diffusion_length_um)
+    return _collected(alpha, depletion_um, length_um) / total
 
 
 def _collected(alpha: Array, depletion_um: float, length_um: Array | float) -> Array:
@@ -128,22 +128,20 @@ def diffused_shares(
     5) [dy + 2, dx + 2].
 
     The light falls evenly on a square in the middle of the pixel, and the cells of the pixels
-    collect; what is missing to 1 is collected further away. Convolved with the shares of light that
+    collect; the remainder to 1 is collected further away. Convolved with the shares of light that
     photodiodes receive (`pixsim.optics.stack`), they are the crosstalk of a front-lit sensor. The
     transform of the charge's spread is `diffusion_mtf`.
 
-    side_um : of the square on which the light falls: the photodiode's, or that of a microlens's
-        spot; 0 for a point
+    side_um : of the square on which the light falls, the photodiode or the spot of a microlens; 0
+        for a point
     absorption_per_um : α, (...)
     depletion_um, diffusion_length_um : L_D and L_n, as in `diffusion_mtf`
 
     Raises PixsimError as `diffusion_mtf` does.
     """
     alpha = np.asarray(absorption_per_um, float)[..., None]
-    low, high = (
-        np.log(SHORTEST * np.minimum(1 / alpha, diffusion_length_um)),
-        math.log(LONGEST * diffusion_length_um),
-    )
+    low = np.log(SHORTEST * np.minimum(1 / alpha, diffusion_length_um))
+    high = math.log(LONGEST * diffusion_length_um)
     walk = np.exp(low + (high - low) * (1 + NODES) / 2)  # √τ
     steep = alpha * walk
     # 2/√π - 2x erfcx(x), by its expansion where the difference cancels
@@ -176,9 +174,9 @@ def spread_shares(optical: Array, diffused: Array) -> Array:
     padded = np.pad(optical, [(0, 0)] * (optical.ndim - 2) + [(margin, margin)] * 2)
     result = np.zeros(np.broadcast_shapes(optical.shape, diffused.shape))
     for row, column in np.ndindex(diffused.shape[-2:]):
-        shifted = padded[..., 2 * margin - row :, 2 * margin - column :][
-            ..., : OFFSETS.size, : OFFSETS.size
-        ]
+        top = 2 * margin - row
+        left = 2 * margin - column
+        shifted = padded[..., top : top + OFFSETS.size, left : left + OFFSETS.size]
         result += diffused[..., row, column, None, None] * shifted
     return result
 
@@ -194,7 +192,6 @@ def _gaussian_shares(pitch_um: float, side_um: float, width_um: Array) -> Array:
     def integral(x: Array) -> Array:  # of (1 + erf)/2
         return np.asarray((x * erf(x) + np.exp(-(x**2)) / np.sqrt(np.pi) + x) / 2)
 
-    below = (
-        width / (2 * half) * (integral((edges + half) / width) - integral((edges - half) / width))
-    )
+    difference = integral((edges + half) / width) - integral((edges - half) / width)
+    below = width / (2 * half) * difference
     return np.asarray(np.diff(below, axis=-1))

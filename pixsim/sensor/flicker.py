@@ -18,7 +18,7 @@ from pixsim.sensor.exposure import Exposure
 def _light_over_mean(
     mid_s: Array, time_s: float, frequency_hz: float, depth: float, phase: float
 ) -> Array:
-    """Return the light of exposures of one time over that of steady light, in the shape (...) of
+    """Return the light of exposures of one time, relative to steady light, in the shape (...) of
     their middles.
 
     mid_s : time of the middle of each exposure
@@ -44,13 +44,15 @@ def burst_modulation(exposure: Exposure, time_s: float) -> float:
 
 
 def clipped_light(limit: float, modulation: float) -> float:
-    """Return the mean of min(1 + m cos θ, limit) over all phases θ: what is left of flickering
+    """Return the mean of min(1 + m cos θ, limit) over all phases θ: the remainder of flickering
     light of mean 1 that clips.
 
     With the limit reached at θ = c, cos c = (limit - 1)/m, it is (limit c + π - c - m sin c)/π.
 
-    >>> clipped_light(0.7, 0.0), clipped_light(1.5, 0.4), round(clipped_light(1.0, 0.6), 6)  # 1 - 0.6/π
-    (0.7, 1.0, 0.809014)
+    >>> clipped_light(0.7, 0.0), clipped_light(1.5, 0.4)
+    (0.7, 1.0)
+    >>> round(clipped_light(1.0, 0.6), 6)  # 1 - 0.6/π
+    0.809014
     """
     if limit >= 1 + modulation:
         return 1.0
@@ -66,17 +68,17 @@ def row_gains(
     """Return the light of each row, (rows,), in each exposure of a frame over its mean; nothing
     where it is steady.
 
-    The phase is that at mid exposure of the middle of the rows. It is drawn beside the frame's
-    noise, which stays that of steady light.
+    The phase is the one at mid exposure of the middle of the rows. It is drawn beside the frame's
+    noise, which stays the same as in steady light.
 
     time_s : of all exposures together, which follow one another at once
     """
     if exposure.flicker_hz is None or not exposure.flickers:
         return ()
-    phase_deg = exposure.flicker_phase_deg
-    phase = (
-        rng.spawn(1)[0].uniform(0, 2 * math.pi) if phase_deg is None else math.radians(phase_deg)
-    )
+    if exposure.flicker_phase_deg is None:
+        phase = rng.spawn(1)[0].uniform(0, 2 * math.pi)
+    else:
+        phase = math.radians(exposure.flicker_phase_deg)
     exposure_s = time_s / exposure.frames
     lines_s = (np.arange(float(rows)) - (rows - 1) / 2) * exposure.line_time_s
     middles_s = [

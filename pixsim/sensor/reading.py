@@ -33,8 +33,8 @@ class Adc:
 
     bits : of a code
     black_level_dn : code without a signal
-    gain_e_per_dn : electrons per code; None: the codes above the black level span `span_e`
-    span_e : signal at the top code; None beside a gain
+    gain_e_per_dn : electrons per code; without it the codes above the black level span `span_e`
+    span_e : signal at the top code, where no gain is stated
     """
 
     bits: FrameBits
@@ -63,46 +63,40 @@ class Adc:
     @property
     def dn_per_e(self) -> float:
         """Codes per electron at 0 dB."""
-        return (
-            self.codes_dn / self.full_scale_e
-            if self.gain_e_per_dn is None
-            else 1 / self.gain_e_per_dn
-        )
+        if self.gain_e_per_dn is not None:
+            return 1 / self.gain_e_per_dn
+        return self.codes_dn / self.full_scale_e
 
 
 def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
-    """Return the ADC of the sum of some pixels, whose range is that of all of them."""
-    pixel, gain_e_per_dn = physics.pixel, physics.pixel.stated_gain_e_per_dn
+    """Return the ADC that reads the sum of some pixels; its range is the sum of their ranges."""
+    pixel = physics.pixel
+    gain_e_per_dn = pixel.stated_gain_e_per_dn
     if gain_e_per_dn is not None:
-        return Adc(
-            pixel.bits,
-            pixel.black_level_dn,
-            gain_e_per_dn=pixels * (physics.growth * gain_e_per_dn),
-        )
-    span_e = (
-        physics.full_well_e
-        if pixel.adc_full_scale_e is None
-        else physics.growth * pixel.adc_full_scale_e
-    )
+        summed_e_per_dn = pixels * (physics.growth * gain_e_per_dn)
+        return Adc(pixel.bits, pixel.black_level_dn, gain_e_per_dn=summed_e_per_dn)
+
+    span_e = physics.full_well_e
+    if pixel.adc_full_scale_e is not None:
+        span_e = physics.growth * pixel.adc_full_scale_e
     return Adc(pixel.bits, pixel.black_level_dn, span_e=pixels * span_e)
 
 
 @checked_methods
 @dataclass(frozen=True)
 class Readout:
-    """How a pixel is read. Currents, charges and noise are those of what is read, one pixel or the
-    sum of binned ones.
+    """How a pixel is read. Currents, charges and noise belong to one pixel, or to the sum of binned
+    pixels.
 
-    Numbers of charge and noise are those of one exposure; `saturation_e`, `noise_floor_e`,
-    `offset_e` and codes are those of a frame, which may be the sum of several. Noise is a standard
-    deviation.
+    Charges and noise are stated for one exposure; `saturation_e`, `noise_floor_e`, `offset_e` and
+    codes for a frame, which may be the sum of several subexposures. Noise is a standard deviation.
 
     physics : of a single pixel
     adc : of an exposure, at 0 dB
     read_noise_e : temporal, before the amplifier, without the reset noise
     read_noise_after_gain_e : temporal, after the amplifier, in electrons at 0 dB
     gain_db : amplification before the ADC
-    exposures : that are summed to a frame
+    exposures : number of subexposures that are summed to a frame
     bin_side : pixels along a side of those whose charge is read as one
     silent : names of noise sources that are switched off
 
@@ -142,17 +136,21 @@ class Readout:
     ) -> Readout:
         """Return how the settings of a pixel and of an exposure have it read.
 
-        exposure : None: at 0 dB, in one exposure
-        bin_side : None: that of the pixel; 1 for the single pixels of a sensor that bins
+        exposure : None means 0 dB and one exposure
+        bin_side : None takes it from the pixel; 1 is for the single pixels of a sensor that bins
 
         Raises PixsimError if the codes of a frame have more than 31 bits.
 
         >>> from pixsim.sensor.pixel import derive
         >>> from pixsim.sensor.pixel_options import Pixel
-        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5, read_noise_after_gain_e=4))
-        >>> readout, amplified = Readout.of(pixel), Readout.of(pixel, Exposure(gain_db=20 * math.log10(8)))
-        >>> round(readout.adc_range_e / amplified.adc_range_e, 6), round(amplified.noise_floor_e, 3)  # √(1.5² + (4/8)²)
-        (8.0, 1.581)
+        >>> noise = {"read_noise_e": 1.5, "read_noise_after_gain_e": 4}
+        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, **noise))
+        >>> readout = Readout.of(pixel)
+        >>> amplified = Readout.of(pixel, Exposure(gain_db=20 * math.log10(8)))
+        >>> round(readout.adc_range_e / amplified.adc_range_e, 6)
+        8.0
+        >>> round(amplified.noise_floor_e, 3)  # √(1.5² + (4/8)²)
+        1.581
         """
         bin_side = physics.pixel.bin_side if bin_side is None else bin_side
         before_e, after_e = read_noises_e(physics.pixel, physics.technology)
@@ -163,14 +161,14 @@ class Readout:
         """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError
         as `Readout` does.
         """
-        readout = (
-            self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
-        )
+        readout = self
+        if exposure.gain_db != self.gain_db:
+            readout = replace(self, gain_db=exposure.gain_db)
         return readout.burst(exposure.frames)
 
     def burst(self, exposures: Count) -> Readout:
-        """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as
-        `Readout` does.
+        """Return the reading of frames that are the sum of so many subexposures. Raises PixsimError
+        as `Readout` does.
 
         >>> from pixsim.sensor.pixel import derive
         >>> from pixsim.sensor.pixel_options import Pixel
@@ -218,10 +216,13 @@ class Readout:
         """Dark currents relative to their mean: of ordinary pixels, and of those with a hot one
         among them.
         """
-        p, others = self.physics, self._pixels - 1
-        fraction, median = p.hot_pixel_fraction, p.hot_pixel_median
+        p = self.physics
+        others = self._pixels - 1
+        fraction = p.hot_pixel_fraction
+        median = p.hot_pixel_median
         if fraction and others:
-            fraction, median = 1 - (1 - fraction) ** self._pixels, (median + others) / self._pixels
+            fraction = 1 - (1 - fraction) ** self._pixels
+            median = (median + others) / self._pixels
         return DarkSpread(p.dsnu / self.bin_side, fraction, median, p.hot_pixel_spread)
 
     @property
@@ -236,7 +237,7 @@ class Readout:
 
     @property
     def code_bits(self) -> int:
-        """Bits that hold the DN of a frame: those of the ADC, or of a sum."""
+        """Bits that hold the DN of a frame, which may be a sum of codes."""
         return self.top_code_dn.bit_length()
 
     @property
@@ -251,7 +252,7 @@ class Readout:
 
     @property
     def dn_per_e(self) -> float:
-        """Gain: that of the ADC at 0 dB times the amplification."""
+        """Gain: codes per electron at 0 dB times the amplification."""
         return self.adc.dn_per_e * self.amplification
 
     @property
@@ -295,22 +296,17 @@ class Readout:
         """
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.saturation_e:
-            allowed, hint = (
-                f"less than saturation, {rounded(self.saturation_e, 3)} e-",
-                "Shorten the integration time or cool the sensor.",
-            )
             raise invalid(
                 "integration_s of the dynamic range",
                 f"{rounded(dark_e, 3)} e- of dark charge",
-                allowed,
-                hint,
+                f"less than saturation, {rounded(self.saturation_e, 3)} e-",
+                "Shorten the integration time or cool the sensor.",
             )
-        variance_e2 = self._dark_variance_e2(dark_e)
-        return (
-            20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2))
-            if variance_e2
-            else math.inf
-        )
+
+        dark_variance_e2 = self._dark_variance_e2(dark_e)
+        if not dark_variance_e2:
+            return math.inf
+        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(dark_variance_e2))
 
     def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
