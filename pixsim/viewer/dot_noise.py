@@ -123,11 +123,11 @@ def _power_of_dots(
     edges_bytes : of the dots; None: dots are pixels
     sigma_px : standard deviation of the blur of sharpening; None without it
     """
+    # What each pixel adds to the plain picture, and to the blurred one, (dots, pixels) each.
     pictures = [np.eye(count)]
     if sigma_px is not None:
-        pictures.append(
-            scipy.ndimage.correlate1d(pictures[0], gaussian_taps(sigma_px), axis=0, mode="mirror")
-        )
+        taps = gaussian_taps(sigma_px)
+        pictures.append(scipy.ndimage.correlate1d(pictures[0], taps, axis=0, mode="mirror"))
     if edges_bytes is not None:
         edges_um = np.frombuffer(edges_bytes)
         pictures = [

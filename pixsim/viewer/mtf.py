@@ -48,28 +48,29 @@ def mtf_terms(
     if not weight.any():  # a black picture: assume equal light in all bands
         weight = response
     share = weight / weight.sum()
+
+    terms: dict[str, Array] = {}
     traced = lens_mtf(irradiance, camera, share, frequency_cy_per_mm)
     if traced is not None:
-        terms = {"real lens": traced}
+        terms["real lens"] = traced
     else:
-        terms = {
-            "lens": white_otf(
-                frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number
-            )
-        }
+        terms["lens"] = white_otf(
+            frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number
+        )
     if path_um:
         terms["motion"] = np.abs(np.sinc(1e-3 * path_um * frequency_cy_per_mm))
+
     if physics.stack is None:
         terms["photodiode"] = square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
     else:
         terms |= _stack_mtf_terms(irradiance, camera, physics, frequency_cy_per_mm)
+
     if display.raster == "fixed_size":
+        side_um = dot_um or picture_size_um(irradiance)[1] / display.dots
         terms["interpolation"] = interpolation_mtf(
             frequency_cy_per_mm, physics.pitch_um, display.interpolation
         )
-        terms["dot"] = square_aperture_mtf(
-            frequency_cy_per_mm, dot_um or picture_size_um(irradiance)[1] / display.dots
-        )
+        terms["dot"] = square_aperture_mtf(frequency_cy_per_mm, side_um)
     return terms
 
 
@@ -80,40 +81,43 @@ def _stack_mtf_terms(
     lens, (...) as the frequencies.
 
     microlens, or opening : of the aperture, the pitch under a microlens, else the opening where it
-    meets the photodiode crosstalk : of the shares that the pixels around collect diffusion : of
-    charge between bare pixels; it changes with the wavelength, as the lens, and so is a ratio to
-    the lens's term
+        meets the photodiode
+    crosstalk : of the shares that the pixels around collect
+    diffusion : of charge between bare pixels; it changes with the wavelength, as the lens, and so
+        is a ratio to the lens's term
     """
     stack, light = physics.stack, illumination_of(irradiance, camera, physics)
     assert stack is not None
     frequency = np.asarray(frequency_cy_per_mm, float)
-    aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel()).reshape(
-        frequency.shape
-    )
-    along = kernel_on_axis(physics, light).sum(axis=0)
-    phase = (
-        2e-3j
-        * np.pi
-        * physics.pitch_um
-        * frequency[..., None]
-        * (np.arange(along.size) - along.size // 2)
-    )
-    crosstalk = np.minimum(np.abs(np.exp(phase) @ along) / along.sum(), 1.0)  # but for rounding
-    terms = {"microlens" if stack.microlens else "opening": aperture, "crosstalk": crosstalk}
-    if (blur := diffusion_of(physics)) is not None:
+    aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel())
+    terms = {
+        "microlens" if stack.microlens else "opening": aperture.reshape(frequency.shape),
+        "crosstalk": _crosstalk_mtf(kernel_on_axis(physics, light), physics.pitch_um, frequency),
+    }
+
+    blur = diffusion_of(physics)
+    if blur is not None:
         weight = np.array(light.weight) / np.sum(light.weight)
-        lens = [
-            diffraction_otf(frequency, nm, camera.effective_f_number) for nm in light.wavelength_nm
-        ]
-        blurred = sum(
-            part * otf * blur(np.abs(frequency), nm)
-            for part, otf, nm in zip(weight, lens, light.wavelength_nm, strict=True)
-        )
-        alone = sum(part * otf for part, otf in zip(weight, lens, strict=True))
-        terms["diffusion"] = np.divide(
-            blurred, alone, out=np.zeros(frequency.shape), where=np.asarray(alone) > 0
-        )
+        lens, blurred = np.zeros(frequency.shape), np.zeros(frequency.shape)
+        for share, nm in zip(weight, light.wavelength_nm, strict=True):
+            otf = diffraction_otf(frequency, nm, camera.effective_f_number)
+            lens = lens + share * otf
+            blurred = blurred + share * otf * blur(np.abs(frequency), nm)
+        terms["diffusion"] = np.divide(blurred, lens, out=np.zeros(frequency.shape), where=lens > 0)
     return terms
+
+
+def _crosstalk_mtf(kernel: Array, pitch_um: float, frequency_cy_per_mm: Array) -> Array:
+    """Return the MTF along x of the shares of light that pixels around collect, (...) as the
+    frequencies.
+
+    kernel : (n, n) shares of the neighbours
+    """
+    shares = kernel.sum(axis=0)
+    neighbours = np.arange(shares.size) - shares.size // 2
+    phase = 2e-3j * np.pi * pitch_um * frequency_cy_per_mm[..., None] * neighbours
+    modulus = np.abs(np.exp(phase) @ shares) / shares.sum()
+    return np.minimum(modulus, 1.0)  # but for rounding
 
 
 def terms_to_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:

@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -125,39 +124,44 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
     key : of the sensor and the frame, for `ImagingChain.simulate`
     """
     if chain.exposure.flickers:
-        whole = chain.simulate(*key).mean_delta_e
+        mean_delta_e = chain.simulate(*key).mean_delta_e
         steady = noise_budget(replace(chain, exposure=chain.exposure.steady), irradiance, *key)
-        delta_e = {FLICKER: whole - steady.mean_delta_e} | steady.delta_e
-        return replace(steady, mean_delta_e=whole, delta_e=delta_e)
+        delta_e = {FLICKER: mean_delta_e - steady.mean_delta_e} | steady.delta_e
+        return replace(steady, mean_delta_e=mean_delta_e, delta_e=delta_e)
     frame = chain.capture(*key)
     time_s = frame.integration_s
-    variances = _variances_of(chain, time_s)
-    measured = (frame.dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e - frame.mean_e
+    variances_e2 = _variances_of(chain, time_s)
+    charge_e = (frame.dn - frame.black_level_dn) / frame.dn_per_e
+    noise_e = charge_e - frame.mean_dark_e - frame.mean_e
     noiseless = noiseless_frame(chain, time_s)
 
+    # What each cause takes off the ΔE that the causes before it have left.
     mean_delta_e = chain.development.score(frame).mean_delta_e
     steps = [
-        *_noise_steps(chain, noiseless, variances, key),
+        *_noise_steps(chain, noiseless, variances_e2, key),
         *_colour_steps(chain, irradiance, noiseless),
         *_blur_steps(chain, irradiance, noiseless),
     ]
-    left = [mean_delta_e, *(delta_e for _, delta_e in steps)]
+    delta_e = {}
+    left_delta_e = mean_delta_e
+    for cause, without_delta_e in steps:
+        delta_e[cause] = left_delta_e - without_delta_e
+        left_delta_e = without_delta_e
+
+    mean_e = float(np.sqrt(np.mean(np.square(frame.mean_e))))
     return NoiseBudget(
-        electrons_e={name: math.sqrt(value) for name, value in variances.items()},
-        total_e=math.sqrt(sum(variances.values())),
-        measured_e=float(np.sqrt(np.mean(np.square(measured)))),
-        render_e=_render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
+        electrons_e={cause: math.sqrt(value) for cause, value in variances_e2.items()},
+        total_e=math.sqrt(sum(variances_e2.values())),
+        measured_e=float(np.sqrt(np.mean(np.square(noise_e)))),
+        render_e=_render_noise_of(irradiance) * mean_e,
         mean_delta_e=mean_delta_e,
-        delta_e={
-            cause: before - after
-            for (cause, _), (before, after) in zip(steps, pairwise(left), strict=True)
-        },
-        remainder_delta_e=left[-1],
+        delta_e=delta_e,
+        remainder_delta_e=left_delta_e,
     )
 
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
-    """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a
+    """Return the frame of the mean electrons, without noise, fixed pattern and rounding, and of a
     well without end.
     """
     exposure = lasting(chain.exposure, integration_s)
@@ -171,9 +175,8 @@ def undenoised(chain: ImagingChain) -> ImagingChain:
     develop = chain.imaging.develop
     if not develop.denoises:
         return chain
-    return replace(
-        chain, imaging=chain.imaging.changed(develop=develop.model_copy(update={"denoise": "none"}))
-    )
+    develop = develop.model_copy(update={"denoise": "none"})
+    return replace(chain, imaging=chain.imaging.changed(develop=develop))
 
 
 def _render_noise_of(irradiance: SpectralImage) -> float:
@@ -210,31 +213,36 @@ def finer_adc(readout: Readout) -> Readout:
     """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes
     have the bits.
     """
-    adc, more = readout.adc, min(_MORE_BITS, MAX_CODE_BITS - readout.code_bits)
-    gain_e_per_dn = readout.amplification / readout.dn_per_e / 2**more
-    finer = Adc(adc.bits + more, adc.black_level_dn * 2**more, gain_e_per_dn=gain_e_per_dn)
+    adc = readout.adc
+    more_bits = min(_MORE_BITS, MAX_CODE_BITS - readout.code_bits)
+    finer = Adc(
+        adc.bits + more_bits,
+        adc.black_level_dn * 2**more_bits,
+        gain_e_per_dn=readout.amplification / readout.dn_per_e / 2**more_bits,
+    )
     return replace(readout, adc=finer)
 
 
 def _noise_steps(
-    chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]
+    chain: ImagingChain, noiseless: Frame, causes: Iterable[str], key: tuple[object, ...]
 ) -> Steps:
-    """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE
-    that is left.
+    """Yield each cause of noise, in their order, and noise reduction, with the mean ΔE that is
+    left.
     """
     exposure = lasting(chain.exposure, noiseless.integration_s)
     readout = chain.readout
-    for name in variances:
-        if name == SHOT:
-            yield name, chain.development.score(noiseless).mean_delta_e
+    for cause in causes:
+        if cause == SHOT:
+            yield cause, chain.development.score(noiseless).mean_delta_e
             continue
-        if name == ROUNDING:
+        if cause == ROUNDING:
             readout = finer_adc(readout)
-        elif name == DARK:
+        elif cause == DARK:
             readout = readout.with_physics(dark_current_e_per_s=0.0)
         else:
-            readout = without_source(readout, name)
-        yield name, replace(chain, readout=readout, exposure=exposure).simulate(*key).mean_delta_e
+            readout = without_source(readout, cause)
+        quieter = replace(chain, readout=readout, exposure=exposure)
+        yield cause, quieter.simulate(*key).mean_delta_e
     if chain.imaging.develop.denoises:
         yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
 
@@ -267,19 +275,20 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
         return
     whites = scene.whites_e_per_s(physics)
     unmixed = replace(chain, collection=None, rendition=scene.rendition, whites_e_per_s=whites)
+
+    # Each channel at every pixel, by its own filter alone.
     pixels = centred_pixels(scene.array_um, physics)
-    channels = []
+    unmixed_planes = []
     for light, channel, white in zip(
         scene.lights, physics.channels, scene.whites_e_per_s_um2, strict=True
     ):
         collection = collection_of(channel, light.illumination, pixels)
-        channels.append(
-            at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving) / white
-        )
+        rate = at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving)
+        unmixed_planes.append(rate / white)
 
-    # Without a stack, channels record their own light only.
+    # Without a stack, channels record no other light.
     if chain.collection is None:
-        recorded, matrix = channels, unmixed.development.matrix
+        recorded, matrix = unmixed_planes, unmixed.development.matrix
     else:
         assert isinstance(chain.collection, ColourCollection)
         is_shaded = chain.development.shading is not None
@@ -288,12 +297,15 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
         )
         matrix = chain.development.matrix
     yield MOSAIC, _delta_e_of_planes(recorded, matrix, unmixed, noiseless)
-    yield CROSSTALK, _delta_e_of_planes(channels, unmixed.development.matrix, unmixed, noiseless)
-
-    weights, white = observer(chain.development.imaging, irradiance)
-    collection = collection_of(
-        physics, illumination_of(irradiance, imaging.camera, physics), pixels
+    yield (
+        CROSSTALK,
+        _delta_e_of_planes(unmixed_planes, unmixed.development.matrix, unmixed, noiseless),
     )
+
+    # The observer's X, Y and Z in place of the channels.
+    weights, white = observer(chain.development.imaging, irradiance)
+    illumination = illumination_of(irradiance, imaging.camera, physics)
+    collection = collection_of(physics, illumination, pixels)
     rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
     observed = [
         at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates
@@ -302,15 +314,14 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
 
 
 def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
-    """Return what weighs the light's bands, X, Y and Z or a grey sensor's electrons, and the rate
-    of display white per µm².
+    """Return the weights of the light's bands, for X, Y and Z or a grey sensor's electrons, and the
+    rate of display white per µm².
     """
     physics = imaging.physics
     if physics.layout is None:
         return [electrons_per_joule(physics, irradiance)], white_rate(imaging, irradiance)
-    return list(xyz_weights(irradiance)), white_y(
-        irradiance, imaging.camera, imaging.display
-    ) * M2_PER_UM2
+    white = white_y(irradiance, imaging.camera, imaging.display)
+    return list(xyz_weights(irradiance)), white * M2_PER_UM2
 
 
 def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
@@ -321,7 +332,8 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     assert scene is not None
     weights, white = observer(chain.development.imaging, irradiance)
     matrix = None if scene.rendition is None else scene.rendition.to_display
-    blur, pixels = diffusion_of(physics), centred_pixels(scene.array_um, physics)
+    diffusion = diffusion_of(physics)
+    pixels = centred_pixels(scene.array_um, physics)
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
 
     def delta_e_of_pixels(
@@ -333,37 +345,42 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
         ]
         return _delta_e_of_planes(planes, matrix, chain, noiseless)
 
+    # Shading, motion and veil, of the light behind the lens.
     if scene.rendition is None and collection is not None:
-        yield (
-            SHADING,
-            delta_e_of_pixels(diffracted(irradiance, camera, weights, blur), moving=chain.moving),
-        )
+        rates = diffracted(irradiance, camera, weights, diffusion)
+        yield SHADING, delta_e_of_pixels(rates, moving=chain.moving)
     if chain.moving.is_on:
-        yield MOTION, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur))
+        rates = diffracted(irradiance, camera, weights, diffusion)
+        yield MOTION, delta_e_of_pixels(rates)
     if camera.veiling_glare:
-        yield VEIL, delta_e_of_pixels(diffracted(irradiance, camera.without_veil, weights, blur))
+        rates = diffracted(irradiance, camera.without_veil, weights, diffusion)
+        yield VEIL, delta_e_of_pixels(rates)
 
-    sharp = ideal_light(irradiance, camera)
-    header = {name: value for name, value in sharp.header.items() if name != LENS_HEADER} | {
-        "diffraction": False
-    }
-    sharp = sharp.with_planes(sharp.whole.planes, header=header, margin=sharp.margin)
+    # The lens, then light and charge of neighbours.
+    sharp = _without_lens_blur(ideal_light(irradiance, camera))
     sharp_camera = without_lens(camera).without_veil
-    rates = diffracted(sharp, sharp_camera, weights, blur)
+    rates = diffracted(sharp, sharp_camera, weights, diffusion)
     yield LENS, delta_e_of_pixels(rates)
-    if collection is not None or blur is not None:
+    if collection is not None or diffusion is not None:
         rates = diffracted(sharp, sharp_camera, weights, None)
         yield NEIGHBOURS, delta_e_of_pixels(rates, shares=False)
 
+    # Sampling and interpolation, then the aperture of a pixel.
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
+    sample_um = scene.sample_pitch_um
     if chain.screen.display.raster == "fixed_size":
         averaged = [
-            integrate_pixels(rate, scene.sample_pitch_um, scene.sample_pitch_um, side_um)
-            / side_um**2
-            for rate in rates
+            integrate_pixels(rate, sample_um, sample_um, side_um) / side_um**2 for rate in rates
         ]
         yield SAMPLING, _delta_e_of_dots(on_dots(averaged, scene, chain, matrix, white), chain)
     yield APERTURE, _delta_e_of_dots(on_dots(rates, scene, chain, matrix, white), chain)
+
+
+def _without_lens_blur(irradiance: SpectralImage) -> SpectralImage:
+    """Return light whose header names no lens and no diffraction."""
+    header = {name: value for name, value in irradiance.header.items() if name != LENS_HEADER}
+    header["diffraction"] = False
+    return irradiance.with_planes(irradiance.whole.planes, header=header, margin=irradiance.margin)
 
 
 def on_dots(

@@ -393,7 +393,7 @@ def with_white(display: Display, white: Mapping[str, Any]) -> Display:
 def _rounded_up(value: float, digits: int) -> float:
     """Return a positive number rounded up to so many decimal digits, but for errors of rounding.
 
-    >>> rounded_up(730.1, 2), rounded_up(730.0000001, 2), rounded_up(9.96e-5, 2)
+    >>> _rounded_up(730.1, 2), _rounded_up(730.0000001, 2), _rounded_up(9.96e-5, 2)
     (740.0, 730.0, 0.0001)
     """
     value *= 1 - ROUNDING

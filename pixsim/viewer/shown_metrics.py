@@ -84,27 +84,14 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its
     own.
     """
-    development, imaging, time_s = (
-        under_test.development,
-        under_test.imaging,
-        under_test.frame.integration_s,
-    )
+    development, imaging = under_test.development, under_test.imaging
+    time_s = under_test.frame.integration_s
     correction = imaging.correction
     if imaging.develop.denoise == "wiener_bound":
-        got, hint = (
-            "develop.denoise = 'wiener_bound', which knows that its patch is even",
-            "Take 'nlm' or 'wavelet'.",
-        )
-        raise NoNumberError(
-            str(
-                invalid(
-                    "the metric visual_noise",
-                    got,
-                    "noise reduction that does not know the picture",
-                    hint,
-                )
-            )
-        )
+        got = "develop.denoise = 'wiener_bound', which knows that its patch is even"
+        allowed = "noise reduction that does not know the picture"
+        hint = "Take 'nlm' or 'wavelet'."
+        raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
     uniform: Array = np.full(under_test.frame.dn.shape, GREY * development.white_e_per_s)
     flat_field = development.flat_field
     if flat_field is not None and (development.shading is not None or correction.flat_frames):
@@ -113,13 +100,12 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     key = (*under_test.stream, "visual noise")
     rows, columns = uniform.shape
     sensor = sample_sensor(development.readout, (rows, columns), stream(*key, "sensor"))
-    frame = capture_from_rates(
-        uniform, sensor, lasting(development.exposure.steady, time_s), stream(*key, "frame")
-    )
+    exposure = lasting(development.exposure.steady, time_s)
+    frame = capture_from_rates(uniform, sensor, exposure, stream(*key, "frame"))
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
     if frame.saturated_fraction > _FEW_FULL:
-        full = (
+        got = (
             f"{percent(frame.saturated_fraction)} of the pixels of"
             f" {development.readout.physics.pitch_um:g} µm full"
         )
@@ -127,10 +113,10 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
             f"at most {percent(_FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise"
             " shows"
         )
-        raise NoNumberError(
-            str(invalid("the metric visual_noise", full, allowed, "Expose it for less time."))
-        )
-    return (visual_noise(development.light(frame), imaging.display.samples_per_deg),)
+        hint = "Expose it for less time."
+        raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
+    light = development.light(frame)
+    return (visual_noise(light, imaging.display.samples_per_deg),)
 
 
 VISUAL_NOISE = Metric(
@@ -162,35 +148,27 @@ def _npwe(under_test: FrameUnderTest) -> tuple[float, float]:
             f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to"
             " its mean"
         )
+        hint = "Take ΔE, or detectability."
         raise NoNumberError(
-            str(
-                invalid(
-                    "the metric npwe",
-                    got,
-                    "development that is linear",
-                    "Take ΔE, or detectability.",
-                )
-            )
+            str(invalid("the metric npwe", got, "development that is linear", hint))
         )
-    change, values = 1.0, []
-    for number, frame in enumerate(
-        under_test.registrations(under_test.options.detectability.registrations)
-    ):
+    count = under_test.options.detectability.registrations
+    tone_factor = 1.0
+    values = []
+    for number, frame in enumerate(under_test.registrations(count)):
         development = frame.development
-        with_target, difference = _expected_light(under_test.frame, frame)
         samples_per_deg = development.screen.display.samples_per_deg
-        power = expected_noise_power(development, _raw_noise(frame, frame.signal_e))
+        with_target, difference = _expected_light(under_test.frame, frame)
         if number == 0 and develop.tone and difference.any():
             light = development.light_before_tone(under_test.frame)
-            curved = npwe(
-                difference,
-                _periodogram(development.toned(light) - development.toned(with_target)),
-                samples_per_deg,
-            )
-            straight = npwe(difference, _periodogram(light - with_target), samples_per_deg)
-            if math.isfinite(curved) and 0 < straight < math.inf:  # else codes hide all noise
-                change = curved / straight
-        values.append(change * npwe(difference, power, samples_per_deg))
+            noise = _periodogram(light - with_target)
+            toned_noise = _periodogram(development.toned(light) - development.toned(with_target))
+            toned = npwe(difference, toned_noise, samples_per_deg)
+            linear = npwe(difference, noise, samples_per_deg)
+            if math.isfinite(toned) and 0 < linear < math.inf:  # else codes hide all noise
+                tone_factor = toned / linear
+        power = expected_noise_power(development, _raw_noise(frame, frame.signal_e))
+        values.append(tone_factor * npwe(difference, power, samples_per_deg))
     return float(np.mean(values)), min(values)
 
 
@@ -226,22 +204,24 @@ def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
     readout, time_s, development = frame.readout, frame.integration_s, frame.development
     correction = frame.imaging.correction
     level_e = np.minimum(signal_e, full_e(readout, time_s))
-    pixel, column, row = noise_of_expected_e2(level_e, readout, time_s, correction)
+    pixel_e2, column_e2, row_e2 = noise_of_expected_e2(level_e, readout, time_s, correction)
     tables = code_tables(frame, signal_e)
     if tables:
-        unclipped = variance_of_pixels_e2(readout, level_e, time_s)
-        clipped = code_moments(tables, signal_e, unclipped)
-        pixel = np.maximum(pixel - (unclipped - clipped.variance_e2), 0.0)
+        unclipped_e2 = variance_of_pixels_e2(readout, level_e, time_s)
+        clipped = code_moments(tables, signal_e, unclipped_e2)
+        pixel_e2 = np.maximum(pixel_e2 - (unclipped_e2 - clipped.variance_e2), 0.0)
         offset_factor = float(np.mean(np.square(clipped.offset_slope)))
-        column, row = column * offset_factor, row * offset_factor
+        column_e2, row_e2 = column_e2 * offset_factor, row_e2 * offset_factor
+
     white_e = frame.white_e * np.ones(signal_e.shape)
     if development.shading is not None:
         white_e *= development.shading
     if development.flat_field is not None and correction.flat_frames:
         white_e *= development.flat_field
-    pixel = pixel / white_e**2
-    white_factor = float(np.mean(white_e**-2))
-    return RawNoise(pixel, column * white_factor, row * white_factor)
+    line_factor = float(np.mean(white_e**-2))
+    return RawNoise(
+        pixel=pixel_e2 / white_e**2, column=column_e2 * line_factor, row=row_e2 * line_factor
+    )
 
 
 def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
@@ -296,14 +276,14 @@ def _needs_flip(context: MetricContext) -> str:
 def _flip(score: Score) -> tuple[float]:
     import flip_evaluator
 
-    pair = []
+    pictures = []
     for picture in (score.ideal, score.image):
         rgb = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
-        pair.append(np.ascontiguousarray(rgb, np.float32))
+        pictures.append(np.ascontiguousarray(rgb, np.float32))
     # The shown light is linear, and its primaries are those of sRGB: the package need not decode
     # it.
     _, mean, _ = flip_evaluator.evaluate(
-        *pair, "LDR", False, False, True, {"ppd": score.display.samples_per_deg}
+        *pictures, "LDR", False, False, True, {"ppd": score.display.samples_per_deg}
     )
     return (float(mean),)
 

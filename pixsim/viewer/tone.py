@@ -34,7 +34,7 @@ def _srgb_value(light: Numbers) -> Array:
     """Return the value of sRGB (IEC 61966-2-1), 0 to 1, (...) as the light, which is clipped to 0 …
     1.
 
-    >>> srgb_value(0.214).round(4).item()
+    >>> _srgb_value(0.214).round(4).item()
     0.4999
     """
     inside = np.clip(light, 0.0, 1.0)
