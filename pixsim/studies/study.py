@@ -5,7 +5,7 @@ of the number of workers.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -80,6 +80,7 @@ from pixsim.studies.table import DOTS, Label, Table, check_replaceable_results
 from pixsim.studies.uncertainty import (
     FEW_SENSORS,
     MAX_TYPE_EVALUATIONS,
+    Sample,
     UncertaintyResult,
     drawn_metrics,
     few_pitches_um,
@@ -113,28 +114,31 @@ def _repeated_settings(
     from pixsim.scene.convergence import without_clock
 
     if isinstance(job.source, SpectralImage):
+        arguments = "light=…"
+        digests = str(image.header[DIGEST])
         background = job.cases[0].background
-        more = (
-            "" if background is None else f" and, without its target, {background.header[DIGEST]}"
-        )
-        names = "light=…" if background is None else "light=…, without=…"
+        if background is not None:
+            arguments += ", without=…"
+            digests += f" and, without its target, {background.header[DIGEST]}"
         command = (
-            f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest"
-            f" {image.header[DIGEST]}{more}"
+            f"pixsim.study('{SETTINGS_FILE}', out, {arguments}), of the light of digest {digests}"
         )
         return settings_text(job.complete, command, spreads_of_study(job.complete, spreads))
-    scene, settings = job.source, without_clock(job.complete, image)
+
+    scene = job.source
+    settings = without_clock(job.complete, image)
     file = settings.scene.file
     scene_tables = {
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, settings.scene.parameters),
     }
     camera = scene.camera(settings.camera, settings.lens).options.model_dump(exclude_none=True)
-    # Where dots and distance are stated, no further display is shown: one of them stays open if it
-    # was.
-    stated = job.stated.display.model_fields_set
-    is_open = any(case.further_displays for case in job.cases)
-    left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
+
+    # A study with both dots and distance has no further displays: one of them stays open if it was.
+    left_open = set()
+    if any(case.further_displays for case in job.cases):
+        has_distance = "samples_per_deg" in job.stated.display.model_fields_set
+        left_open.add("dots" if has_distance else "samples_per_deg")
     display = settings.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
     return settings_text(
         settings,
@@ -148,13 +152,14 @@ def _repeated_settings(
 
 def _repeating_command(variant: str | None, type_request: UncertaintyRequest | None = None) -> str:
     """Return the command that repeats a study in the folder of its settings.toml."""
-    words = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
-    if type_request is None:
-        return words
-    sizes = "".join(f" --smaller-than {size!r}" for size in type_request.smaller_than_um)
-    return (
-        f"{words} --{'sobol' if type_request.total else 'uncertainty'} {type_request.draws}{sizes}"
-    )
+    words = ["pixsim", "study", SETTINGS_FILE]
+    if variant:
+        words += ["--variant", variant]
+    if type_request is not None:
+        words += ["--sobol" if type_request.total else "--uncertainty", str(type_request.draws)]
+        for size_um in type_request.smaller_than_um:
+            words += ["--smaller-than", repr(size_um)]
+    return " ".join(words)
 
 
 def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
@@ -163,13 +168,12 @@ def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[Disp
     """
     if DOTS not in table.columns or not curve.judged_by_delta_e:
         return ()
-    different = dict.fromkeys(table.columns[DOTS].tolist())
-    return tuple(
-        DisplayOptimum(
-            dots, curve_of(study, curve.technology, table.where(dots=dots), (DELTA_E,)).optimum
-        )
-        for dots in list(different)[1:]
-    )
+    _, *further_dots = dict.fromkeys(table.columns[DOTS].tolist())
+    optima = []
+    for dots in further_dots:
+        display_curve = curve_of(study, curve.technology, table.where(dots=dots), (DELTA_E,))
+        optima.append(DisplayOptimum(dots, display_curve.optimum))
+    return tuple(optima)
 
 
 def _on_their_films(case_lights: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
@@ -191,8 +195,8 @@ def _evaluate_cases(
     progress: Callable[[], Progress | None],
     on_start: Callable[[StudyResult], None] | None = None,
 ) -> tuple[list[StudyResult | str], Counts, Table]:
-    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is
-    met, and fit the optima.
+    """Evaluate missing rows of results.csv, add pitches and sensors until the interval is short
+    enough, and fit the optima.
 
     on_start : called once with a study of one case in its light, without curves, when workers have
         made its first evaluations
@@ -203,32 +207,30 @@ def _evaluate_cases(
     rendered_sensors = rendered_cases(cases, lights)
     by_scene: dict[tuple[str, str], list[RenderedCase]] = {}
     for sensor in rendered_sensors:
-        by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(
-            sensor
-        )
+        scene = sensor.case.settings.scene.file, sensor.case.condition
+        by_scene.setdefault(scene, []).append(sensor)
     for sensors in by_scene.values():
         check_ideals(sensors)
 
     groups: dict[object, list[int]] = {}
     for number, case in enumerate(cases):
         groups.setdefault(case.group, []).append(number)
-    rounds, counts = Rounds(rendered_sensors, len(groups) <= MAX_SEARCHED_CASES), Counts(0, 0, 0)
-    awaits = [on_start] if on_start is not None and len(groups) == 1 and workers.jobs > 1 else []
+    rounds = Rounds(rendered_sensors, len(groups) <= MAX_SEARCHED_CASES)
+    counts = Counts(0, 0, 0)
 
-    def reports() -> Progress:
+    # A study of one case is shown as soon as its workers have begun.
+    pending = [on_start] if on_start is not None and len(groups) == 1 and workers.jobs > 1 else []
+    begun_result = StudyResult(
+        cases[0].settings, (), lights[0], view=dict(view), prepared_sensors=tuple(rendered_sensors)
+    )
+
+    def evaluation_progress() -> Progress:
         report = progress() or no_stage("")
 
         def evaluated(share: float) -> None:
-            if awaits:
-                awaits.pop()(
-                    StudyResult(
-                        cases[0].settings,
-                        (),
-                        lights[0],
-                        view=dict(view),
-                        prepared_sensors=tuple(rendered_sensors),
-                    )
-                )
+            if pending:
+                start = pending.pop()
+                start(begun_result)
             report(share)
 
         return evaluated
@@ -238,7 +240,7 @@ def _evaluate_cases(
         rendered_sensors,
         results,
         workers,
-        reports,
+        evaluation_progress,
         further_sizes=rounds.more,
         on_case_done=rounds.curve,
         counts=counts,
@@ -248,14 +250,12 @@ def _evaluate_cases(
     tables = table.by_case()
     curves = [rounds.curve(number, rows) for number, rows in enumerate(tables)]
     _warn_of_left_out(rendered_sensors, curves)
-    possible = (
-        sensor
+    warn_of_reviews(
+        (label_of(sensor.case.sensor), sensor.case, sensor.scenes.light)
         for sensor, curve in zip(rendered_sensors, curves, strict=True)
         if isinstance(curve, Curve)
     )
-    warn_of_reviews(
-        (label_of(sensor.case.sensor), sensor.case, sensor.scenes.light) for sensor in possible
-    )
+
     combinations: list[StudyResult | str] = []
     for members in groups.values():
         member_curves = [
@@ -310,13 +310,10 @@ def _warn_of_left_out(cases: Sequence[RenderedCase], curves: Sequence[Curve | st
     notes = []
     for rendered, curve in zip(cases, curves, strict=True):
         if isinstance(curve, Curve) and curve.left_out:
-            sizes = dict(curve.left_out)
-            listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
-            notes.append(
-                Note(
-                    "left_out", words=f"{rendered.label}: {listed} µm left out: {sizes[max(sizes)]}"
-                )
-            )
+            reasons = dict(curve.left_out)
+            sizes = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(reasons))
+            words = f"{rendered.label}: {sizes} µm left out: {reasons[max(reasons)]}"
+            notes.append(Note("left_out", words=words))
     for note in first_notes([notes]):
         warn(note)
 
@@ -324,31 +321,19 @@ def _warn_of_left_out(cases: Sequence[RenderedCase], curves: Sequence[Curve | st
 def _findings_of_cases(
     parts: Sequence[StudyResult], workers: Workers, progress: Progress
 ) -> tuple[tuple[Finding, ...], ...]:
-    """Return the statements compared with each case of a study with axes or conditions; none where
-    a case lacks the process.
+    """Return the paper's statements compared with each case of a study with axes or conditions.
 
-    The rows of the paper's process are computed once for cases that differ in other processes only.
+    A case without the paper's process has none. The rows of that process are computed once for
+    cases that differ in other processes only.
     """
-    keys = [
-        (
-            content_hash(
-                [
-                    single_technology_table(part.study, REFERENCE_TECHNOLOGY),
-                    part.sensors[REFERENCE_TECHNOLOGY].frames_hash,
-                ]
-            )
-            if REFERENCE_TECHNOLOGY in part.study.technologies
-            else ""
-        )
-        for part in parts
-    ]
-    first = {key: part for key, part in zip(keys, parts, strict=True) if key}
-    # Each call has its own `make`, since the calls share no data.
+    keys = [_reference_key(part) for part in parts]
+    first_parts = {key: part for key, part in zip(keys, parts, strict=True) if key}
+    # The calls share no data: each makes its own result.
     calls = [
         (key, partial(StudyResult, part.study, part.curves, part.light))
-        for key, part in first.items()
+        for key, part in first_parts.items()
     ]
-    rows: dict[str, list[Finding]] = {"": []}
+    rows: dict[str, list[Finding]] = {}
     for done, (key, findings) in enumerate(results_of(_reference_task, calls, workers), 1):
         rows[key] = findings
         progress(done / len(calls))
@@ -358,11 +343,18 @@ def _findings_of_cases(
     )
 
 
+def _reference_key(part: StudyResult) -> str:
+    """Return a hash of all that the rows of the paper's process depend on; empty without it."""
+    if REFERENCE_TECHNOLOGY not in part.study.technologies:
+        return ""
+    settings = single_technology_table(part.study, REFERENCE_TECHNOLOGY)
+    return content_hash([settings, part.sensors[REFERENCE_TECHNOLOGY].frames_hash])
+
+
 def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
     """Return the key of a case and the rows of the paper's process in it."""
-    return key, reference_rows(
-        Evidence(result, {curve.technology: curve for curve in result.curves})
-    )
+    curves = {curve.technology: curve for curve in result.curves}
+    return key, reference_rows(Evidence(result, curves))
 
 
 def draw_types(
@@ -372,13 +364,14 @@ def draw_types(
     workers: Workers,
     progress: Callable[[], Progress | None],
 ) -> list[UncertaintyResult]:
-    """Evaluate the sensor types of a finished study, and return what is known of each of its
-    optima, metric by metric.
+    """Evaluate the sensor types of a finished study, and return the distribution of each optimum,
+    metric by metric.
 
-    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics that tell
-    no best size of the base.
+    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics without an
+    optimum of the base.
 
     result : of the study, whose optima are the base
+    type_request : number of types, and whether they are the points of total indices
     folder : of the study, in which `types_file` keeps the rows, so that an interrupted run goes on
 
     Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the
@@ -386,22 +379,18 @@ def draw_types(
     """
     results = []
     for metric in drawn_metrics(result.study):
-        if all(metric.name in curve.optima for base in result.cases for curve in base.curves):
-            bases = [
-                replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves))
-                for base in result.cases
-            ]
-            results += _types_by_metric(
-                bases, type_request, folder / types_file(metric), workers, progress
-            )
-        else:
+        curves = [curve for base in result.cases for curve in base.curves]
+        if not all(metric.name in curve.optima for curve in curves):
             reason = "it tells no best size of some of the study's own sensors"
-            warn(
-                Note(
-                    "no_effect",
-                    words=f"sensor types for {metric.words}: nothing is drawn, since {reason}",
-                )
-            )
+            words = f"sensor types for {metric.words}: nothing is drawn, since {reason}"
+            warn(Note("no_effect", words=words))
+            continue
+        bases = [
+            replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves))
+            for base in result.cases
+        ]
+        file = folder / types_file(metric)
+        results += _types_by_metric(bases, type_request, file, workers, progress)
     return results
 
 
@@ -412,88 +401,95 @@ def _types_by_metric(
     workers: Workers,
     progress: Callable[[], Progress | None],
 ) -> list[UncertaintyResult]:
-    """Return what is known of the optima of the cases of a study by the first metric of their
-    curves.
-    """
-    study, metric = bases[0].study, bases[0].curves[0].metric
-    sample = type_request.sample(study)
-    unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    cases: list[Case[Study]] = []  # by case of the study, then by type, then by technology
-    lights: list[Light] = []
-    for number, base in enumerate(bases):
-        settings = base.study.model_dump(
-            mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"}
-        )
-        settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
-        types = [
-            Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw)))
-            for draw in sample.draws
-        ]
-        few_pitches_um = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
-        few_frames = base.study.model_copy(
-            update={"metrics": (metric.name,), "repeats": FEW_SENSORS}
-        )
-        light = replace(base.light, film=None, noise=None)
-        for draw, drawn_study in enumerate(types):
-            labels: dict[str, Label] = {"case": number, "draw": draw}
-            combination = Case(
-                drawn_study,
-                labels,
-                labels=labels,
-                group=(number, draw),
-                resolved=(base.irradiance, base.camera),
-            )
-            for case in cases_of_sensors(combination):
-                assert case.imaging is not None
-                imaging = case.imaging.changed(
-                    display=few_frames.display,
-                    single=allows_single(few_frames.tolerance_delta_e),
-                    metrics=metrics_of(few_frames, FEW_SENSORS),
-                )
-                cases.append(
-                    replace(
-                        case,
-                        imaging=imaging,
-                        sizes=few_pitches_um[case.sensor],
-                        caches_frames=False,
-                    )
-                )
-                lights.append(light)
+    """Return the distributions of a study's optima by the first metric of its curves.
 
-    rendered_sensors = rendered_cases(cases, lights)
+    bases : cases of the study
+    file : for the rows of the types
+    """
+    study = bases[0].study
+    metric = bases[0].curves[0].metric
+    sample = type_request.sample(study)
+
+    # By case of the study, then by type, then by technology.
+    cases = [
+        case for number, base in enumerate(bases) for case in _cases_of_types(number, base, sample)
+    ]
+    base_lights = [replace(base.light, film=None, noise=None) for base in bases]
+    rendered_sensors = rendered_cases(cases, [base_lights[_base_of(case)] for case in cases])
     curves: dict[int, Curve] = {}
 
     def fit(number: int, table: Table) -> None:
         case = cases[number]
-        curves[number] = curve_of(
-            case.settings, case.sensor, table, label=rendered_sensors[number].label
-        )
+        label = rendered_sensors[number].label
+        curves[number] = curve_of(case.settings, case.sensor, table, label=label)
 
     evaluate_points(rendered_sensors, file, workers, progress, on_case_done=fit)
 
     results = []
     ordered = (curves[number] for number in range(len(cases)))
+    has_one_curve = sum(len(base.curves) for base in bases) == 1
     for base in bases:
-        types_curves = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
+        curves_of_types = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
+        curves_of_technologies = list(zip(*curves_of_types, strict=True))
         for place, curve in enumerate(base.curves):
-            table, holds = _results_of_types(
-                list(zip(*types_curves, strict=True)), place, base, type_request
-            )
-            inputs = sample if type_request.total else sample_of(sample, curve.technology)
-            label = curve.label if sum(len(other.curves) for other in bases) > 1 else ""
+            table, holds = _results_of_types(curves_of_technologies, place, base, type_request)
             results.append(
                 UncertaintyResult(
-                    inputs,
-                    table,
-                    holds,
-                    type_request.draws,
-                    study.seed,
-                    label,
-                    type_request.total,
-                    metric,
+                    sample=sample if type_request.total else sample_of(sample, curve.technology),
+                    table=table,
+                    holds=holds,
+                    asked=type_request.draws,
+                    seed=study.seed,
+                    label="" if has_one_curve else curve.label,
+                    total=type_request.total,
+                    metric=metric,
                 )
             )
     return results
+
+
+def _base_of(case: Case[Study]) -> int:
+    """Return the number of the case of the study that a sensor type belongs to."""
+    number = case.labels["case"]
+    assert isinstance(number, int)
+    return number
+
+
+def _cases_of_types(number: int, base: StudyResult, sample: Sample) -> Iterator[Case[Study]]:
+    """Yield each sensor type as cases of its technologies, at few sizes around the base's optima.
+
+    number : of the base among the cases of the study
+    """
+    metric = base.curves[0].metric
+    unknowns = [unknown for members in sample.inputs.values() for unknown in members]
+    settings = base.study.model_dump(
+        mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"}
+    )
+    settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
+    types = [
+        Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw)))
+        for draw in sample.draws
+    ]
+
+    sizes = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
+    judged = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+    for draw, drawn_study in enumerate(types):
+        labels: dict[str, Label] = {"case": number, "draw": draw}
+        combination = Case(
+            drawn_study,
+            labels,
+            labels=labels,
+            group=(number, draw),
+            resolved=(base.irradiance, base.camera),
+        )
+        for case in cases_of_sensors(combination):
+            assert case.imaging is not None
+            imaging = case.imaging.changed(
+                display=judged.display,
+                single=allows_single(judged.tolerance_delta_e),
+                metrics=metrics_of(judged, FEW_SENSORS),
+            )
+            yield replace(case, imaging=imaging, sizes=sizes[case.sensor], caches_frames=False)
 
 
 def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
@@ -528,17 +524,20 @@ def _results_of_types(
         f"{value}_low",
         f"{value}_high",
     )
-    rows = [(best.pitch_um, *best.interval_um, best.value, *best.value_interval) for best in optima]
+    rows = [
+        (optimum.pitch_um, *optimum.interval_um, optimum.value, *optimum.value_interval)
+        for optimum in optima
+    ]
     table = dict(zip(names, np.array(rows, float).T, strict=True))
-    table["inside"] = np.array([best.inside for best in optima])
+    table["inside"] = np.array([optimum.inside for optimum in optima])
 
-    # An optimum at the smallest size tried is there or below; of one at the largest size nothing is
-    # known above it.
+    # An optimum at the smallest size tried is there or below; one at the largest size may lie
+    # anywhere above it.
     smallest_um, largest_um = np.array([curve.fitted_range_um for curve in drawn_curves]).T
     pitch_um = table["optimum_um"]
-    is_known = table["inside"] | (pitch_um == smallest_um)
+    has_upper_bound = table["inside"] | (pitch_um == smallest_um)
     holds = {
-        f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size)
+        f"the optimum is smaller than {size:g} µm": has_upper_bound & (pitch_um < size)
         for size in type_request.smaller_than_um
     }
     labels = [curve.plain_label for curve in base.curves]
@@ -613,12 +612,14 @@ def study(
     results.csv of another program.
 
     >>> import tempfile
-    >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
+    >>> tiny = {"name": "tiny", "repeats": 2, "display": {"dots": 64}}
+    >>> tiny |= {"pitch": {"values_um": [20, 28, 40, 56, 80]}}
     >>> tiny |= {"scene": {"file": "csf", "parameters": {"resolution": 64, "spp": 4}}}
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     result = study(Study.model_validate(tiny), folder, jobs=1)
-    >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
-    ((5, 2), True)
+    >>> delta_e = result.curves[0].delta_e  # (pitches, sensors)
+    >>> delta_e.shape, int(delta_e.mean(axis=1).argmin())
+    ((5, 2), 0)
     """
     settings = tables_of_python(settings, metrics)
     if light is not None:
@@ -640,16 +641,12 @@ def study(
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
-        chosen = (
-            plan
-            if isinstance(plan, Study)
-            else load_study(plan, config, parameters, pixel, scene, quick, **settings)
-        )
-        spreads = (
-            uncertainty_of(plan, listed(config), quick)
-            if isinstance(plan, str | os.PathLike)
-            else {}
-        )
+        spreads: Uncertainty = {}
+        if isinstance(plan, Study):
+            chosen = plan
+        else:
+            chosen = load_study(plan, config, parameters, pixel, scene, quick, **settings)
+            spreads = uncertainty_of(plan, listed(config), quick)
         type_request = uncertainty_request(uncertainty, sobol, smaller_than_um, spreads)
         job = prepare(chosen, variant, light=light, background=without)
         return run_prepared(
@@ -676,78 +673,68 @@ def run_prepared(
     type_request: UncertaintyRequest | None = None,
     on_start: Callable[[StudyResult], None] | None = None,
 ) -> StudyResult:
-    """Run a prepared study; the other arguments are those of `study`.
+    """Run a prepared study. Further arguments are described at `study`.
 
-    on_start : that of `_evaluate_cases`
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
-    type_request : about its unknown numbers
+    type_request : sensor types to draw
+    on_start : called once with a study of one case in its light, without curves, when workers have
+        made its first evaluations
     """
-    check_number(len(job.combinations), job.evaluations, agreed)
-    if type_request is not None:
-        check_types(
-            job.complete, [case.settings for case in job.combinations], type_request, agreed
-        )
-
+    plan = job.complete
     stage = progress or no_stage
+    check_number(len(job.combinations), job.evaluations, agreed)
+    file_names = ["results.csv"]
+    if type_request is not None:
+        studies = [case.settings for case in job.combinations]
+        check_types(plan, studies, type_request, agreed)
+        file_names += map(types_file, drawn_metrics(plan))
     if jobs is None and scheduler is None:
-        jobs = jobs_in_memory(
-            largest_frame_bytes([(case.settings, case.camera) for case in job.combinations])
-        )
+        frames = [(case.settings, case.camera) for case in job.combinations]
+        jobs = jobs_in_memory(largest_frame_bytes(frames))
+
     with collected_notes() as notes, ExitStack() as stack:
-        for name in (
-            "results.csv",
-            *(map(types_file, drawn_metrics(job.complete)) if type_request else ()),
-        ):
+        for name in file_names:
             check_replaceable_results(Path(out) / name)
-        workers, folder = (
-            stack.enter_context(workers_for(jobs, scheduler)),
-            stack.enter_context(output_folder(out)),
-        )
-        chosen = job.complete
+        workers = stack.enter_context(workers_for(jobs, scheduler))
+        folder = stack.enter_context(output_folder(out))
+
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = list(dict.fromkeys(light for light in lights if isinstance(light, str)))
-        results: list[StudyResult] = []
-        if case_lights := [
+        case_lights = [
             (case, light)
             for case, light in zip(job.cases, lights, strict=True)
             if isinstance(light, Light)
-        ]:
-            cases = _on_their_films(case_lights)
-            evaluated, counts, table = _evaluate_cases(
-                cases,
-                [light for _, light in case_lights],
-                job.view,
-                folder / "results.csv",
-                workers,
-                lambda: stage("evaluate"),
-                on_start,
-            )
-            reasons += [reason for reason in evaluated if isinstance(reason, str)]
-            results = [part for part in evaluated if isinstance(part, StudyResult)]
+        ]
+        if not case_lights:
+            raise PixsimError(reasons[0])
+
+        evaluated, counts, table = _evaluate_cases(
+            _on_their_films(case_lights),
+            [light for _, light in case_lights],
+            job.view,
+            folder / "results.csv",
+            workers,
+            lambda: stage("evaluate"),
+            on_start,
+        )
+        reasons += [reason for reason in evaluated if isinstance(reason, str)]
+        results = [part for part in evaluated if isinstance(part, StudyResult)]
         if not results:
             raise PixsimError(reasons[0])
-        for note in first_notes(
-            [[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]
-        ):
+        left_out = [Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]
+        for note in first_notes([left_out]):
             warn(note)
-        curves = results[0].curves
-        findings: tuple[tuple[Any, ...], ...] = ()
-        if chosen.has_cases and chosen.paper:
+        findings: tuple[tuple[Finding, ...], ...] = ()
+        if plan.has_cases and plan.paper:
             findings = _findings_of_cases(results, workers, stage("paper's statements"))
+
     first = results[0]
     settings_toml = _repeated_settings(job, first.irradiance, spreads or {}, type_request)
-    final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
-    if chosen.has_cases:
-        names = dict.fromkeys(curve.technology for part in results for curve in part.curves)
+    final = replace(first, warned=tuple(notes), settings_toml=settings_toml)
+    if plan.has_cases:
         final = CasesResult(
-            chosen,
-            tuple(
-                curve
-                for name in names
-                for part in results
-                for curve in part.curves
-                if curve.technology == name
-            ),
+            plan,
+            _by_technology(results),
             first.light,
             view=first.view,
             settings_toml=settings_toml,
@@ -761,6 +748,16 @@ def run_prepared(
         )
     if type_request is None:
         return final
+
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
-        unknown = draw_types(final, type_request, folder, workers, lambda: stage("sensor types"))
-    return replace(final, uncertainty=tuple(unknown))
+        distributions = draw_types(
+            final, type_request, folder, workers, lambda: stage("sensor types")
+        )
+    return replace(final, uncertainty=tuple(distributions))
+
+
+def _by_technology(results: Sequence[StudyResult]) -> tuple[Curve, ...]:
+    """Return the curves of all cases, technology by technology."""
+    curves = [curve for part in results for curve in part.curves]
+    names = dict.fromkeys(curve.technology for curve in curves)
+    return tuple(curve for name in names for curve in curves if curve.technology == name)
