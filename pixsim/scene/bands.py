@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -87,15 +86,19 @@ class Bands:
         return (self.shares * response(self.nodes_nm)).sum(axis=1)
 
     def integrals(self, energy: Array, step_nm: float) -> Array:
-        """Return the energy in each band, (..., B), from that in the cells between the nodes of
-        their range's grid.
+        """Return the energy in each band, (..., B).
+
+        energy : (..., cells) between the nodes of the grid of the bands' range
+        step_nm : of that grid
         """
-        running = np.concatenate(
-            [np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1)], axis=-1
-        )
-        at = (self.edges_nm - self.span.low_nm) / step_nm
-        index = np.minimum(at.astype(int), energy.shape[-1] - 1)
-        return np.diff(running[..., index] + (at - index) * energy[..., index], axis=-1)
+        nothing = np.zeros_like(energy[..., :1])
+        running = np.concatenate([nothing, np.cumsum(energy, axis=-1)], axis=-1)
+
+        # The running sum is linear within a cell.
+        position = (self.edges_nm - self.span.low_nm) / step_nm
+        cell = np.minimum(position.astype(int), energy.shape[-1] - 1)
+        below = running[..., cell] + (position - cell) * energy[..., cell]
+        return np.diff(below, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,7 @@ class Pulse:
         linear.
         """
         first = round((self.low_nm - span.low_nm) / step_nm)
+        # Integrals of products of two tents: 1/6, 2/3 and 1/6 of a step.
         weights = np.convolve(self.values, (1 / 6, 2 / 3, 1 / 6), mode="same") * step_nm
         return (functions[..., first : first + self.values.size] * weights).sum(axis=-1)
 
@@ -157,56 +161,67 @@ def place_bands(
         added
     span : range that the bands cover
     """
-    edges = band_edges_nm(span)
+    edges_nm = band_edges_nm(span)
     lights = [resolved(lamp, surfaces, span) for lamp in lamps]
     while True:
-        bands = _shaped(edges, lamps)
+        bands = _shaped(edges_nm, lamps)
         errors = [band_errors(bands, light, detectors) for light in lights]
-        worst = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
-        if worst <= tolerance or edges.size > MAX_BANDS:
+        largest = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
+        if largest <= tolerance or edges_nm.size > MAX_BANDS:
             return bands
+
+        # The worst bands are halved, but for those that are as narrow as allowed.
         band_error = np.max([np.abs(error).max(axis=(0, 1)) for error in errors], axis=0)
-        band_error[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
+        band_error[np.diff(edges_nm) < 2 * NARROWEST_BAND_NM] = 0.0
         if not band_error.any():
             return bands
-        halved = np.flatnonzero(band_error > band_error.max() / 2)
-        edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
+        worst = np.flatnonzero(band_error > band_error.max() / 2)
+        middles_nm = (edges_nm[worst] + edges_nm[worst + 1]) / 2
+        edges_nm = np.sort(np.concatenate([edges_nm, middles_nm]))
 
 
 def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], detectors: list[Detector]) -> Array:
     """Return each band's contribution to the error of each detector's signal, (detectors, 1 + n
     surfaces, B).
 
-    It is relative to the whole signal and to the detector's slack. `lamp` is `resolved`.
+    It is relative to the whole signal and to the detector's tolerance factor.
+
+    lamp : from `resolved`
     """
-    light, at, families = lamp
-    first = np.searchsorted(at, bands.edges_nm[:-1])
-    energy = np.add.reduceat(families * light, first, axis=1)
+    light, centres_nm, reflectances = lamp
+    first = np.searchsorted(centres_nm, bands.edges_nm[:-1])
+    energy = np.add.reduceat(reflectances * light, first, axis=1)
+
     errors = []
     for detector in detectors:
-        truth = np.add.reduceat(families * (light * detector.response(at)), first, axis=1)
-        total = truth.sum(axis=1, keepdims=True)
+        response = light * detector.response(centres_nm)
+        signal = np.add.reduceat(reflectances * response, first, axis=1)
+        total = signal.sum(axis=1, keepdims=True)
         total = np.maximum(total, detector.min_share_of_neutral * total[:1])
-        wrong = bands.mean(detector.response) * energy - truth
-        errors.append(
-            np.divide(
-                wrong, total * detector.tolerance_factor, out=np.zeros_like(wrong), where=total > 0
-            )
-        )
+        error = bands.mean(detector.response) * energy - signal
+        allowed = total * detector.tolerance_factor
+        errors.append(np.divide(error, allowed, out=np.zeros_like(error), where=total > 0))
     return np.array(errors)
 
 
 def resolved(lamp: Spectrum, surfaces: Array, span: Span = VISIBLE) -> tuple[Array, Array, Array]:
     """Return a lamp's energy in fine cells, the cell centres, and the surfaces (a neutral one
     first) at the centres.
+
+    surfaces : (n, G) on the range's grid of 1 nm
     """
-    step, whole = min(lamp.step_nm, STEPS_NM[1]), grid_nm(span=span)
-    edges = grid_nm(step, span)
-    at = edges[:-1] + step / 2
-    families = np.array(
-        [np.interp(at, whole, surface) for surface in (np.ones(whole.size), *surfaces)]
-    )
-    return lamp.cell_means(edges) * step, at, families
+    step_nm = min(lamp.step_nm, STEPS_NM[1])
+    edges_nm = grid_nm(step_nm, span)
+    centres_nm = edges_nm[:-1] + step_nm / 2
+    reflectances = _with_neutral(surfaces, centres_nm, span)
+    return lamp.cell_means(edges_nm) * step_nm, centres_nm, reflectances
+
+
+def _with_neutral(surfaces: Array, nm: Array, span: Span) -> Array:
+    """Return a neutral surface and surfaces (n, G), at other wavelengths, (1 + n, wavelengths)."""
+    surfaces_nm = grid_nm(span=span)
+    neutral = np.ones(surfaces_nm.size)
+    return np.array([np.interp(nm, surfaces_nm, surface) for surface in (neutral, *surfaces)])
 
 
 def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
@@ -217,24 +232,35 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
         [np.linspace(a, b, PARTS_OF_A_BAND, endpoint=False) for a, b in pairwise(edges_nm)]
     )
     parts = Bands(np.append(parts_nm, edges_nm[-1]), parts_nm, parts_nm[:, None], parts_nm[:, None])
-    centres = (parts.edges_nm[:-1] + parts.edges_nm[1:]) / 2
-    energy, moment, span = np.zeros(centres.size), np.zeros(centres.size), parts.span
+    centres_nm = (parts.edges_nm[:-1] + parts.edges_nm[1:]) / 2
+
+    # Energy and first moment in each part
+    energy = np.zeros(centres_nm.size)
+    moment = np.zeros(centres_nm.size)
+    span = parts.span
     for lamp in lamps:
-        step, total = min(lamp.step_nm, STEPS_NM[1]), lamp.integral(span.low_nm, span.high_nm)
-        grid = grid_nm(step, span)
-        cells = lamp.cell_means(grid) * (step / (total if total > 0 else 1.0))
-        energy += parts.integrals(cells, step)
-        moment += parts.integrals(cells * (grid[:-1] + step / 2), step)
-    nodes = np.divide(moment, energy, out=centres.copy(), where=energy > 0)
-    nodes = np.clip(nodes, parts.edges_nm[:-1], parts.edges_nm[1:]).reshape(-1, PARTS_OF_A_BAND)
-    energy = energy.reshape(nodes.shape)
-    dark = energy.sum(axis=1) <= 0
-    energy[dark] = 1.0
+        step_nm = min(lamp.step_nm, STEPS_NM[1])
+        total = lamp.integral(span.low_nm, span.high_nm)
+        nodes_nm = grid_nm(step_nm, span)
+        cells = lamp.cell_means(nodes_nm) * (step_nm / (total if total > 0 else 1.0))
+        energy += parts.integrals(cells, step_nm)
+        moment += parts.integrals(cells * (nodes_nm[:-1] + step_nm / 2), step_nm)
+
+    # Centroids of the parts; of a dark part the centre.
+    centroids_nm = np.divide(moment, energy, out=centres_nm.copy(), where=energy > 0)
+    centroids_nm = np.clip(centroids_nm, parts.edges_nm[:-1], parts.edges_nm[1:])
+    centroids_nm = centroids_nm.reshape(-1, PARTS_OF_A_BAND)
+
+    # Shares of the parts; in a dark band they are equal.
+    energy = energy.reshape(centroids_nm.shape)
+    energy[energy.sum(axis=1) <= 0] = 1.0
     shares = energy / energy.sum(axis=1, keepdims=True)
-    centre = (edges_nm[:-1] + edges_nm[1:]) / 2
-    centroid = (shares * nodes).sum(axis=1)
-    near = np.abs(centroid - centre) < _MIN_SHIFT_NM
-    return Bands(edges_nm, np.where(near, centre, centroid), nodes, shares)
+
+    band_centre_nm = (edges_nm[:-1] + edges_nm[1:]) / 2
+    band_centroid_nm = (shares * centroids_nm).sum(axis=1)
+    is_near = np.abs(band_centroid_nm - band_centre_nm) < _MIN_SHIFT_NM
+    wavelength_nm = np.where(is_near, band_centre_nm, band_centroid_nm)
+    return Bands(edges_nm, wavelength_nm, centroids_nm, shares)
 
 
 def window_pulse(
@@ -249,70 +275,65 @@ def window_pulse(
     """Return the lamp between two wavelengths as a pulse, or None if it is dark there; without a
     lamp the pulse is flat.
 
-    The flanks lie outside the window, or `inside` it if the next window adjoins in the same pass.
-    The pulses of adjoining windows with `band` add up to the lamp.
+    inside : whether the flanks lie inside the window, since the next one adjoins in the same pass;
+        else they lie outside
+    band : whether the pulses of adjoining windows add up to the lamp
     """
-    step = lamp.step_nm if lamp else 1.0
+    step_nm = lamp.step_nm if lamp else 1.0
     if band:  # fine enough for every border of a band to be a node
-        step = min(step, STEPS_NM[1])
+        step_nm = min(step_nm, STEPS_NM[1])
     first, last, last_node = (
-        round((nm - span.low_nm) / step) for nm in (low_nm, high_nm, span.high_nm)
+        round((nm - span.low_nm) / step_nm) for nm in (low_nm, high_nm, span.high_nm)
     )
     flank = 0 if inside else _FLANK_STEPS
     start = max(min(first - flank, last_node - 2 * _FLANK_STEPS), 0)
     stop = min(max(last + flank, 2 * _FLANK_STEPS), last_node)
-    index = np.arange(start, stop + 1)
-    values = lamp.on_grid(step, span)[index] if lamp else np.ones(index.size)
-    values[(index < first) | (index > last)] = 0.0
-    if band:  # half at its borders: neighbours add up to the lamp, and the area is that of the band
-        values[(index == first) | (index == last)] /= 2
-    if (
-        not inside
-    ):  # flanks must stay within the range: light at the ends is moved two steps inwards
-        values = np.bincount(
-            np.clip(index - start, _FLANK_STEPS, stop - start - _FLANK_STEPS), values, index.size
-        ).astype(float)
+    nodes = np.arange(start, stop + 1)
+
+    values = lamp.on_grid(step_nm, span)[nodes] if lamp else np.ones(nodes.size)
+    values[(nodes < first) | (nodes > last)] = 0.0
+    if band:
+        # Half at its borders: neighbours add up to the lamp, and the area is that of the band.
+        values[(nodes == first) | (nodes == last)] /= 2
+    if not inside:
+        # Flanks must stay within the range: light at the ends is moved two steps inwards.
+        inner = np.clip(nodes - start, _FLANK_STEPS, stop - start - _FLANK_STEPS)
+        values = np.bincount(inner, values, nodes.size).astype(float)
     values[:_FLANK_STEPS] = values[-_FLANK_STEPS:] = 0.0
-    area = values.sum() * step
-    return (
-        Pulse(span.low_nm + step * start, span.low_nm + step * stop, values / area)
-        if area > 0
-        else None
-    )
+
+    area = values.sum() * step_nm
+    if not area > 0:
+        return None
+    return Pulse(span.low_nm + step_nm * start, span.low_nm + step_nm * stop, values / area)
 
 
 def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     """Return a pulse for each band with light, in passes of four disjoint ones; needs no knowledge
     of the surfaces.
     """
-    edges = bands.edges_nm
+    edges_nm = bands.edges_nm
     # Without a lamp spectrum the pulses are flat and have unit area: they measure the mean over a
     # band.
-    mean = lamp.cell_means(edges) if lamp else np.ones(edges.size - 1)
-    options: dict[str, Any] = {"band": True, "span": bands.span}
-    band_pulse = {
-        band: window_pulse(lamp, edges[band], edges[band + 1], **options)
-        for band in np.flatnonzero(mean).tolist()
-    }
-    bright_bands, pulses = (
-        [band for band, pulse in band_pulse.items() if pulse],
-        tuple(pulse for pulse in band_pulse.values() if pulse),
-    )
-    fours = passes(len(pulses))
-    # Flanks may overlap neighbours: then each pulse has its own pass.
-    spans = [
-        sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in group})
-        for group in fours
-    ]
-    are_disjoint = (
-        all(low[1] <= high[0] for span in spans for low, high in pairwise(span))
-        and len(pulses) >= 2 * _PULSES_PER_PASS
-    )
-    return Fit(
-        pulses,
-        np.diag(mean)[bright_bands],
-        fours if are_disjoint else [[index] for index in range(len(pulses))],
-    )
+    mean = lamp.cell_means(edges_nm) if lamp else np.ones(edges_nm.size - 1)
+    pulses = []
+    bright_bands = []
+    for band in np.flatnonzero(mean).tolist():
+        pulse = window_pulse(lamp, edges_nm[band], edges_nm[band + 1], band=True, span=bands.span)
+        if pulse:
+            pulses.append(pulse)
+            bright_bands.append(band)
+
+    # Flanks may overlap neighbours: then each pulse has a pass of its own.
+    groups = passes(len(pulses))
+    if len(pulses) < 2 * _PULSES_PER_PASS or any(_overlap(pulses, group) for group in groups):
+        groups = [[index] for index in range(len(pulses))]
+    return Fit(tuple(pulses), np.diag(mean)[bright_bands], groups)
+
+
+def _overlap(pulses: list[Pulse], group: list[int]) -> bool:
+    """Return whether different pulses of a pass overlap."""
+    ranges = sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in group})
+    return any(lower[1] > upper[0] for lower, upper in pairwise(ranges))
 
 
 def passes(count: int) -> list[list[int]]:
@@ -324,9 +345,13 @@ def passes(count: int) -> list[list[int]]:
     """
     if count <= 3:
         return [[], [[0]], [[0, 1]], [[0, 1], [2]]][count]
+
     stride = -(-count // _PULSES_PER_PASS)
-    fours = [[start + stride * k for k in range(_PULSES_PER_PASS)] for start in range(stride)]
-    return [[index if index < count else group[0] for index in group] for group in fours]
+    groups = []
+    for start in range(stride):
+        group = [start + stride * lane for lane in range(_PULSES_PER_PASS)]
+        groups.append([index if index < count else start for index in group])
+    return groups
 
 
 def fit(
@@ -344,64 +369,87 @@ def fit(
     few, or if the lamp is dark. The error bounds light from these surfaces and sums of it; light
     from other surfaces may have a larger error.
     """
-    step, span = lamp.step_nm, bands.span
-    whole, grid, light = grid_nm(span=span), grid_nm(step, span), lamp.on_grid(step, span)
-    bright_nm = grid[light > 0]
+    step_nm, span = lamp.step_nm, bands.span
+    nodes_nm = grid_nm(step_nm, span)
+    light = lamp.on_grid(step_nm, span)
+    bright_nm = nodes_nm[light > 0]
     if bright_nm.size == 0:
         return None
-    families = np.array(
-        [np.interp(grid, whole, surface) for surface in (np.ones(whole.size), *surfaces)]
+    reflectances = _with_neutral(surfaces, nodes_nm, span)
+
+    # The light from each surface in the bands, and the signal of each detector
+    fine_light, centres_nm, fine_reflectances = resolved(lamp, surfaces, span)
+    fine_energy = fine_reflectances * fine_light
+    first = np.searchsorted(centres_nm, bands.edges_nm[:-1])
+    band_means = np.add.reduceat(fine_energy, first, axis=1) / bands.width_nm
+    brightest = np.maximum(band_means.max(axis=1), np.finfo(float).tiny)
+    signals = np.array(
+        [
+            (fine_reflectances * (fine_light * detector.response(centres_nm))).sum(axis=1)
+            for detector in detectors
+        ]
     )
-    fine_light, at, fine = resolved(lamp, surfaces, span)
-    truth = np.array(
-        [(fine * (fine_light * detector.response(at))).sum(axis=1) for detector in detectors]
-    )
-    first = np.searchsorted(at, bands.edges_nm[:-1])
-    band_means = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
-    signals = np.array([bands.mean(detector.response) * bands.width_nm for detector in detectors])
-    tolerance_factor = np.array([[detector.tolerance_factor] for detector in detectors])
-    reference = np.maximum(
-        truth, np.array([[detector.min_share_of_neutral] for detector in detectors]) * truth[:, :1]
-    )
+    min_shares = np.array([[detector.min_share_of_neutral] for detector in detectors])
+    reference = np.maximum(signals, min_shares * signals[:, :1])
+    allowed = reference * np.array([[detector.tolerance_factor] for detector in detectors])
+    responses = np.array([bands.mean(detector.response) * bands.width_nm for detector in detectors])
+
     for count in _PULSE_COUNTS:
-        cuts = np.linspace(bright_nm[0], bright_nm[-1], count + 1)
-        pulses = [window_pulse(lamp, a, b, inside=count > 1, span=span) for a, b in pairwise(cuts)]
-        pulses_lit = [pulse for pulse in pulses if pulse is not None]
-        if not pulses_lit:  # the windows are narrower than their flanks
+        borders_nm = np.linspace(bright_nm[0], bright_nm[-1], count + 1)
+        windows = [
+            window_pulse(lamp, low_nm, high_nm, inside=count > 1, span=span)
+            for low_nm, high_nm in pairwise(borders_nm)
+        ]
+        pulses = [pulse for pulse in windows if pulse is not None]
+        if not pulses:  # the windows are narrower than their flanks
             return None
-        weights = _fit_weights(families, pulses_lit, light, step, stiffness, span)
-        description_of = np.array([np.interp(at, grid, weight) for weight in weights])
-        spectra = np.add.reduceat(description_of * fine_light, first, axis=1) / bands.width_nm
-        measured = np.stack([pulse.mean(families, step, span) for pulse in pulses_lit], axis=1)
+
+        # The light in the bands that the pulses tell
+        weights = _fit_weights(reflectances, pulses, light, step_nm, stiffness, span)
+        fine_weights = np.array([np.interp(centres_nm, nodes_nm, weight) for weight in weights])
+        spectra = np.add.reduceat(fine_weights * fine_light, first, axis=1) / bands.width_nm
+        measured = np.stack([pulse.mean(reflectances, step_nm, span) for pulse in pulses], axis=1)
         fitted = measured @ spectra
-        wrong = np.abs(signals @ fitted.T - truth)
-        errors = np.divide(
-            wrong, reference * tolerance_factor, out=np.zeros_like(wrong), where=reference > 0
-        )
-        shape = np.abs(fitted - band_means).max(axis=1) / np.maximum(
-            band_means.max(axis=1), np.finfo(float).tiny
-        )
-        if errors.max() <= tolerance and shape.max() <= SHAPE_TOLERANCE:
-            return Fit(tuple(pulses_lit), spectra, passes(len(pulses_lit)), float(errors.max()))
+
+        # Its errors in the signals, and in each band
+        error = np.abs(responses @ fitted.T - signals)
+        signal_error = np.divide(error, allowed, out=np.zeros_like(error), where=reference > 0)
+        shape_error = np.abs(fitted - band_means).max(axis=1) / brightest
+        if signal_error.max() <= tolerance and shape_error.max() <= SHAPE_TOLERANCE:
+            return Fit(tuple(pulses), spectra, passes(len(pulses)), float(signal_error.max()))
     return None
 
 
 def _fit_weights(
-    families: Array, pulses: list[Pulse], light: Array, step_nm: float, stiffness: float, span: Span
+    reflectances: Array,
+    pulses: list[Pulse],
+    light: Array,
+    step_nm: float,
+    stiffness: float,
+    span: Span,
 ) -> Array:
-    """Return functions (pulses, G) whose sum, weighted by pulse means, fits the families; near
+    """Return functions (pulses, G) whose sum, weighted by pulse means, fits the reflectances; near
     linear interpolation.
+
+    reflectances : (1 + n, G) of a neutral surface and others
+    light : (G,) of the lamp
     """
-    grid = grid_nm(step_nm, span)
-    power = np.maximum(np.trapezoid(families * light, dx=step_nm, axis=-1), np.finfo(float).tiny)
-    scaled = families * (np.trapezoid(light, dx=step_nm) / power)[:, None]
+    nodes_nm = grid_nm(step_nm, span)
+
+    # Surfaces count the same, whatever they reflect of the lamp, but for the neutral one.
+    power = np.trapezoid(reflectances * light, dx=step_nm, axis=-1)
+    power = np.maximum(power, np.finfo(float).tiny)
+    scaled = reflectances * (np.trapezoid(light, dx=step_nm) / power)[:, None]
     scaled[0] *= NEUTRAL_WEIGHT
-    measured = np.stack([pulse.mean(scaled, step_nm, span) for pulse in pulses], axis=1)
-    centroids = [
+
+    # Linear interpolation between the centroids of the pulses
+    centroids_nm = [
         float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses
     ]
-    plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
+    linear = np.array([np.interp(nodes_nm, centroids_nm, row) for row in np.eye(len(pulses))])
+
+    # Least squares with a penalty for the difference from it
+    measured = np.stack([pulse.mean(scaled, step_nm, span) for pulse in pulses], axis=1)
     normal_matrix = measured.T @ measured / len(scaled) + stiffness * np.eye(len(pulses))
-    return np.asarray(
-        np.linalg.solve(normal_matrix, measured.T @ scaled / len(scaled) + stiffness * plain)
-    )
+    right_side = measured.T @ scaled / len(scaled) + stiffness * linear
+    return np.asarray(np.linalg.solve(normal_matrix, right_side))
