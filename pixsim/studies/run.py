@@ -76,17 +76,15 @@ from pixsim.viewer.without_effect import UserSettings, warn_of_settings_without_
 
 # --- where a target is just seen ------------------------------------------------------------------
 
-_SOUGHT = "metric.detectability.solve_for"
-WITHIN = 1e-3  # relative, of the value that is found
-_WIDEST_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
-# of the logarithm of a value, that of d′ is half or more: it grows at least as the root of the
-# light
-_SLOWEST = 2.2
-MAX_STEPS, MAX_RENDERS = (
-    9,
-    24,
-)  # on the way to a value on the other side of the threshold; of the whole search
-# from the last value that is seen, up to 512 times as much: beyond it a target may be too bright
+_SOLVE_FOR = "metric.detectability.solve_for"
+WITHIN = 1e-3  # relative error of a parameter's value at the threshold
+_MAX_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
+# Steps of a value's logarithm, over the logarithm of d′ that is missing: d′ grows at least as the
+# root of the light.
+_STEP_FACTOR = 2.2
+MAX_STEPS = 9  # on the way to a value on the other side of the threshold
+MAX_RENDERS = 24  # of the whole search
+# Steps beyond the last value that is seen, up to 512 times as much: a target may be too bright.
 _UPWARD_STEPS = 3
 _MIN_D_PRIME = 1e-6  # in place of a d′ of 0
 
@@ -97,11 +95,11 @@ class Threshold:
 
     parameter : of the scene
     threshold : d′ at which it is seen
-    value : of the parameter, from which on d′ is the threshold or more; None if none was found
-    upper_value : beyond which d′ is below the threshold again, as of light that fills the pixels;
-        None if none was found
+    value : of the parameter, from which on d′ is the threshold or more; or None
+    upper_value : beyond which d′ is below the threshold again, as where light fills the pixels; or
+        None
     tried : values from the first one on, before they lay on both sides of the threshold
-    reason : why none was found; empty if one was, or if the last value tried is not enough
+    reason : why there is no value; empty if there is one, or if the last value tried is too small
     """
 
     parameter: str
@@ -113,17 +111,16 @@ class Threshold:
 
 
 def _start_of(settings: Run, source: Scene | object) -> float | None:
-    """Return the value of the parameter that a run looks for, with which it starts; None if it
-    looks for none.
+    """Return the first value of the parameter that a run solves for, or None without one.
 
-    Raises PixsimError for light that is given, and for a parameter without a number.
+    Raises PixsimError for light of another program, and for a parameter without a number.
     """
     name = settings.metric.detectability.solve_for
     if name is None or DETECTABILITY.name not in settings.metrics:
         return None
     if not isinstance(source, Scene):
         raise invalid(
-            setting(_SOUGHT),
+            setting(_SOLVE_FOR),
             f"'{name}' for light that is given",
             "a parameter of a scene, which is rendered again",
         )
@@ -133,21 +130,14 @@ def _start_of(settings: Run, source: Scene | object) -> float | None:
     except ValueError:
         start = math.nan
     if not math.isfinite(start) or not start:
-        got = (
-            f"'{name}', of which the value {stated} is stated"
-            if stated is not None
-            else f"'{name}', of which no value is stated"
-        )
+        value = "no value" if stated is None else f"the value {stated}"
+        got = f"'{name}', of which {value} is stated"
         allowed = (
             f"a parameter of {source.path.name} with a number other than 0, from which the search"
             " starts"
         )
-        raise invalid(
-            setting(_SOUGHT),
-            got,
-            allowed,
-            f"As contrast, size_mm or lux: {parameter('lux', '100')}.",
-        )
+        hint = f"As contrast, size_mm or lux: {parameter('lux', '100')}."
+        raise invalid(setting(_SOLVE_FOR), got, allowed, hint)
     return start
 
 
@@ -155,7 +145,7 @@ def _threshold_of(
     job: Job[Run],
     light: Light,
     d_prime: float,
-    _d_prime_in: Callable[[SceneLight], float],
+    d_prime_in: Callable[[SceneLight], float],
     progress: Progress | None = None,
 ) -> Threshold:
     """Return where d′ of the target is the threshold, from scenes that are rendered again on the
@@ -165,16 +155,21 @@ def _threshold_of(
     pixels are full; then it falls. The search climbs from the first value until d′ is the threshold
     or more, goes on from there to both sides until it is less, and closes in on the values between.
 
-    job : a run that asks for it
+    job : a run that solves for a parameter
     light : of the run
     d_prime : of the run
     d_prime_in : returns d′ of the run's sensor in another light
     """
-    settings, options, case = job.settings, job.settings.metric.detectability, job.cases[0]
-    name, start = options.solve_for, _start_of(settings, case.scene)
+    settings = job.settings
+    options = settings.metric.detectability
+    case = job.cases[0]
+    name = options.solve_for
+    start = _start_of(settings, case.scene)
     assert name is not None
     assert start is not None
-    request, across = job.request, light.image.shape[1]
+
+    request = job.request
+    film_width = light.image.shape[1]
     load = partial(
         loaded_scene,
         str(case.scene.path),
@@ -184,21 +179,17 @@ def _threshold_of(
         sensor=job.sensor,
     )
 
-    number = count(1)
+    render_number = count(1)
 
-    def excess(away: float) -> float:
-        """Return the logarithm of d′ over the threshold, at a logarithm of the value over the first
-        one.
-        """
-        scene = scene_with_view(
-            load(parameters=settings.scene | {name: start * math.exp(away)}), job.view
-        )
-        scene = scene.with_resolution(across)
+    def excess(shift: float) -> float:
+        """Return log(d′ / threshold) at log(value / first value) = `shift`."""
+        parameters = settings.scene | {name: start * math.exp(shift)}
+        scene = scene_with_view(load(parameters=parameters), job.view).with_resolution(film_width)
         image, _ = request.render(scene, request.plan_of(scene))
-        background = without_target(replace(request, scene=scene), across)
+        background = without_target(replace(request, scene=scene), film_width)
         if progress:
-            progress(min(next(number) / MAX_RENDERS, 1.0))
-        return logarithm(_d_prime_in(SceneLight(image, background)))
+            progress(min(next(render_number) / MAX_RENDERS, 1.0))
+        return logarithm(d_prime_in(SceneLight(image, background)))
 
     def logarithm(d_prime: float) -> float:
         return math.log(max(d_prime, _MIN_D_PRIME) / options.threshold)
@@ -207,14 +198,19 @@ def _threshold_of(
         search = Search(excess, {0.0: logarithm(d_prime)})
         low, high = search.seen()
 
-    values = [start * math.exp(away) for away in search.tried]
     reason = ""
     if low is None and high is None:
         best = search.best
         largest = options.threshold * math.exp(search.at[best])
         reason = search.why_not or f"d′ is at most {largest:.3g}, at {start * math.exp(best):.4g}"
-    value, upper_value = (None if away is None else start * math.exp(away) for away in (low, high))
-    return Threshold(name, options.threshold, value, tuple(values), reason, upper_value)
+    return Threshold(
+        parameter=name,
+        threshold=options.threshold,
+        value=None if low is None else start * math.exp(low),
+        tried=tuple(start * math.exp(shift) for shift in search.tried),
+        reason=reason,
+        upper_value=None if high is None else start * math.exp(high),
+    )
 
 
 class Search:
@@ -238,8 +234,8 @@ class Search:
         return max(self.at, key=lambda away: (self.at[away], -away))
 
     def seen(self) -> tuple[float | None, float | None]:
-        """Return the ends of the range in which it is 0 or more; None for an end that was not
-        found.
+        """Return the ends of the range in which the function is 0 or more, or None for an end that
+        no step reaches.
         """
         self.climb()
         if self.at[self.best] < 0:
@@ -258,16 +254,22 @@ class Search:
             if self.at[best] >= 0:
                 return
             if not upper:
-                self.step(best, 1, min(-_SLOWEST * self.at[best], _WIDEST_STEP))
+                self.step(best, 1, min(-_STEP_FACTOR * self.at[best], _MAX_STEP))
             elif not lower:
-                self.step(best, -1, _WIDEST_STEP)
+                self.step(best, -1, _MAX_STEP)
             else:
-                gaps = best - max(lower), min(upper) - best
-                self.step(best, 1 if gaps[1] >= gaps[0] else -1, max(gaps) / 2)
+                lower_gap = best - max(lower)
+                upper_gap = min(upper) - best
+                direction = 1 if upper_gap >= lower_gap else -1
+                self.step(best, direction, max(lower_gap, upper_gap) / 2)
 
     def end(self, direction: int, steps: int) -> float | None:
-        """Return where it crosses 0 beyond all arguments at which it is more, in a direction; None
-        if it does in no step.
+        """Return where the function crosses 0 beyond all arguments at which it is more.
+
+        Returns None if it does in no step.
+
+        direction : 1 or -1
+        steps : largest number of them
         """
         for number in range(steps + 1):
             inner = direction * max(direction * away for away in self.at if self.at[away] >= 0)
@@ -280,11 +282,8 @@ class Search:
                 return inner
             if number == steps or (is_bright and self.limits[1] < math.inf):
                 break
-            self.step(
-                inner,
-                direction,
-                _WIDEST_STEP if is_bright else min(_SLOWEST * self.at[inner], _WIDEST_STEP),
-            )
+            length = _MAX_STEP if is_bright else min(_STEP_FACTOR * self.at[inner], _MAX_STEP)
+            self.step(inner, direction, length)
         return None
 
     def step(self, away: float, direction: int, length: float) -> None:
@@ -302,8 +301,6 @@ class Search:
             self.at[away] = self.function(away)
         return self.at[away]
 
-
-# --- a run ----------------------------------------------------------------------------------------
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 _MAX_REPEATS = 10_000
@@ -345,29 +342,13 @@ def prepare(
     scene: Scene | None = None
     picture: SpectralImage | None = None
     if isinstance(source, SpectralImage):
-        picture, whole, source = (
-            source,
-            camera_of_light(source, settings.camera, settings.lens),
-            LIGHT_FILE,
-        )
+        picture = source
+        whole = camera_of_light(source, settings.camera, settings.lens)
+        file = LIGHT_FILE
     elif is_picture(source):
-        scene_options = {
-            "-D ([scene])": settings.scene,
-            "--sensor": sensor,
-            "--variant": variant,
-        } | {
-            f"--{name.removesuffix('_mm').replace('_', '-')} ({name})": getattr(settings, name)
-            for name in ("tolerance_delta_e", "resolution", "window_mm")
-        }
-        if stated := [words for words, value in scene_options.items() if value]:
-            hint = "Take them out of a settings file of the scene, too."
-            raise invalid(
-                ", ".join(stated),
-                f"'{source}', a picture",
-                "a Mitsuba scene, or none of these",
-                hint,
-            )
+        _check_scene_options(source, settings, sensor, variant)
         picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
+        file = source
     else:
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
@@ -381,21 +362,22 @@ def prepare(
             sensor=sensor,
         )
         whole = scene.camera(settings.camera, settings.lens)
-    light_source = scene or picture
-    assert light_source is not None
+        file = source
     _start_of(settings, scene)
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
-        warn_of_settings_without_effect(
-            {"": [UserSettings.from_setting(imaging, settings, picture=picture)]}
-        )
+        stated = UserSettings.from_setting(imaging, settings, picture=picture)
+        warn_of_settings_without_effect({"": [stated]})
+
     camera = whole.window(settings.window_mm)
     is_data_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if is_data_sheet else {}
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    seen = light_source if scene is None else scene_with_view(scene, view)
+    light_source = picture if scene is None else scene_with_view(scene, view)
+    assert light_source is not None
+
     case = Case(
-        complete, resolved=(seen, camera), stream=("evaluate", settings.seed), frames=frames
+        complete, resolved=(light_source, camera), stream=("evaluate", settings.seed), frames=frames
     )
     case = sensor_case(case, repeats=repeats, units=units, full=full, is_run=True)
     assert case.imaging is not None
@@ -404,8 +386,8 @@ def prepare(
         cases=(case,),
         stated=settings,
         complete=complete,
-        file=source,
-        source=seen,
+        file=file,
+        source=light_source,
         view=view,
         sensor=sensor,
         variant=variant,
@@ -416,12 +398,24 @@ def prepare(
     return job
 
 
+def _check_scene_options(file: str, settings: Run, sensor: str | None, variant: str | None) -> None:
+    """Raise PixsimError for settings that only a scene has, beside a picture."""
+    values = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant}
+    for name in ("tolerance_delta_e", "resolution", "window_mm"):
+        option = name.removesuffix("_mm").replace("_", "-")
+        values[f"--{option} ({name})"] = getattr(settings, name)
+    stated = ", ".join(words for words, value in values.items() if value)
+    if stated:
+        hint = "Take them out of a settings file of the scene, too."
+        raise invalid(stated, f"'{file}', a picture", "a Mitsuba scene, or none of these", hint)
+
+
 # --- the result -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class RenderedRun:
-    """A run whose light is known. The fields are those of `RunResult`."""
+    """A run with its light. The fields are described at `RunResult`."""
 
     prepared: Job[Run] = field(repr=False)
     irradiance: SpectralImage = field(repr=False)
@@ -689,9 +683,11 @@ def run_prepared(prepared: Job[Run], *, progress: Stage | None = None) -> RunRes
 
 
 def render_run(prepared: Job[Run], stage: Stage) -> RenderedRun:
-    """Return a run with its light, with the white that it is shown with."""
+    """Return a run with its light, whose header states the white of the display."""
     with collected_notes() as notes:
-        image, rendered, plan = prepared.cases[0].picture, None, None
+        image = prepared.cases[0].picture
+        rendered = None
+        plan = None
         if image is None:
             rendered, plan = rendered_light(prepared.request, stage("render"))
             image = rendered.image
@@ -704,39 +700,39 @@ def score_run(
     stage: Stage,
     prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene,
 ) -> RunResult:
-    """Return the result of a run whose light is known: its case, a design of one, evaluated with
-    its pictures.
+    """Return the scores of a run in its light, with the pictures of its first frame.
 
-    prepare : as `prepare_scene`, which may know what that did before
+    stage : returns a callback for a named stage
+    prepare : `prepare_scene`, or a function that caches what it returns
     """
-    job, image, settings = (
-        rendered_run.prepared,
-        rendered_run.irradiance,
-        rendered_run.prepared.settings,
-    )
-    case, light = job.cases[0], rendered_run.rendered
+    job = rendered_run.prepared
+    image = rendered_run.irradiance
+    light = rendered_run.rendered
+    settings = job.settings
+    case = job.cases[0]
     with collected_notes() as notes:
         scored = stage("sense and score")
         background = case.background if light is None else light.background
         with watched(share_of(scored, 0.0, _BEFORE_FRAME)):
             rendered = _rendered_case(case, SceneLight(image, background), prepare)
+
         first: list[FirstFrame] = []
         evaluating = share_of(scored, _BEFORE_FRAME, 1.0)
         table = evaluate_points([rendered], None, progress=lambda: evaluating, first_frame=first)
         for reason in table.impossible.values():
             raise AlikeChannelsError(reason)
-        chain_of_first, judged = first[0]
-        score = _with_metrics(judged.score, settings.metrics, table)
+        chain, frame = first[0]
+        score = _with_metrics(frame.score, settings.metrics, table)
         for reason in dict.fromkeys(table.reasons.values()):
             warn(Note("undefined_metric", words=reason))
 
-        at_first = None
-        if (
-            job.repeats > 1
-            and registered_in(rendered.imaging, rendered.light(), 1) != rendered.imaging
-        ):
-            at_first = evaluate_points(_sensors_at_first(rendered), None, Workers())
-    warned = tuple(dict.fromkeys([*rendered_run.warned, *notes]))
+        # Where registrations are spread, their part of the scatter is told from the noise.
+        table_at_first = None
+        if job.repeats > 1:
+            second_imaging = registered_in(rendered.imaging, rendered.light(), 1)
+            if second_imaging != rendered.imaging:
+                table_at_first = evaluate_points(_sensors_at_first(rendered), None, Workers())
+
     threshold = None
     if light is not None and _start_of(settings, case.scene) is not None:
         d_prime = float(table.columns["detectability"][0])
@@ -744,11 +740,15 @@ def score_run(
             job, light, d_prime, partial(_d_prime_in, case), stage("look for the threshold")
         )
     result = RunResult(
-        *(job, image, light, rendered_run.plan, warned),
-        chain=chain_of_first,
+        prepared=job,
+        irradiance=image,
+        rendered=light,
+        plan=rendered_run.plan,
+        warned=tuple(dict.fromkeys([*rendered_run.warned, *notes])),
+        chain=chain,
         score=score,
         table=table,
-        table_at_first=at_first,
+        table_at_first=table_at_first,
         keys=tuple(rendered.keys(settings.pixel.pitch_um, job.repeats)),
         threshold=threshold,
     )
@@ -758,9 +758,9 @@ def score_run(
 def _rendered_case(
     case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]
 ) -> RenderedCase:
-    """Return the case of a run in its light, with the white that the light says.
+    """Return the case of a run in its light, with the white of that light.
 
-    prepare : as `prepare_scene`
+    prepare : `prepare_scene`, or a function that caches what it returns
 
     Warns for each note of the review, and of what the display clips.
     """
@@ -772,9 +772,7 @@ def _rendered_case(
 
 
 def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
-    """Return d′ of the first sensor of a case in some light. Raises NoNumberError if it has
-    none.
-    """
+    """Return d′ of the first sensor of a case in a light. Raises NoNumberError if it has none."""
     assert case.imaging is not None
     imaging = case.imaging.changed(metrics=MetricRequest((DETECTABILITY,), case.settings.metric))
     case = replace(case, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
@@ -785,23 +783,24 @@ def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
 
 
 def _sensors_at_first(rendered: RenderedCase) -> list[RenderedCase]:
-    """Return further sensors at the registration of the first one, each a case of its own."""
+    """Return further sensors at the registration of the first one, one in each case."""
     case = rendered.case
     streams = [
         (*case.stream, "at the first registration", number) for number in range(1, NOISE_SENSORS)
     ]
-    cases = [replace(case, stream=stream, group=number) for number, stream in enumerate(streams)]
-    return [
-        replace(rendered, case=replace(sensor, sizes=dict.fromkeys(case.sizes, 1)))
-        for sensor in cases
+    sizes = dict.fromkeys(case.sizes, 1)
+    sensors = [
+        replace(case, stream=stream, group=number, sizes=sizes)
+        for number, stream in enumerate(streams)
     ]
+    return [replace(rendered, case=sensor) for sensor in sensors]
 
 
 def _with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:
     """Return the score of a run's first frame with the numbers of its metrics, of the first row of
     the table.
 
-    names : of the metrics that were asked for
+    names : of the metrics
 
     Raises NoNumberError if none of them has a number.
     """
