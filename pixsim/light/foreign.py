@@ -282,8 +282,9 @@ def _read_spectral_exr(path: Path) -> Cube:
         )
         raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
 
-    window, whole = header["dataWindow"], header["displayWindow"]
-    if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
+    window = header["dataWindow"]
+    is_cropped = not np.array_equal(window, header["displayWindow"])
+    if is_cropped or header.get("pixelAspectRatio", 1.0) != 1:
         raise invalid(
             "spectral EXR",
             f"a crop window or non-square pixels in '{path}'",
@@ -317,9 +318,8 @@ def _read_spectral_exr(path: Path) -> Cube:
     optional: dict[str, Any] = {key: plain.get(key) for key in _NPZ_OPTIONAL}
     centres = np.array([centre_nm[name] for name in order])
     if edges_nm and optional["band_width_nm"] is None:
-        optional["band_width_nm"] = np.array(
-            [edges_nm[name][1] - edges_nm[name][0] for name in order]
-        )
+        widths_nm = [edges_nm[name][1] - edges_nm[name][0] for name in order]
+        optional["band_width_nm"] = np.array(widths_nm)
 
     return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **optional)
 
@@ -371,7 +371,8 @@ def _read_npz(path: Path) -> Cube:
 
     expected = "a readable file from numpy.savez without pickled objects"
     arrays: dict[str, Any] = read_arrays(path, "npz file", expected, choose, check)
-    data, wavelength_nm = arrays.pop("data"), arrays.pop("wavelength_nm")
+    data = arrays.pop("data")
+    wavelength_nm = arrays.pop("wavelength_nm")
     if wavelength_nm.ndim != 1 or wavelength_nm.dtype.kind not in "iuf":
         raise invalid(
             f"arrays in '{path}'",
@@ -432,18 +433,16 @@ def _read_envi(path: Path) -> Cube:
             )
 
         data = image.open_memmap(interleave="bip")
-        nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
-        gap = (
-            _first_gap(data, float(header["data ignore value"]))
-            if "data ignore value" in header
-            else None
-        )
+        nm = _envi_nm(path, header, "wavelength")
+        width_nm = _envi_nm(path, header, "fwhm")
+        gap = None
+        if "data ignore value" in header:
+            gap = _first_gap(data, float(header["data ignore value"]))
     except PixsimError:
         raise
     except (*_ENVI_DAMAGE, spectral.SpyException) as error:
-        text = (
-            error if isinstance(error, spectral.SpyException) else reason(error)
-        )  # SPy's own texts do not quote the file
+        # SPy's own texts do not quote the file.
+        text = error if isinstance(error, spectral.SpyException) else reason(error)
         got = f"'{path}' ({text})"
         raise invalid(
             "ENVI file", got, "an ENVI header with its raw file in the same folder"
@@ -471,12 +470,11 @@ def _read_envi(path: Path) -> Cube:
             "a header with wavelength = { … } and wavelength units",
         )
 
-    if (
-        width_nm is not None
-        and width_nm.shape == nm.shape
-        and np.any(np.abs(np.diff(nm)) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2)
-    ):
-        width_nm = None
+    # Bands that overlap would count light twice.
+    if width_nm is not None and width_nm.shape == nm.shape:
+        mean_width_nm = (width_nm[1:] + width_nm[:-1]) / 2
+        if np.any(np.abs(np.diff(nm)) < 0.999 * mean_width_nm):
+            width_nm = None
 
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
@@ -521,33 +519,24 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
     """Raise PixsimError if SPy would misread the file."""
     _check_size(path, tuple(int(str(header[field])) for field in ("lines", "samples", "bands")))
     fields = "file type", "interleave", "byte order", "data type"
-    kind, interleave, order, number = values = [
-        str(header.get(field, "ENVI Standard")).lower() for field in fields
-    ]
-    if (
-        kind != "envi standard"
-        or interleave not in _ENVI_INTERLEAVES
-        or order not in "01"
-        or number in _ENVI_COMPLEX
-    ):
-        got = (
-            ", ".join(
-                f"{field} = {names_in([value])[0]}"
-                for field, value in zip(fields, values, strict=True)
-            )
-            + f" in '{path}'"
+    values = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
+    kind, interleave, order, data_type = values
+    is_standard = kind == "envi standard" and interleave in _ENVI_INTERLEAVES
+    if not is_standard or order not in "01" or data_type in _ENVI_COMPLEX:
+        stated_fields = ", ".join(
+            f"{field} = {names_in([value])[0]}" for field, value in zip(fields, values, strict=True)
         )
         raise invalid(
-            "ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers"
+            "ENVI file",
+            f"{stated_fields} in '{path}'",
+            "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers",
         )
 
     for field, neutral in _ENVI_NEUTRAL.items():
         stated = (float(value) for value in np.atleast_1d(header.get(field, [])))
         if (other := next((number for number in stated if number != neutral), None)) is not None:
-            allowed, hint = (
-                f"none, or {neutral:g} for each band",
-                "Apply it (leave bad bands out) and delete it.",
-            )
+            allowed = f"none, or {neutral:g} for each band"
+            hint = "Apply it (leave bad bands out) and delete it."
             raise invalid(f"'{field}' in '{path}'", f"{other:g}", allowed, hint)
 
 

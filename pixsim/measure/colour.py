@@ -247,21 +247,23 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     Raises PixsimError as `colour_truth` does, for a frame without pixels of every channel, and for
     a channel that white hardly fills.
     """
-    readout, time_s = experiment.readout.with_physics(channel=""), experiment.integration_s
-    truth, layout = colour_truth(readout, time_s), readout.physics.layout
+    readout = experiment.readout.with_physics(channel="")
+    time_s = experiment.integration_s
+    truth = colour_truth(readout, time_s)
+    layout = readout.physics.layout
     assert layout is not None
     rows, columns = experiment.sensor.shape
     shape = rows * layout.planes, columns
     sensor = sample_sensor(readout, shape, stream("datasheet", experiment.seed, "colour sensor"))
+
     numbers = layout.numbers(shape)
     counts = np.bincount(numbers.ravel(), minlength=len(layout.channels))
     if not counts.all():
-        got = (
-            f"{rows} × {columns} pixels, none of channel {layout.channels[int(np.argmin(counts))]}"
-        )
+        missing = layout.channels[int(np.argmin(counts))]
+        got = f"{rows} × {columns} pixels, none of channel {missing}"
         raise invalid("shape", got, "at least one unit cell")
 
-    def field_of(name: str, signals_e: Array) -> list[Frames]:
+    def capture(name: str, signals_e: Array) -> list[Frames]:
         mean_e = channel_map(signals_e, layout, shape)
         return [
             read_out(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index))
@@ -276,12 +278,12 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
         variance = np.bincount(numbers.ravel(), squares.ravel()) / counts / 2
         return mean, variance / counts / PAIRS
 
-    dark, dark_variance = means(field_of("colour dark", np.zeros(len(layout.channels))))
+    dark, dark_variance = means(capture("colour dark", np.zeros(len(layout.channels))))
     fields = [
-        means(field_of(f"patch {index}", truth.white_e * response))
+        means(capture(f"patch {index}", truth.white_e * response))
         for index, response in enumerate(truth.rendition.responses)
     ]
-    white, white_variance = means(field_of("white", truth.white_e))
+    white, white_variance = means(capture("white", truth.white_e))
     signal = white - dark
     error = np.sqrt(white_variance + dark_variance)
     faint = np.flatnonzero(signal <= _MIN_WHITE_SIGMAS * np.maximum(error, _ROUNDING_DN))
@@ -299,7 +301,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
             "colour", got, f"more than {_MIN_WHITE_SIGMAS:g} standard errors in each channel", hint
         )
 
-    grey = field_of("grey field", GREY * truth.white_e)
+    grey = capture("grey field", GREY * truth.white_e)
     difference = (grey[0] - grey[1]) / math.sqrt(2)
     min_count = int(counts.min())
     return Colour(

@@ -280,9 +280,9 @@ def lens_data(
         psfs, mtf = ray_spreads(lens, lit_fields, wavelengths, pitch, frequency)
     else:
         mtf = np.empty((len(psfs), 2, frequency.size))
-        for index, psf in enumerate(psfs):
-            mtf[index, 0] = line_mtf(psf.sum(axis=1), pitch, frequency)
-            mtf[index, 1] = line_mtf(psf.sum(axis=0), pitch, frequency)
+        for psf, (tangential_mtf, sagittal_mtf) in zip(psfs, mtf, strict=True):
+            tangential_mtf[:] = line_mtf(psf.sum(axis=1), pitch, frequency)
+            sagittal_mtf[:] = line_mtf(psf.sum(axis=0), pitch, frequency)
 
     for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
         psfs.insert(int(index), np.zeros_like(psfs[0]))

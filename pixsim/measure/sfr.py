@@ -16,7 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -738,57 +738,56 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
     side would leave in it.
     """
     for grid in grids:
-        dark, light = sorted(
-            (_sampled_rows(side) for side in _outer_columns(grid.data)), key=np.mean
-        )
-        for name, side, other_side, sign in (
-            ("bright", light, dark, 1.0),
-            ("dark", dark, light, -1.0),
-        ):
-            code = min(
-                (step for one in (side, other_side) if (step := _smallest_step(one)) > 0.0),
-                default=0.0,
-            )
-            noise = 0.0 if code == 0.0 else _noise_sigma(other_side, code) / code
-            if noise < _MIN_NOISE_CODES or noise * code < _MIN_NOISE * abs(
-                float(light.mean() - dark.mean())
-            ):  # of rounding
-                continue
-            top, at_top = _highest_code(sign * side)
-            if name == "bright":
-                max_at_top = (
-                    _MAX_AT_TOP if noise >= 1.0 else float(erf(0.5 / noise / math.sqrt(2))) + 0.05
-                )
-            else:  # without clipping it may have less noise than the bright side, yet not none
-                max_at_top = (
-                    _MAX_AT_TOP if _noise_sigma(side, code) >= code else 1.0 - _MAX_SATURATED
-                )
-            if at_top <= max_at_top:
-                continue
-            got = (
-                f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g}"
-                " above black, "
-            )
-            got += f"beside noise of σ = {noise * code:.3g} on the other side"
-            if name == "dark":
-                warn(
-                    Note(
-                        "edge_picture", words=f"{got}, as if it were clipped at black: {_SHARPENS}"
-                    )
-                )
-            elif is_unclipped:
-                warn(Note("edge_picture", words=f"{got}, as if it were clipped: {_SHARPENS}"))
-            else:
+        sides = [_sampled_rows(side) for side in _outer_columns(grid.data)]
+        dark, light = sorted(sides, key=np.mean)
+        step = abs(float(light.mean() - dark.mean()))
+        if clipping := _clipping_words("bright", light, dark, step):
+            if not is_unclipped:
                 hint = (
                     "Use less light. If these values are right, state a --saturation above them"
                     " (is_unclipped=True)."
                 )
                 raise invalid(
                     "edge picture",
-                    got,
+                    clipping,
                     "noise on both sides, or on neither: this is clipped, which sharpens the edge",
                     hint,
                 )
+            words = f"{clipping}, as if it were clipped: {_SHARPENS}"
+            warn(Note("edge_picture", words=words))
+        if clipping := _clipping_words("dark", dark, light, step):
+            words = f"{clipping}, as if it were clipped at black: {_SHARPENS}"
+            warn(Note("edge_picture", words=words))
+
+
+def _clipping_words(
+    name: Literal["bright", "dark"], side: Array, other_side: Array, step: float
+) -> str:
+    """Say that more pixels of a side have its outermost code than noise explains; empty if not so.
+
+    step : difference of the sides' means
+    """
+    codes = [_smallest_step(side), _smallest_step(other_side)]
+    code = min((size for size in codes if size > 0.0), default=0.0)
+    noise = 0.0 if code == 0.0 else _noise_sigma(other_side, code) / code  # in codes
+    is_rounding = noise < _MIN_NOISE_CODES or noise * code < _MIN_NOISE * step
+    if is_rounding:
+        return ""
+
+    sign = 1.0 if name == "bright" else -1.0
+    top, at_top = _highest_code(sign * side)
+    max_at_top = _MAX_AT_TOP
+    if name == "bright" and noise < 1.0:
+        max_at_top = float(erf(0.5 / noise / math.sqrt(2))) + 0.05
+    elif name == "dark" and _noise_sigma(side, code) < code:
+        # Without clipping it may have less noise than the bright side, yet not none.
+        max_at_top = 1.0 - _MAX_SATURATED
+    if at_top <= max_at_top:
+        return ""
+    return (
+        f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g}"
+        f" above black, beside noise of σ = {noise * code:.3g} on the other side"
+    )
 
 
 def _check_kinks(
@@ -797,9 +796,10 @@ def _check_kinks(
     """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if
     it has kinks at both sides.
     """
+    outer = [_outer_columns(grid.data) for grid in grids]
     sides = [
-        np.concatenate([_sampled_rows(_outer_columns(grid.data)[at]).ravel() for grid in grids])
-        for at in (0, 1)
+        np.concatenate([_sampled_rows(grid_sides[side]).ravel() for grid_sides in outer])
+        for side in (0, 1)
     ]
     levels = [float(np.median(side)) for side in sides]
     code = max(_smallest_step(_sampled_rows(grid.data)) for grid in grids)
@@ -820,14 +820,8 @@ def _check_kinks(
     ]
     if not any(clipped) or max(kinks) < _MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            warn(
-                Note(
-                    "edge_picture",
-                    words=(
-                        f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
-                    ),
-                )
-            )
+            words = f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
+            warn(Note("edge_picture", words=words))
         return
 
     at = int(np.argmax(kinks))
@@ -836,17 +830,17 @@ def _check_kinks(
     name = "bright" if levels[at] == max(levels) else "dark"
     got = (
         f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at"
-        f" {percent(kinks[at])} of its steepest "
+        f" {percent(kinks[at])} of its steepest slope, beside {percent(kinks[1 - at])} on the other"
+        " side"
     )
-    got += f"slope, beside {percent(kinks[1 - at])} on the other side"
     if is_unclipped:
         warn(Note("edge_picture", words=f"{got}, as if it were clipped: {_SHARPENS}"))
         return
+    remedy = "less light" if name == "bright" else "a higher black level"
     hint = (
-        f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are"
-        " right, state a --saturation "
+        f"Use {remedy}. If these values are right, state a --saturation above them"
+        " (is_unclipped=True)."
     )
-    hint += "above them (is_unclipped=True)."
     raise invalid(
         "edge picture",
         got,
@@ -1143,9 +1137,11 @@ def _rows_and_window(
     spacing : of the columns of each grid, in pixels
     """
     height = int(max(grid.row[-1] for grid in grids)) + 1
-    first, last = max(grid.x[0] for grid in grids), min(grid.x[-1] for grid in grids)
+    first = max(grid.x[0] for grid in grids)
+    last = min(grid.x[-1] for grid in grids)
     row = np.arange(height, dtype=float)
-    edge, slope = fit.curve(row), fit.slope
+    edge = fit.curve(row)
+    slope = fit.slope
     cos = 1 / np.hypot(1.0, fit.curve.deriv()(row))
     margin_px = np.minimum(edge - first, last - edge) * cos
     slant_deg = abs(np.degrees(np.arctan(slope)))
@@ -1162,8 +1158,10 @@ def _rows_and_window(
             "Without a slant the edge samples only one phase of the pixels.",
         )
 
-    grain = min(_bins_a_pixel_to_try(spacing))
-    half_px = float(np.floor(min(half_window_px, np.sort(margin_px)[height // 2]) * grain) / grain)
+    # A whole number of the coarsest bins, within half of the rows.
+    coarsest = min(_bins_a_pixel_to_try(spacing))
+    largest_px = min(half_window_px, np.sort(margin_px)[height // 2])
+    half_px = float(np.floor(largest_px * coarsest) / coarsest)
     if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
         raise invalid(
@@ -1469,13 +1467,11 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
-        encoding = f"'{path}' states an encoding for displays ({metadata[ENCODING]})"
-        warn(
-            Note(
-                "file_as_read",
-                words=f"{encoding}: the SFR is that of light only if the values are linear in it",
-            )
+        words = (
+            f"'{path}' states an encoding for displays ({metadata[ENCODING]}): the SFR is that of"
+            " light only if the values are linear in it"
         )
+        warn(Note("file_as_read", words=words))
 
     rgb = None
     if data.ndim == 3:
@@ -1487,11 +1483,10 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
                 f"R, G, B, {LUMINANCE}",
             )
 
-        data = (
-            data @ np.array(list(LUMINANCE_WEIGHTS.values()))
-            if rgb == LUMINANCE
-            else data[..., "RGB".index(rgb)]
-        )
+        if rgb == LUMINANCE:
+            data = data @ np.array(list(LUMINANCE_WEIGHTS.values()))
+        else:
+            data = data[..., "RGB".index(rgb)]
 
     layout = layout_of(metadata, data.shape) if rgb is None else None
     levels = black_levels_of(metadata, data.shape)
@@ -1501,9 +1496,9 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in _METADATA_RANGES.items():
         value = stated_number(metadata, name)
-        if name not in metadata or (
-            is_image and not math.isfinite(value)
-        ):  # a text of another program under the same name
+        # An image may have a text of another program under the same name.
+        is_foreign = is_image and not math.isfinite(value)
+        if name not in metadata or is_foreign:
             continue
 
         if not low <= value <= high:
@@ -1511,16 +1506,20 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
             raise invalid(f"metadata of '{path}'", got, f"a number from {low:g} to {high:g}")
         numbers[name] = value
 
-    if stated_number(metadata, "saturated_fraction") > _MAX_SATURATED:
-        share = stated_number(metadata, "saturated_fraction")
+    saturated = stated_number(metadata, "saturated_fraction")
+    if saturated > _MAX_SATURATED:
         words = (
-            f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top"
-            " code and may lie beside it"
+            f"'{path}' states {percent(saturated, 1)} saturated pixels, which need not be at the"
+            " top code and may lie beside it"
         )
         warn(Note("edge_picture", words=f"{words}: {_SHARPENS}"))
 
-    bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
-    top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
+    bits = numbers.get("bits")
+    if bits is None and is_image and data.dtype == np.uint16:
+        bits = BITS_OF_PICTURES
+    top = numbers.get("white_level_dn")
+    if top is None and bits is not None:
+        top = 2.0**bits - 1
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)
     black_level_dn = numbers.get("black_level_dn") if levels is None else levels
     return _EdgePicture(data, numbers.get("pitch_um"), black_level_dn, top, layout_text, rgb)
