@@ -228,13 +228,13 @@ def _invalid_value(got: object, allowed: str) -> Exception:
 
 
 def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
+    """Return a validator of whole numbers (int) or numbers (float) within bounds."""
     allowed = f"a {bounds.of('whole number' if kind is int else 'number')}"
+    number_type = numbers.Integral if kind is int else numbers.Real
 
     def number(value: Any) -> Any:
         plain = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
-        if isinstance(plain, bool) or not isinstance(
-            plain, numbers.Integral if kind is int else numbers.Real
-        ):
+        if isinstance(plain, bool) or not isinstance(plain, number_type):
             raise _invalid_value(value_text(value), allowed)
         try:
             size = float(plain)
@@ -252,11 +252,20 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
 def _array_of(
     bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: bool
 ) -> Callable[[Any], Any]:
+    """Return a validator of arrays of numbers.
+
+    axes : their number; None allows any
+    dtype : of the result; None leaves it
+    is_array : whether the annotation is that of an array, which has axes and is not empty
+    """
     import numpy as np
 
-    allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'numbers'}"
-    takes_bool = dtype in (np.bool_, Any)
+    allowed = bounds.of("numbers") if bounds else "numbers"
+    if is_array:
+        allowed = f"an array of {allowed}"
     allowed_shape = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
+    takes_bool = dtype in (np.bool_, Any)
+    is_float = dtype in (np.float64, np.float32)
 
     def array(value: Any) -> Any:
         parts = list(parts_of(value))
@@ -264,11 +273,10 @@ def _array_of(
             raise _invalid_value("masked values", f"{allowed}; fill them")
         if not takes_bool and any(is_bool(part) for part in parts):
             raise _invalid_value(value_text(value), allowed)
+
         try:
             values = np.asarray(value)
-            if values.dtype.kind == "O" and all(
-                isinstance(part, numbers.Real) for part in values.flat
-            ):
+            if values.dtype.kind == "O" and _are_numbers(values.flat):
                 values = values.astype(float)  # integers beyond 64 bits
         except (TypeError, ValueError, OverflowError):
             raise _invalid_value(value_text(value), allowed) from None
@@ -276,19 +284,21 @@ def _array_of(
             raise _invalid_value(value_text(value), allowed)
         if is_array and axes and (values.ndim != axes or not values.size):
             raise _invalid_value(f"an array of shape {values.shape}", allowed_shape)
-        if (
-            bounds and values.size and not bounds.hold(values.min(), values.max())
-        ):  # min propagates NaN
-            within = (values >= bounds.low) & (
-                values < bounds.high if bounds.open_high else values <= bounds.high
-            )
+
+        # The minimum propagates NaN.
+        if bounds and values.size and not bounds.hold(values.min(), values.max()):
+            is_below = values < bounds.high if bounds.open_high else values <= bounds.high
+            within = (values >= bounds.low) & is_below
             place = np.unravel_index(np.argmin(within), values.shape)
             where = f" at {[int(index) for index in place]}" if values.ndim else ""
             raise _invalid_value(f"{values[place]}{where}", allowed)
-        is_float = dtype in (np.float64, np.float32)
         return values.astype(dtype) if is_float and values.dtype.kind != "f" else values
 
     return array
+
+
+def _are_numbers(values: Iterable[object]) -> bool:
+    return all(isinstance(value, numbers.Real) for value in values)
 
 
 def _bool(value: Any) -> Any:
@@ -385,14 +395,21 @@ def _place(problem: ErrorDetails) -> str:
 def _problem(
     name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False
 ) -> PixsimError:
-    got, allowed = value_text(value), list[str]()
+    """Return the PixsimError of an argument, with what each kind of value that it may be allows.
+
+    optional : whether it may be None
+    """
+    got = value_text(value)
+    allowed: list[str] = []
     for problem in problems:
         context = problem.get("ctx", {})
         if problem["type"] == PIXSIM_ERROR:
-            got = context["got"] if len(problems) == 1 else got
+            if len(problems) == 1:
+                got = context["got"]
             allowed.append(context["allowed"])
         else:
-            allowed.append(_ALLOWED.get(problem["type"], problem["msg"]).format_map(context))
-    return invalid(
-        name, got, ", or ".join([*dict.fromkeys(allowed), *(["None"] if optional else [])])
-    )
+            template = _ALLOWED.get(problem["type"], problem["msg"])
+            allowed.append(template.format_map(context))
+    if optional:
+        allowed.append("None")
+    return invalid(name, got, ", or ".join(dict.fromkeys(allowed)))

@@ -525,9 +525,13 @@ _PICTURE_FORMATS = (
 MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
-    stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a named pipe", stat.S_ISCHR: "a device", stat.S_ISBLK: "a device",
-    stat.S_ISSOCK: "a socket", stat.S_ISLNK: "a link",
-}  # fmt: skip
+    stat.S_ISDIR: "a folder",
+    stat.S_ISFIFO: "a named pipe",
+    stat.S_ISCHR: "a device",
+    stat.S_ISBLK: "a device",
+    stat.S_ISSOCK: "a socket",
+    stat.S_ISLNK: "a link",
+}
 
 
 def kind_of(mode: int) -> str:

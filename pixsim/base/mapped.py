@@ -25,7 +25,7 @@ MAX_MEMORY_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in floa
 
 
 def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
-    """Return an array of zeros: in memory up to `MAX_MEMORY_BYTES`, else in a file in the folder for
+    """Return an array of zeros: in memory up to `MAX_MEMORY_BYTES`, else in a file among the
     temporary files.
 
     Its space is free again when nothing uses the array, however the process ends. Where the disk

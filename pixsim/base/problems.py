@@ -52,7 +52,7 @@ UNION_BRANCHES = (
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
-    """Message of an error: one line for a PixsimError, one line per problem for a
+    """Return the message of an error: one line for a PixsimError, one line per problem for a
     ValidationError.
     """
     if not isinstance(error, ValidationError):
@@ -61,16 +61,9 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     problems = error.errors()
     lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
     further_count = len(problems) - len(lines)
-    return "\n".join(
-        [
-            *lines,
-            *(
-                [f"and {further_count} more problem{'s' * (further_count > 1)}"]
-                if further_count
-                else []
-            ),
-        ]
-    )
+    if further_count:
+        lines.append(f"and {further_count} more problem{'s' * (further_count > 1)}")
+    return "\n".join(lines)
 
 
 # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
@@ -90,35 +83,28 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     if kind == "missing":
         return _missing(title, path, where, problem)
 
-    message = (
-        problem["msg"]
-        .removeprefix("Value error, ")
-        .replace("valid tuple", "list")
-        .partition(", unable to parse")[0]
-    )
+    message = problem["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
+    message = message.partition(", unable to parse")[0]
     message = message[0].lower() + message[1:]
     if kind == "value_error":
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
-    if kind == "model_type":
-        message = " of ".join(filter(None, ["a table", ", ".join(_names_at(title, path))]))
 
+    allowed = message.removeprefix("input should be ")
+    if kind == "model_type":
+        allowed = " of ".join(filter(None, ["a table", ", ".join(_names_at(title, path))]))
     value = problem["input"]
     text = _value(value, layer)
-    text = text if len(text) <= MAX_VALUE else text[:MAX_VALUE] + "…"
+    if len(text) > MAX_VALUE:
+        text = text[:MAX_VALUE] + "…"
+
     if kind.startswith(("greater_than", "less_than")):
         (bound,) = problem["ctx"].values()
-        # not 1e-15 in full
-        message = (
-            f"{message.rpartition(' ')[0]}"
-            f" {bound if isinstance(bound, int) else format(bound, 'g')}"
-        )
+        bound_text = bound if isinstance(bound, int) else format(bound, "g")  # not 1e-15 in full
+        allowed = f"{allowed.rpartition(' ')[0]} {bound_text}"
         if isinstance(value, str):  # on a command line
             value = float(value)
     hint = _hint(title, path, value)
-    return (
-        f"{where}: got {text}; allowed:"
-        f" {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
-    )
+    return f"{where}: got {text}; allowed: {allowed}.{hint and ' '}{hint}"
 
 
 def _unknown_name(title: str, path: Sequence[str], where: str, listed: set[str]) -> str:

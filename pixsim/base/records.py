@@ -153,7 +153,8 @@ AnyNumber = Annotated[
 def _free_number(value: object) -> object:
     if isinstance(value, int | float) and not abs(value) <= LARGEST:
         raise ValueError(
-            f"got {value_text(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a text"
+            f"got {value_text(value)}; allowed: a number from {-LARGEST:g} to {LARGEST:g}, or a"
+            " text"
         )
     return _not_tiny(value)
 

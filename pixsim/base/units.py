@@ -4,14 +4,35 @@ from __future__ import annotations
 
 # Unit of a field by the end of its name; longer ends come first.
 UNITS = {
-    "_e_per_dn": "electrons per DN", "dn_per_e": "DN per electron", "_mv_um": "mV·µm", "_um2": "µm²",
-    "_percent": "%", "_db": "dB", "_c": "°C",
-    "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
-    "_cy_per_deg": "cycles per degree", "_mm_per_s": "mm/s", "_um_per_s": "µm/s", "pixels_per_s": "pixels per second",
-    "line_time_us": "µs", "_hz": "Hz", "_deg": "degrees",
-    "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
+    "_e_per_dn": "electrons per DN",
+    "dn_per_e": "DN per electron",
+    "_mv_um": "mV·µm",
+    "_um2": "µm²",
+    "_percent": "%",
+    "_db": "dB",
+    "_c": "°C",
+    "_cd_per_m2": "cd/m²",
+    "_e_per_s": "electrons per second",
+    "samples_per_deg": "display dots per degree",
+    "_delta_e": "ΔE",
+    "_cy_per_deg": "cycles per degree",
+    "_mm_per_s": "mm/s",
+    "_um_per_s": "µm/s",
+    "pixels_per_s": "pixels per second",
+    "line_time_us": "µs",
+    "_hz": "Hz",
+    "_deg": "degrees",
+    "_seconds": "s",
+    "_ci_um": "µm",
+    "_dn": "DN",
+    "_mm": "mm",
+    "_um": "µm",
+    "_nm": "nm",
+    "_m": "m",
+    "_s": "s",
+    "_k": "kelvin",
     "_e": "electrons",
-}  # fmt: skip
+}
 _NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
 
 

@@ -671,10 +671,13 @@ def lens(
 
     stated_options = without_none(
         {
-            "configuration": configuration, "semi_diameters": semi_diameters, "vignetting_factors": vignetting_factors,
-            "glass_catalogues": glass_catalogues, "unknown_glass": unknown_glass,
+            "configuration": configuration,
+            "semi_diameters": semi_diameters,
+            "vignetting_factors": vignetting_factors,
+            "glass_catalogues": glass_catalogues,
+            "unknown_glass": unknown_glass,
         }
-    )  # fmt: skip
+    )
     reading_options: LensOptions = checked(LensOptions, [Layer({"file": file, **stated_options})])
 
     def measure(stage: Stage) -> LensData:
@@ -894,10 +897,18 @@ def chart(
 
     options = without_none(
         {
-            "width": width, "height": height, "die_mm": die_mm, "shape": shape, "size_um": size_um, "contrast": contrast,
-            "direction": direction, "colour_axis": colour_axis, "linear": linear or None, "aspect": aspect,
+            "width": width,
+            "height": height,
+            "die_mm": die_mm,
+            "shape": shape,
+            "size_um": size_um,
+            "contrast": contrast,
+            "direction": direction,
+            "colour_axis": colour_axis,
+            "linear": linear or None,
+            "aspect": aspect,
         }
-    )  # fmt: skip
+    )
     answer(chart_document(kind, output, options), json)
 
 

@@ -51,7 +51,8 @@ def refusal(error: CycloptsError) -> str:
         and error.argument
         and error.argument.index is not None
     ):
-        text = f"{command}: got no {_word_of(error.argument)}; allowed: {error.argument.parameter.help}"
+        name, allowed = _word_of(error.argument), error.argument.parameter.help
+        text = f"{command}: got no {name}; allowed: {allowed}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
         if hint := _hint_of_option(name, options, proposed="Did you mean" in text):

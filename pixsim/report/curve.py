@@ -161,15 +161,15 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
     """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 %
     intervals.
     """
-    colour, best = line_style.colour, curve.optimum
-    mean, ci95 = first_metric_and_ci95(curve)
-    low, high, fitted = map(
-        curve.metrics[0].from_loss, (curve.fit.low, curve.fit.high, curve.fit.delta_e)
-    )
+    best = curve.optimum
+    colour = line_style.colour
     name = literal(curve.label)
-    label = (
-        f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
-    )
+    label = name
+    if best.inside:
+        label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+
+    # Means of the sensors; hollow where the model of the microlens is doubtful.
+    mean, ci95 = first_metric_and_ci95(curve)
     axes.errorbar(
         curve.pitch_um,
         mean,
@@ -181,20 +181,27 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
         color=colour,
         label=label,
     )
-    if curve.doubtful.any():
+    doubtful = curve.doubtful
+    if doubtful.any():
         axes.plot(
-            curve.pitch_um[curve.doubtful],
-            mean[curve.doubtful],
+            curve.pitch_um[doubtful],
+            mean[doubtful],
             line_style.marker,
             ms=4,
             mfc="white",
             mec=colour,
         )
+
+    # The fitted curve with its interval.
+    metric, fit = curve.metrics[0], curve.fit
+    low = metric.from_loss(fit.low)
+    high = metric.from_loss(fit.high)
+    fitted = metric.from_loss(fit.delta_e)
     band = np.unique(np.linspace(0, low.size - 1, _BAND_POINTS).round().astype(int))
-    axes.fill_between(
-        curve.fit.pitch_um[band], low[band], high[band], color=colour, alpha=0.15, lw=0
-    )
-    axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **line_style.stroke)
+    axes.fill_between(fit.pitch_um[band], low[band], high[band], color=colour, alpha=0.15, lw=0)
+    axes.plot(fit.pitch_um, fitted, lw=1.5, **line_style.stroke)
+
+    # The optimum with its interval, and the sizes that are nearly as good.
     if best.inside:
         low_um, high_um = closed_range(best.interval_um, curve)
         axes.plot([low_um, high_um], [best.value] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)

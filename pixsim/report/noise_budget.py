@@ -69,7 +69,6 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     """Return the table of a page: causes down, electrons and ΔE of each pixel across, with the mean
     ΔE of each kind of causes.
     """
-    several = len(budgets) > 1
     kinds = {
         cause: budget.part_of(cause)
         for budget in budgets.values()
@@ -80,27 +79,29 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     rows: list[tuple[str, ...]] = []
 
     def add_row(words: str, *values: tuple[float, float]) -> None:
-        cells = [(rounded(noise_e, 3), f"{delta_e:z.3f}") for noise_e, delta_e in values]
-        rows.append((words, *("" if cell == "nan" else cell for pair in cells for cell in pair)))
+        cells: list[str] = []
+        for noise_e, delta_e in values:
+            cells += [rounded(noise_e, 3), f"{delta_e:z.3f}"]
+        rows.append((words, *("" if cell == "nan" else cell for cell in cells)))
 
+    # Each kind of causes, one cause a row, and their sum.
     for kind in dict.fromkeys(kinds.values()):
         kind_causes = [cause for cause in kinds if kinds[cause] == kind]
         for cause in kind_causes:
             add_row(cause, *(budget_values.get(cause, undefined) for budget_values in numbers))
         if len(kind_causes) > 1:
-            add_row(
-                f"{kind}, together",
-                *((undefined[0], budget.parts[kind]) for budget in budgets.values()),
-            )
+            sums = [(float("nan"), budget.parts[kind]) for budget in budgets.values()]
+            add_row(f"{kind}, together", *sums)
+
     for cause in (ALL_CAUSES, MEASURED, RENDER):
         if any(budget_values[cause][0] for budget_values in numbers):
             add_row(cause, *(budget_values[cause] for budget_values in numbers))
-    heads = (
-        f"{label}\n{unit}" if several else unit
-        for label in budgets
-        for unit in ("noise (e-)", "mean ΔE")
-    )
-    return DocumentTable("noise budget", ("cause\n" if several else "cause", *heads), rows)
+
+    units = ("noise (e-)", "mean ΔE")
+    if len(budgets) == 1:
+        return DocumentTable("noise budget", ("cause", *units), rows)
+    heads = [f"{label}\n{unit}" for label in budgets for unit in units]
+    return DocumentTable("noise budget", ("cause\n", *heads), rows)
 
 
 @figure(
@@ -113,29 +114,27 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     bars.
     """
     drawn_budgets = dict(list(budgets.items())[:MAX_SIZES])
+    count = len(drawn_budgets)
     causes = list(
         dict.fromkeys(cause for budget in drawn_budgets.values() for cause in budget.delta_e)
     )
-    figure = new_figure(
-        8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn_budgets) > 1)
-    )
+    height_in = MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (count > 1)
+    figure = new_figure(8.6, height_in)
     panels = figure.subplots(1, 2, sharey=True)
-    height = 0.8 / len(drawn_budgets)
+
+    height = 0.8 / count
     for number, (label, budget) in enumerate(drawn_budgets.items()):
-        at = np.arange(len(causes)) + (number - (len(drawn_budgets) - 1) / 2) * height
+        at = np.arange(len(causes)) + (number - (count - 1) / 2) * height
+        colour = COLOURS[number % len(COLOURS)]
         for axes, values in zip(panels, (budget.electrons_e, budget.delta_e), strict=True):
-            axes.barh(
-                at,
-                [values.get(cause, 0.0) for cause in causes],
-                height,
-                color=COLOURS[number % len(COLOURS)],
-                label=literal(label),
-            )
+            widths = [values.get(cause, 0.0) for cause in causes]
+            axes.barh(at, widths, height, color=colour, label=literal(label))
+
     panels[0].set_yticks(range(len(causes)), causes)
     panels[0].invert_yaxis()
     finish(panels[0], "noise (e- rms)", "", None)
     finish(panels[1], "part of the mean ΔE", "", None)
-    if len(drawn_budgets) > 1:
+    if count > 1:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8

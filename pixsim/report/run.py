@@ -537,21 +537,10 @@ def _setup_words(result: RunResult) -> list[str]:
     """Return what was run: pixels and exposure, development where there is one, and how it is shown
     and rendered.
     """
-    frame, settings = result.score.frame, result.settings
-    rows, columns = frame.pixels
-    exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
-    is_longest = (
-        exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
-    )
-    longest_words = " (the maximum)" if is_longest else ""
-    saturated_words = (
-        f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
-    )
+    settings = result.settings
+    rows, columns = result.score.frame.pixels
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposure_words = [
-        f"{pixels}, exposed for {exposure_time(time_s)}{longest_words}{saturated_words}",
-        *stage_words(settings),
-    ]
+    exposure_line = ", ".join([f"{pixels}, {_exposure_words(result)}", *stage_words(settings)])
 
     view = view_words(
         settings.display,
@@ -561,19 +550,25 @@ def _setup_words(result: RunResult) -> list[str]:
         columns,
     )
     light = _light_words(result) if judged_by_delta_e(settings) else []
-    view_line = "; ".join(
-        filter(None, (*view, lens_words(result.camera), assumption(result), *light))
-    )
-    return [
-        *filter(
-            None,
-            (
-                ", ".join(exposure_words),
-                developed_words(settings.develop, [settings.pixel]),
-                view_line,
-            ),
-        )
-    ]
+    view_parts = (*view, lens_words(result.camera), assumption(result), *light)
+    view_line = "; ".join(filter(None, view_parts))
+
+    developed = developed_words(settings.develop, [settings.pixel])
+    return list(filter(None, (exposure_line, developed, view_line)))
+
+
+def _exposure_words(result: RunResult) -> str:
+    """Return the exposure time, whether it is the longest that is allowed, and the share of
+    saturated pixels if that is visible.
+    """
+    frame, exposure = result.score.frame, result.settings.exposure
+    words = f"exposed for {exposure_time(frame.integration_s)}"
+    longest_s = exposure.times * exposure.max_integration_s
+    if exposure.integration_s is None and frame.integration_s >= longest_s:
+        words += " (the maximum)"
+    if frame.saturated_fraction > SATURATED_SHOWN:
+        words += f", {percent(frame.saturated_fraction)} of them saturated"
+    return words
 
 
 def _light_words(result: RunResult) -> list[str]:

@@ -123,31 +123,28 @@ def optimum_against_technology(result: StudyResult) -> Drawing:
         for curve in result.curves
         if curve.feature_size_um is not None
     }
-    curves = sorted(
-        (curve for curve in result.curves if curve.label in sizes_um),
-        key=lambda curve: sizes_um[curve.label],
-    )
+    curves = [curve for curve in result.curves if curve.label in sizes_um]
+    curves.sort(key=lambda curve: sizes_um[curve.label])
     feature_um = np.array([sizes_um[curve.label] for curve in curves])
-    size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    low_um, high_um = np.array(
-        [closed_range(curve.optimum.interval_um, curve) for curve in curves]
-    ).T
+    optimum_um = np.array([curve.optimum.pitch_um for curve in curves])
+    ranges_um = [closed_range(curve.optimum.interval_um, curve) for curve in curves]
+    low_um, high_um = np.array(ranges_um).T
+
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
     fix_margins(figure)
-    bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
     axes.errorbar(
         feature_um,
-        size_um,
-        bars,
+        optimum_um,
+        np.maximum([optimum_um - low_um, high_um - optimum_um], 0.0),
         fmt="o",
         color=COLOURS[0],
         lw=2,
         capsize=4,
         label="optimum, 95 % interval",
     )
-    proportional = size_um[-1] / feature_um[-1] * feature_um
-    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to feature size")
+    proportional_um = optimum_um[-1] / feature_um[-1] * feature_um
+    axes.plot(feature_um, proportional_um, "--", color="0.4", label="proportional to feature size")
     axes.set(
         xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None)
     )
@@ -156,11 +153,11 @@ def optimum_against_technology(result: StudyResult) -> Drawing:
     return figure, {
         "technology": [curve.label for curve in curves],
         "feature_size_um": feature_um,
-        "optimum_um": size_um,
+        "optimum_um": optimum_um,
         **range_columns("interval", curves),
-        "optimum_features": size_um / feature_um,
+        "optimum_features": optimum_um / feature_um,
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
-        "proportional_um": proportional,
+        "proportional_um": proportional_um,
     }
 
 
@@ -501,42 +498,49 @@ def study_page(
 
     budgets : of `noise_budgets`
     """
-    by_name = {curve.technology: curve for curve in result.curves}
-    reference, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
+    curves = {curve.technology: curve for curve in result.curves}
+    reference = curves.get(REFERENCE_TECHNOLOGY, result.curves[0])
     begun_sizes = drawing.begun_sizes()
-    first, *curves = [drawing.plot(draw) for draw in curve_figures(result, reference)]
+    first_plot, *further_plots = [drawing.plot(draw) for draw in curve_figures(result, reference)]
     limits = drawing.plot(light_against_detail, result, reference)
     if workers.jobs == 1:  # nothing else computes meanwhile
         drawing.wait()
 
-    sizes_um = [
-        pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun_sizes
-    ]
+    # Pictures, and the maps of the paper's sizes that the drawing has not begun.
+    has_paper = result.study.paper
+    sizes_um = []
+    if has_paper:
+        sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if pitch_um not in begun_sizes]
     views, sizes = _pictures_of_workers(result, workers, sizes_um)
-    evidence = Evidence(
-        result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun_sizes.items()}
-    )
-    rows = findings(evidence) if paper else []
-    equal_errors = [drawing.plot(figure_6, evidence)] if paper else []
+    sizes |= {pitch_um: maps.result() for pitch_um, maps in begun_sizes.items()}
+    evidence = Evidence(result, curves, sizes)
+    statements = findings(evidence) if has_paper else []
+    paper = _paper(statements)
+    if has_paper:
+        paper.append(drawing.plot(figure_6, evidence))
 
     document = study_document(result)
-    unstated = [UNSTATED_NOISE] if all(curve.data_sheet for curve in result.curves) else []
+    data = dict(document.data)
+    if statements:
+        data["paper"] = [asdict(statement) for statement in statements]
+    optima = [optima_table(result.curves)] if len(result.curves) > 1 else ()
+    setting_blocks = settings_blocks(settings(result))
+    if all(curve.data_sheet for curve in result.curves):
+        setting_blocks.append(UNSTATED_NOISE)
     computation = [*_about(result), _rendered(result)]
     return replace(
         document,
         answers=tuple(document.answers)[:ANSWERS_OF_PAGE],
-        data={**document.data, **({"paper": [asdict(row) for row in rows]} if rows else {})},
-        lead=(first, *tuple(document.lead)[1:]),
+        data=data,
+        lead=(first_plot, *tuple(document.lead)[1:]),
         sections=(
-            Section(
-                "optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()
-            ),
+            Section("optima", "Optima", optima),
             Section("see", "Pictures", _pictures(result, views)),
-            Section("paper", "Statements of the paper", [*_paper(rows), *equal_errors]),
-            Section("curves", "Further curves", curves),
+            Section("paper", "Statements of the paper", paper),
+            Section("curves", "Further curves", further_plots),
             budgets_section(budgets),
             Section("limits", "What limits these pixels", [limits]),
-            Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
+            Section("settings", "Settings", setting_blocks),
             Section("made", "How this was computed", computation, folded=True),
         ),
         files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},

@@ -274,46 +274,50 @@ def shared_stages(group: SensorGroup) -> list[str]:
 
 
 def common_words(job: ComparisonJob) -> list[str]:
-    """Return what all sensors of a comparison have in common; what conditions change is that of the
-    shown one.
+    """Return what all sensors of a comparison have in common; where conditions differ, in the
+    condition whose pictures are shown.
     """
-    group = job.pictured_group
-    first, camera, display = group.first.sensor, group.first.camera, group.display
+    group, first = job.pictured_group, job.pictured_group.first
+    has_delta_e = judged_by_delta_e(job.base[0])
     words = []
     if job.study is not None:
         words.append(f"the study {job.study.name}")
-    if group.first.condition:
+    if first.condition:
         weights = ", ".join(
-            f"{group.first.condition} ({group.weight:.3g})" for group in job.condition_groups()
+            f"{condition.first.condition} ({condition.weight:.3g})"
+            for condition in job.condition_groups()
         )
         words.append(f"means over its conditions, with the weights {weights}")
-    lens = {
-        "view": (
-            f"{f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}"
-        ),
-        "lens": f"the lens of {first} ({camera.lens_words})",
-        "own": "each file's own lens",
-    }[job.match]
-    where = f"in {group.first.condition}: " if group.first.condition else ""
-    words.append(f"{where}the same field of {camera.field_words}; {lens}")
+
+    where = f"in {first.condition}: " if first.condition else ""
+    words.append(f"{where}the same field of {first.camera.field_words}; {_match_words(job)}")
+
+    display = group.display
     rows, columns = group.scored_dots
     dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
     words.append(f"one display of {dots}; {columns} × {rows} are scored")
-    if group.first.further_displays and judged_by_delta_e(job.base[0]):
-        dots = " and ".join(str(further.dots) for further in group.first.further_displays)
-        words.append(f"checked on {dots} dots")
+    if first.further_displays and has_delta_e:
+        further_dots = " and ".join(str(further.dots) for further in first.further_displays)
+        words.append(f"checked on {further_dots} dots")
+
     words += shared_stages(group)
-    words += filter(
-        None,
-        [
-            developed_words(
-                group.first.settings.develop, [case.settings.pixel for case in group.cases]
-            )
-        ],
-    )
-    film = " and the film's error" if judged_by_delta_e(job.base[0]) else ""
-    return [
-        *words,
-        f"{job.repeats} pairs of frames with the same seeds",
-        f"± is the 95 % interval{film}",
-    ]
+    pixels = [case.settings.pixel for case in group.cases]
+    developed = developed_words(first.settings.develop, pixels)
+    if developed:
+        words.append(developed)
+    words.append(f"{job.repeats} pairs of frames with the same seeds")
+    film = " and the film's error" if has_delta_e else ""
+    words.append(f"± is the 95 % interval{film}")
+    return words
+
+
+def _match_words(job: ComparisonJob) -> str:
+    """Return what the lenses of the sensors have in common."""
+    camera, sensor = job.pictured_group.first.camera, job.pictured_group.first.sensor
+    match job.match:
+        case "view":
+            stop = f_stop(camera.f_number)
+            return f"{stop} and focus at {camera.object_distance_m:g} m, as {sensor}"
+        case "lens":
+            return f"the lens of {sensor} ({camera.lens_words})"
+    return "each file's own lens"

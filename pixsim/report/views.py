@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +21,6 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.curve import Curve
 from pixsim.studies.result import StudyResult
-
-if TYPE_CHECKING:
-    pass
-
 
 LOWEST_ERROR = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
@@ -70,65 +65,67 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
     """Return whole pictures of the smallest, best and largest pixels, and a detail from every
     pitch.
     """
-    best, last, end = best_index(curve), curve.pitch_um.size - 1, map_end(result)
+    best = best_index(curve)
+    last = curve.pitch_um.size - 1
     scores = {
         index: result.shown_scores(curve.technology, float(curve.pitch_um[index]), 1)[0]
         for index in sorted({0, best, last})
     }
 
+    # The detail that is chosen in the settings, or where small and large pixels both err.
     ideal = max((score.ideal for score in scores.values()), key=np.size)
     rows, columns = ideal.shape[:2]
-    centre = result.study.detail
-    window = (
-        window_at(centre, (rows, columns))
-        if centre
-        else worst_window([scores[0].delta_e, scores[last].delta_e])
-    )
+    if result.study.detail:
+        window = window_at(result.study.detail, (rows, columns))
+    else:
+        window = worst_window([scores[0].delta_e, scores[last].delta_e])
 
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
     for index, pitch_um in enumerate(curve.pitch_um.tolist()):
-        part = (
-            window.of(scores[index].image)
-            if index in scores
-            else result.shown_part(curve.technology, pitch_um, window.of)
-        )
-        tiles.append(Picture(display_codes(part), *labels(curve, index), index == best))
+        if index in scores:
+            detail = window.of(scores[index].image)
+        else:
+            detail = result.shown_part(curve.technology, pitch_um, window.of)
+        size, mean = labels(curve, index)
+        tiles.append(Picture(display_codes(detail), size, mean, best=index == best))
 
-    outputs = []
+    end = map_end(result)
+    outputs, details = [], []
     for index, score in scores.items():
         size, mean = labels(curve, index)
-        outputs.append(
-            replace(whole_picture(score.image, f"{rank(curve, index)}, {size}"), note=mean)
-        )
+        name = rank(curve, index)
+        outputs.append(replace(whole_picture(score.image, f"{name}, {size}"), note=mean))
+        details.append(crops(score, window, name, end))
+
+    title = f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LOWEST_ERROR}"
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         tiles=tuple(tiles),
-        crops=tuple(
-            crops(score, window, rank(curve, index), end) for index, score in scores.items()
-        ),
+        crops=tuple(details),
         ideal=whole_picture(ideal, "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(outputs),
-        sheet=contact_sheet_png(
-            f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LOWEST_ERROR}",
-            tiles,
-        ),
+        sheet=contact_sheet_png(title, tiles),
     )
 
 
 def labels(curve: Curve, index: int) -> tuple[str, str]:
     """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
-    return pixel_size(
-        float(curve.pitch_um[index])
-    ), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[index]))}"
+    size = pixel_size(float(curve.pitch_um[index]))
+    mean_delta_e = float(curve.mean("mean_delta_e")[index])
+    return size, f"mean ΔE {estimate(mean_delta_e)}"
 
 
 def rank(curve: Curve, index: int) -> str:
-    """Return whether a pitch is the smallest, the largest or that of the least error tried, as
+    """Return whether a pitch is the smallest, the largest, or has the least error tried, as
     text.
     """
-    names = {0: "smallest", curve.pitch_um.size - 1: "largest"}
-    return ", ".join(
-        filter(None, (names.get(index), LOWEST_ERROR if index == best_index(curve) else ""))
-    )
+    words = []
+    if index == curve.pitch_um.size - 1:
+        words.append("largest")
+    elif index == 0:
+        words.append("smallest")
+    if index == best_index(curve):
+        words.append(LOWEST_ERROR)
+    return ", ".join(words)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop, interval, pixel_size, within_error
@@ -20,9 +20,6 @@ from pixsim.studies.merit import stated_end_lp_per_mm
 from pixsim.studies.regret import Regrets, weighted_criterion
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import exceeded
-
-if TYPE_CHECKING:
-    pass
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the"

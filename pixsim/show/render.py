@@ -93,34 +93,37 @@ def _table_lines(table: DocumentTable, width: int, indent: str) -> Iterator[str]
     count = max(map(len, rows), default=0) - table.wide
     rows = [row[:count] for row in rows]
     words = range(count) if table.words is None else (0, *table.words)
-    indent = INDENT if any(len(row) == 1 for row in rows) else indent
+    if any(len(row) == 1 for row in rows):
+        indent = INDENT
 
-    widths = [
-        max(map(len, column))
-        for column in zip(*(row for row in rows if len(row) == count), strict=True)
-    ]
+    # Widths of the columns, by the rows that have all of them. The widest column of words is made
+    # narrower until all fit.
+    full_rows = [row for row in rows if len(row) == count]
+    widths = [max(map(len, column)) for column in zip(*full_rows, strict=True)]
     max_width = width - len(indent) - len(_BETWEEN) * (count - 1)
-    while sum(widths) > max_width and (
-        too_wide := [at for at in words if widths[at] > MIN_WORDS_WIDTH]
-    ):
-        widths[max(too_wide, key=widths.__getitem__)] -= 1
+    while sum(widths) > max_width:
+        shrinkable = [column for column in words if widths[column] > MIN_WORDS_WIDTH]
+        if not shrinkable:
+            break
+        widths[max(shrinkable, key=widths.__getitem__)] -= 1
 
     for row in rows:
         if len(row) == 1:
             yield row[0]
             continue
-        is_text = [
-            len(row) < count or at in words for at in range(len(row))
-        ]  # the last cell of a short row takes what is left
-        cells = [
-            _wrapped(cell, widths[at]) if at in words and len(row) == count else [cell]
-            for at, cell in enumerate(row)
-        ]
+
+        # The last cell of a short row takes what is left: nothing of it is wrapped.
+        is_short = len(row) < count
+        cells = []
+        for column, cell in enumerate(row):
+            is_wrapped = column in words and not is_short
+            cells.append(_wrapped(cell, widths[column]) if is_wrapped else [cell])
+
         for parts in zip_longest(*cells, fillvalue=""):
-            padded = (
-                part.ljust(too_wide) if left else part.rjust(too_wide)
-                for part, too_wide, left in zip(parts, widths, is_text, strict=False)
-            )
+            padded = []
+            for column, (part, column_width) in enumerate(zip(parts, widths, strict=False)):
+                is_text = is_short or column in words
+                padded.append(part.ljust(column_width) if is_text else part.rjust(column_width))
             yield (indent + _BETWEEN.join(padded)).rstrip()
 
 
@@ -232,17 +235,19 @@ def _write_files(document: Document, folder: Path, figures: Figures = "svg") -> 
     """Write all files of a document but their list to a new folder."""
     with ThreadPoolExecutor(2) as pool:
         writes = [pool.submit(write_content, folder) for write_content in document.writers]
-        drawn = (plot.drawn_as(figures).files for plot in document.plots)
-        plots = {
-            f"{document.figures}/{name}": content
-            for files in drawn
-            for name, content in files.items()
-        }
-        for name, content in {**plots, **document.files, PAGE: html(document)}.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+        contents: dict[str, str | bytes] = {}
+        for plot in document.plots:
+            for name, content in plot.drawn_as(figures).files.items():
+                contents[f"{document.figures}/{name}"] = content
+        contents |= {**document.files, PAGE: html(document)}
+        for name, content in contents.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
         write_json(folder / document.data_file, document.data)
-        for writer in writes:
-            writer.result()
+        for write_result in writes:
+            write_result.result()
     for name, part in document.parts.items():
         _write_files(part, folder / name, figures)

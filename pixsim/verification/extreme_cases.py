@@ -626,7 +626,10 @@ def sensor() -> list[Row]:
             saturated_fraction,
             SATURATED_SHARE,
             SIGMAS,
-            f"P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code); {RANDOM_SAMPLES}",
+            (
+                "P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code);"
+                f" {RANDOM_SAMPLES}"
+            ),
             [({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0}, 1.0)],
             math.sqrt(SATURATED_SHARE * (1 - SATURATED_SHARE) / COUNT),
         ),
