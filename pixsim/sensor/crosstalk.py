@@ -21,9 +21,9 @@ def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> 
     around.
 
     A pixel collects the share [dy + 2, dx + 2] of the light of the pixel that is dy rows above and
-    dx columns to the left of it, so that `shares` are those of its neighbours' light, as
-    `pixsim.optics.stack` has them. At the border the picture goes on as its reflection: of even
-    light a pixel collects the sum of its shares, everywhere.
+    dx columns to the left of it, so that `shares` are shares of its neighbours' light, as
+    `pixsim.optics.stack` has them. At the border the picture goes on as its reflection: of
+    uniform light a pixel collects the sum of its shares, everywhere.
 
     signal_e_per_s : (rows, columns) of the light on pixels, as if each collected all of its own
     shares : (5, 5), or (y, x, 5, 5) at points of a grid over the array, the first and last at the
@@ -74,7 +74,7 @@ def _collected(
 
     nodes : (y, x, 5, 5) shares of each channel's light
     channels : (rows, columns) number of the channel of the light on each pixel
-    border : how the picture goes on, as of `numpy.pad`
+    border : how the picture goes on, as in `numpy.pad`
     """
     padded = np.pad(signal_e_per_s, REACH, mode=border)
     filters = np.pad(channels, REACH, mode=border)
@@ -132,8 +132,8 @@ def _rows_with_equal_filters(filters: NDArray[np.intp]) -> Iterator[NDArray[np.i
 
 
 def shares_sum(shares: Array, shape: tuple[int, int]) -> Array:
-    """Return the sum of the shares at each pixel of an array of a shape (rows, columns): what it
-    collects of even light.
+    """Return the sum of the shares at each pixel of an array (rows, columns), which it collects of
+    uniform light.
 
     shares : as in `share_with_neighbours`
     """
@@ -150,7 +150,9 @@ def _between(count: int, points: int) -> tuple[NDArray[np.intp], Array]:
 
 
 def _interpolated(values: Array, first: NDArray[np.intp], part: Array) -> Array:
-    """Return rows of values (points, ...), linear between those of `first` and the next."""
+    """Return rows between the points of `values` (points, ...), linear between point `first` and
+    the next.
+    """
     if len(values) == 1:
         return values
     low = values[first]

@@ -101,7 +101,7 @@ def diffusion_mtf(
     Raises PixsimError if α or L_n is not positive, or L_D is negative.
 
     >>> round(float(diffusion_mtf(100.0, 1.0, 0.0, 1e9)), 6)  # 1/(1 + 2πf/α) with 2πf = 0.628319/µm
-    0.614131
+    0.61413
     """
     alpha = np.asarray(absorption_per_um, float)
     angular_per_um = 2e-3 * np.pi * np.asarray(frequency_cy_per_mm, float)

@@ -31,8 +31,8 @@ def pixel_notes(
     """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves
     out of its light.
 
-    camera, irradiance : the light on the sensor and the camera in front of it; None: it is not
-        known yet
+    camera, irradiance : the light on the sensor and the camera in front of it; None if they are
+        not known yet
     """
     notes = unit_slips(physics.pixel)
     if camera is None or irradiance is None:
@@ -67,12 +67,11 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
     `_BLURRED_PIXELS`; none on others.
     """
     depths = irradiance.header.get(DEPTHS)
-    if (
-        not isinstance(depths, list)
-        or len(depths) != 3
-        or not all(depth is None or isinstance(depth, float) for depth in depths)
-    ):
+    if not isinstance(depths, list) or len(depths) != 3:
         return []
+    if not all(depth is None or isinstance(depth, float) for depth in depths):
+        return []
+
     nearest_m, sharpest_m, farthest_m = (math.inf if depth is None else depth for depth in depths)
     if not sharpest_m > 0:
         return []
@@ -99,15 +98,14 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:
     """Return the quantum efficiencies that a pixel has as tables, by their names."""
-    pixel, tables = physics.pixel, dict[str, EfficiencyCurve]()
+    pixel = physics.pixel
+    tables: dict[str, EfficiencyCurve] = {}
     if isinstance(pixel.quantum_efficiency, tuple):
         tables["pixel.quantum_efficiency"] = pixel.quantum_efficiency
     curves = pixel.colour.quantum_efficiencies if pixel.colour is not None else None
     if isinstance(curves, dict):
-        tables |= {
-            f"pixel.colour.quantum_efficiencies of {letter}": curve
-            for letter, curve in curves.items()
-        }
+        for letter, curve in curves.items():
+            tables[f"pixel.colour.quantum_efficiencies of {letter}"] = curve
     return tables
 
 
@@ -115,30 +113,33 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
     """Return the share of electrons beyond the end of a table, if the efficiency stayed its last
     value there, 0 to 1.
 
-    It is that of the lamp with the most of it, where the light says what its lamps have outside the
-    range that is computed.
+    Where the light says what its lamps have outside the range that is computed, it is the largest
+    share of any lamp.
     """
     end_nm, last = curve[-1]
     if not last or physics.infrared_cut_nm <= end_nm:
         return 0.0
-    if lamps := irradiance.header.get(OUTSIDE):
-        nm, low_nm, high_nm, light = CENTRES_NM, EDGES_NM[:-1], EDGES_NM[1:], np.array(lamps, float)
+    lamps = irradiance.header.get(OUTSIDE)
+    if lamps:
+        nm = CENTRES_NM
+        low_nm = EDGES_NM[:-1]
+        high_nm = EDGES_NM[1:]
+        light = np.array(lamps, float)
     else:
-        nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-        low_nm, high_nm, light = (
-            nm - width_nm / 2,
-            nm + width_nm / 2,
-            irradiance.mean_spectrum()[None],
-        )
+        nm = irradiance.wavelength_nm
+        width_nm = irradiance.band_width_nm
+        low_nm = nm - width_nm / 2
+        high_nm = nm + width_nm / 2
+        light = irradiance.mean_spectrum()[None]
         if high_nm.max() <= end_nm:
             return 0.0
+
     photons = light * photons_per_joule(nm) * (high_nm - low_nm)
     table_nm, values = np.array(curve).T
     seen = photons @ np.interp(nm, table_nm, values, left=0.0, right=0.0)
-    between = _share_above(low_nm, high_nm, end_nm) - _share_above(
-        low_nm, high_nm, physics.infrared_cut_nm
-    )
-    beyond = photons @ (last * between)
+    above_end = _share_above(low_nm, high_nm, end_nm)
+    above_cut = _share_above(low_nm, high_nm, physics.infrared_cut_nm)
+    beyond = photons @ (last * (above_end - above_cut))
     return float((beyond / np.maximum(seen + beyond, np.finfo(float).tiny)).max())
 
 

@@ -24,7 +24,7 @@ _UM_PER_CM = 1e4
 def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
     """Return the PRNU of photodiodes, k/√area, relative to the mean gain.
 
-    Edges and layers vary at random, with an area law as that of Pelgrom et al. (1989).
+    Edges and layers vary at random, with an area law as in Pelgrom et al. (1989).
 
     prnu_um : k, the PRNU of a photodiode of 1 µm², in µm
     area_um2 : of the photodiode
@@ -41,8 +41,8 @@ def follower_offset_e(
     = A_Vt/√(W L).
 
     M. J. M. Pelgrom, A. C. J. Duinmaijer and A. P. G. Welbers, IEEE J. Solid-State Circuits 24
-    (1989) 1433. Their A_Vt is that of the difference in a pair; σ of one transistor is 1/√2 of
-    that, and its A_Vt is meant here. True correlated double sampling removes these offsets.
+    (1989) 1433. Their A_Vt is for the difference in a pair; σ of one transistor is 1/√2 of
+    it, and its A_Vt is meant here. True correlated double sampling removes these offsets.
 
     threshold_mv_um : A_Vt of one transistor, in mV µm
     follower_area_um2 : W L of the source follower's gate
@@ -98,8 +98,8 @@ class DarkSpread:
 
     @property
     def ordinary_mean(self) -> float:
-        """Mean of ordinary pixels, relative to that of all: 1/(1 - φ + φ m), with the hot pixels'
-        mean m = median · e^(s²/2).
+        """Mean of ordinary pixels, relative to the mean of all: 1/(1 - φ + φ m), with the hot
+        pixels' mean m = median · e^(s²/2).
         """
         hot_mean = self.hot_median * math.exp(self.hot_spread**2 / 2)
         total = 1 - self.hot_fraction + self.hot_fraction * hot_mean
@@ -133,16 +133,15 @@ class DarkSpread:
 
         Hot pixels have a stream of their own, so that `rng` goes on as without them.
         """
-        factors = (
-            rng.gamma(self.dsnu**-2, self.dsnu**2, shape)
-            if self.dsnu > np.finfo(float).eps
-            else np.ones(shape)
-        )
+        if self.dsnu > np.finfo(float).eps:
+            factors = rng.gamma(self.dsnu**-2, self.dsnu**2, shape)
+        else:
+            factors = np.ones(shape)
+
         if self.hot_fraction:
             hot_rng = rng.spawn(1)[0]
             hot = hot_rng.random(shape) < self.hot_fraction
-            factors[hot] = self.hot_median * np.exp(
-                self.hot_spread * hot_rng.standard_normal(int(np.count_nonzero(hot)))
-            )
+            normal = hot_rng.standard_normal(int(np.count_nonzero(hot)))
+            factors[hot] = self.hot_median * np.exp(self.hot_spread * normal)
             factors *= self.ordinary_mean
         return factors

@@ -60,12 +60,12 @@ class NoiseSource:
     deviation : its standard deviation for a pixel as it is read, in electrons, or relative to what
         it grows with
     is_temporal : whether it is another one in each frame; else it is a fixed pattern
-    along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a
-        column, of a fixed pattern
+    along : pixels that share a value: none; a row, for temporal noise; or a column, for a fixed
+        pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
-    silence : of a pattern that grows with charge, changes a readout so that `sample_sensor` draws no
-        map of it
+    silence : for a pattern that grows with charge: changes a readout so that `sample_sensor` draws
+        no map of it
     """
 
     name: str
@@ -79,8 +79,8 @@ class NoiseSource:
     def frame_deviation(self, readout: _NoisyReadout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
-        What is another value in each adds up by squares, what is the same in each by itself; what
-        grows with the charge of all exposures together does so already.
+        Values that differ between subexposures add up by squares, equal values linearly; a value
+        that grows with charge does so with the charge of all together.
         """
         deviation = self.deviation(readout)
         count = readout.exposures
@@ -117,8 +117,10 @@ SOURCES = (
 def selected_sources(
     readout: _NoisyReadout, is_temporal: bool | None, along: Along | None
 ) -> list[NoiseSource]:
-    """Return the sources of a readout that are temporal or fixed, and shared in that way; None for
-    both, and for any way.
+    """Return the sources of a readout, all of them or a selection.
+
+    is_temporal : whether they are temporal or fixed; None selects both
+    along : the pixels that share a value; None selects any
     """
     sources = [source for source in SOURCES if source.name not in readout.silent]
     if is_temporal is not None:
@@ -134,7 +136,7 @@ def constant_e(
     """Return the standard deviation of all sources together that grow neither with light nor with
     dark charge, in electrons.
 
-    is_temporal, along : of which sources; None means all
+    is_temporal, along : select sources, as in `selected_sources`
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim.sensor.pixel_options import Pixel
@@ -166,7 +168,7 @@ def variance_e2(
 
     variance : to which theirs is added, such as the variance of shot noise
     light_e, dark_e : mean charge of light and of the dark, with which some sources grow
-    is_temporal, along : of which sources; None means all
+    is_temporal, along : select sources, as in `selected_sources`
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
     for source in selected_sources(readout, is_temporal, along):
@@ -200,8 +202,8 @@ def without_source(readout: _AnyReadout, name: str) -> _AnyReadout:
 
 
 def signal_at_snr_e(snr: float, dark_variance_e2: float, gain_spread: float) -> float:
-    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below
-    that.
+    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = snr; NaN if PRNU limits the SNR to
+    less.
     """
     square = snr**-2 - gain_spread**2
     if square <= 0:

@@ -1,5 +1,4 @@
-"""Light of lamps outside the range that is computed, 360-830 nm or more: how much of what a sensor
-would see is left out.
+"""Light of lamps outside the range that is computed, 360-830 nm or more, that a sensor would see.
 
 The range grows to 300-1100 nm where lamps have light there that a sensor sees (`span_of`).
 """
@@ -33,9 +32,8 @@ EDGES_NM = np.arange(300.0, 1111.0, 10.0)
 CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
 # entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
 _COMPUTED = "computed_nm"
-_MIN_SHARE_BEYOND = (
-    1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
-)
+# Of a lamp's electrons: with less of them outside 360-830 nm, the range does not grow.
+_MIN_SHARE_BEYOND = 1e-4
 SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
 DIGITS = 6
 
@@ -49,35 +47,44 @@ def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
     """Return the range to compute: 360-830 nm, and on either side what lamps emit there and one of
     the pixels sees.
     """
-    low, high = VISIBLE.low_nm, VISIBLE.high_nm
+    low_nm = VISIBLE.low_nm
+    high_nm = VISIBLE.high_nm
+    channels = [channel for physics in pixels for channel in physics.channels]
     for lamp in lamps:
-        cells = lamp.cell_means(EDGES_NM)
-        if not cells[~inside(VISIBLE)].any():
+        power = lamp.cell_means(EDGES_NM)
+        if not power[~inside(VISIBLE)].any():
             continue
-        for channel in (channel for physics in pixels for channel in physics.channels):
-            electrons = cells * _response(channel)
+
+        for channel in channels:
+            electrons = power * _response(channel)
             min_electrons = _MIN_SHARE_BEYOND * float(electrons.sum())
-            low = WIDEST.low_nm if electrons[CENTRES_NM < LOW_NM].sum() > min_electrons else low
-            high = WIDEST.high_nm if electrons[CENTRES_NM > HIGH_NM].sum() > min_electrons else high
-    return Span(low, high)
+            if electrons[CENTRES_NM < LOW_NM].sum() > min_electrons:
+                low_nm = WIDEST.low_nm
+            if electrons[CENTRES_NM > HIGH_NM].sum() > min_electrons:
+                high_nm = WIDEST.high_nm
+    return Span(low_nm, high_nm)
 
 
 def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str, Any]:
     """Return entries of an irradiance's header on lamps with light outside the range that is
     computed; none if there are none.
     """
-    computed = {} if span == VISIBLE else {_COMPUTED: [span.low_nm, span.high_nm]}
-    cells = [lamp.cell_means(EDGES_NM) for lamp in lamps]
-    beyond = [
-        [float(f"{value:.{DIGITS}g}") for value in values]
-        for values in cells
-        if values[~inside(span)].any()
-    ]
-    return computed | ({OUTSIDE: beyond} if beyond else {})
+    header: dict[str, Any] = {}
+    if span != VISIBLE:
+        header[_COMPUTED] = [span.low_nm, span.high_nm]
+
+    outside: list[list[float]] = []
+    for lamp in lamps:
+        power = lamp.cell_means(EDGES_NM)
+        if power[~inside(span)].any():
+            outside.append([float(f"{value:.{DIGITS}g}") for value in power])
+    if outside:
+        header[OUTSIDE] = outside
+    return header
 
 
 def _computed_span(header: Mapping[str, Any]) -> Span:
-    """Return the range that an irradiance's header states as computed; that of a file of another
+    """Return the range that an irradiance's header states as computed; the header of another
     program may hold anything.
     """
     ends = header.get(_COMPUTED)
@@ -87,24 +94,22 @@ def _computed_span(header: Mapping[str, Any]) -> Span:
 
 
 def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
-    """Return the share of a lamp's electrons in a pixel that come from outside the computed range,
-    0 to 1: that of the worst lamp.
+    """Return the largest share of a lamp's electrons in a pixel that come from outside the computed
+    range, 0 to 1.
 
-    header : of an irradiance; that of a file of another program may hold anything
+    header : of an irradiance; the header of another program may hold anything
     """
-    lamps, cells = header.get(OUTSIDE), CENTRES_NM.size
+    lamps = header.get(OUTSIDE)
+    cells = CENTRES_NM.size
     if not isinstance(lamps, list) or not all(
         isinstance(lamp, list) and len(lamp) == cells for lamp in lamps
     ):
         return 0.0
     electrons = np.array(lamps, float).reshape(-1, cells) * _response(physics)
-    whole = electrons.sum(axis=1)
-    return float(
-        (
-            electrons[:, ~inside(_computed_span(header))].sum(axis=1)
-            / np.where(whole > 0, whole, 1.0)
-        ).max(initial=0.0)
-    )
+    total = electrons.sum(axis=1)
+    outside = electrons[:, ~inside(_computed_span(header))].sum(axis=1)
+    shares = outside / np.where(total > 0, total, 1.0)
+    return float(shares.max(initial=0.0))
 
 
 def _response(physics: PixelPhysics) -> Array:
@@ -112,13 +117,13 @@ def _response(physics: PixelPhysics) -> Array:
 
 
 def outside_words(share: float, span: Span = VISIBLE) -> str:
-    """Return what is left out of a range, in words."""
+    """Return in words the share of light that a range leaves out."""
     percent = f"{100 * share:.0f}" if share < 0.995 else f"{100 * share:.3g}"
     return f"without {percent} % of a lamp's light in the sensor's response, outside {span.words}"
 
 
 def outside_hint() -> str:
-    """Return what keeps such light from the sensor, in the caller's words."""
+    """Return how to keep such light from the sensor, in the caller's words."""
     return (
         f"an infrared filter before the sensor ({setting('pixel.infrared_cut_nm', HIGH_NM)} or"
         " less), or a lamp within that range"

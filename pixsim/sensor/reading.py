@@ -167,8 +167,10 @@ class Readout:
         return readout.burst(exposure.frames)
 
     def burst(self, exposures: Count) -> Readout:
-        """Return the reading of frames that are the sum of so many subexposures. Raises PixsimError
-        as `Readout` does.
+        """Return the reading of frames that are the sum of subexposures. Raises PixsimError as
+        `Readout` does.
+
+        exposures : number of subexposures
 
         >>> from pixsim.sensor.pixel import derive
         >>> from pixsim.sensor.pixel_options import Pixel

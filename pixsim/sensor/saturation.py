@@ -180,27 +180,25 @@ def full_well_for_e(
     gain_spread: float,
     offset_spread_e: float,
 ) -> float:
-    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if
-    that alone is lower.
+    """The full well with which `saturation_capacity_e` is `capacity_e`; without the limit of the
+    ADC if that limit alone is lower.
 
     It is sought where the variance is level at the capacity, in two evaluations for each full well
     where a search for the peak takes thirty; that it is the highest peak is then checked.
     """
 
+    spreads = noise_e, gain_spread, offset_spread_e
+
     def excess_e(full_well_e: float, range_e: float | None) -> float:
-        return (
-            saturation_capacity_e(full_well_e, range_e, noise_e, gain_spread, offset_spread_e)
-            - capacity_e
-        )
+        """Saturation capacity of a full well, less the stated one."""
+        return saturation_capacity_e(full_well_e, range_e, *spreads) - capacity_e
 
     def rise_e2(full_well_e: float, range_e: float | None) -> float:
         """Rise of the variance at the capacity, 0 at the peak."""
-        below, above = (
-            _clipping_variance_e2(
-                capacity_e * (1 + side), full_well_e, range_e, noise_e, gain_spread, offset_spread_e
-            )
-            for side in (-_RISE_OVER, _RISE_OVER)
-        )
+        low_e = capacity_e * (1 - _RISE_OVER)
+        high_e = capacity_e * (1 + _RISE_OVER)
+        below = _clipping_variance_e2(low_e, full_well_e, range_e, *spreads)
+        above = _clipping_variance_e2(high_e, full_well_e, range_e, *spreads)
         return above - below
 
     from scipy.optimize import brentq  # imported where it is needed: it takes 0.1 s

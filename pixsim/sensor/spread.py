@@ -21,8 +21,8 @@ Distribution = Literal["uniform", "normal", "lognormal"]
 class Spread(Record):
     """How far a number may be wrong: a distribution by its standard deviation or its range.
 
-    The standard deviation is about the stated value, which is the distribution's mean. A range is
-    that of a uniform distribution from end to end, or the central 90 % of a normal or lognormal
+    The standard deviation is about the stated value, which is the distribution's mean. A range
+    holds a uniform distribution from end to end, or the central 90 % of a normal or lognormal
     one, whose middle then need not be the stated value.
     """
 
@@ -87,9 +87,8 @@ def sheet_uncertainty(path: Path) -> dict[str, Spread]:
     return without_uncertainty(pixel, str(path))[1] if isinstance(pixel, dict) else {}
 
 
-Uncertainty = Mapping[
-    str, Mapping[str, Spread]
-]  # sensor of a study, '' for its own [pixel] -> number -> spread
+# Sensor of a study, '' for the [pixel] of the study -> number -> spread.
+Uncertainty = Mapping[str, Mapping[str, Spread]]
 
 
 def without_uncertainty(
@@ -103,7 +102,8 @@ def without_uncertainty(
     if "uncertainty" not in pixel:
         return pixel, {}
     plain = {name: value for name, value in pixel.items() if name != "uncertainty"}
-    table, where = pixel["uncertainty"], f"{source}: pixel.uncertainty"
+    table = pixel["uncertainty"]
+    where = f"{source}: pixel.uncertainty"
     if not isinstance(table, dict):
         raise invalid(
             where,
@@ -148,9 +148,8 @@ def _spread(entry: object, value: object, where: str, name: str) -> Spread:
         for end in spread.range or ():
             PixelOptions.model_validate({name: end})  # the ends have the bounds of the number
     except ValidationError as error:
-        raise PixsimError(
-            "\n".join(f"{where}: {line}" for line in explain(error).splitlines())
-        ) from None
+        lines = [f"{where}: {line}" for line in explain(error).splitlines()]
+        raise PixsimError("\n".join(lines)) from None
     low, high = spread.range or (value, value)
     if not low <= value <= high:
         raise invalid(

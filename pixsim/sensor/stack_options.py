@@ -25,7 +25,7 @@ class StackOptions(Record):
     """What lies between the surface of a pixel and its photodiode, and how light and charge go
     astray there.
 
-    Values of None are those of the technology. Without any of them, a pixel collects the light that
+    Values of None come from the technology. Without any of them, a pixel collects the light that
     falls on its photodiode, from every direction alike.
     """
 

@@ -111,7 +111,7 @@ else:
 
 @checked_methods
 class Technology(NumbersOfPixels):
-    """The properties of a CMOS process that set those of a pixel.
+    """A CMOS process: the properties from which a pixel follows.
 
     Beside these fields it has the numbers that `PixelOptions` declares with a value for processes
     that state none.
@@ -403,10 +403,10 @@ _NO_PROCESS = Technology.model_validate(
 
 
 def number_of(pixel: PixelOptions, technology: Technology, name: str) -> float:
-    """Return a number of a pixel that neither its size nor its layout changes: its own, or its
-    technology's.
+    """Return a number of a pixel that neither its size nor its layout changes: as the pixel states
+    it, or its technology.
 
-    It is 0 where the pixel states a sum that holds it.
+    It is 0 where the pixel states a sum that contains it.
 
     name : of a field of `PixelOptions` that a technology may have, too
     """
@@ -422,8 +422,8 @@ _OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.
 
 
 def with_fill_factor_law(technology: Technology, law: str) -> Technology:
-    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet,
-    which has none, as it is.
+    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`); a data sheet
+    has none, and stays the same.
     """
     if law not in _OTHER_FILL_FACTOR_LAWS or technology.name == NO_TECHNOLOGY:
         return technology

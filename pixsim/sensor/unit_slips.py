@@ -1,4 +1,4 @@
-"""Numbers of data sheets that are often given in another unit than that of their field."""
+"""Numbers of data sheets that are often given in another unit than their field has."""
 
 from __future__ import annotations
 
