@@ -7,8 +7,9 @@ the mean light of the picture, band by band: exact for light of one spectrum; a 
 colour than the picture's mean is off by the difference of the two weighted means.
 
 A quantum efficiency that was measured on the whole pixel under its microlens already holds what the
-stack loses in that measurement. The shares are then divided by the shares of uniform light on
-axis at the f-number of the measurement, with a microlens and at the pitch of the pixel that was measured.
+stack loses in that measurement. The shares are then divided by the shares of uniform light on axis
+at the f-number of the measurement, with a microlens and at the pitch of the pixel that was
+measured.
 """
 
 from __future__ import annotations
@@ -190,8 +191,9 @@ def scale_error(
     exceeds `allowed`.
 
     With one scale each pixel collects what a pixel on axis collects of uniform light, and no light
-    of its neighbours. The error is the largest difference of that sum over the field, and the largest sum of
-    neighbours' shares, relative to it, at any wavelength to which the pixel responds.
+    of its neighbours. The error is the largest difference of that sum over the field, and the
+    largest sum of neighbours' shares, relative to it, at any wavelength to which the pixel
+    responds.
     """
     if physics.stack is None or not allowed > 0:
         return None
@@ -344,7 +346,7 @@ def _collection(
 ) -> Collection:
     """Return the collection of an array with a stack, the same object for the same arguments.
 
-    measured : how the quantum efficiency was measured on a whole pixel; None for the photodiode
+    measured : how the quantum efficiency was measured on a whole pixel, if it was
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
     diffuses = charge is not None and charge.diffusion_um is not None
@@ -574,8 +576,8 @@ class ColourCollection:
 
     @cached_property
     def mixing_um2(self) -> Array:
-        """Electrons of uniform light in a value of each channel on axis, (C, C), by the light of each
-        channel.
+        """Electrons of uniform light in a value of each channel on axis, (C, C), by the light of
+        each channel.
 
         The mean over the unit cell; in electrons for one a µm² of photodiode. Without crosstalk it
         is diagonal.

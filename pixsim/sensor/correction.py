@@ -43,16 +43,16 @@ def correct(
     them.
 
     With D the mean of the dark frames and F the mean of the flat frames, in electrons, a pixel of
-    the picture P becomes (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a
-    column is subtracted from it in every frame. All frames have the exposure time and the gain of
+    the picture P becomes (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in
+    a column is subtracted from it in every frame. All frames have the exposure time and the gain of
     the picture. Flat frames have the shading of the pixels' stack, and so remove it.
 
     sensor : that took the frame
     rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
     collection : (rows, columns) electrons of uniform light that pixels collect, relative to a pixel
-        of their channel on axis; None if all collect the same
+        of their channel on axis, or None if all collect the same
     balance : (rows, columns) electrons of white in the channel of each pixel, relative to the
-        largest of the channels; None for a single channel
+        largest of the channels, or None for a single channel
 
     The balance of the channels stays in the picture; a defect is replaced by pixels of its own
     channel.
@@ -247,8 +247,8 @@ def residual_variance_e2(
     defects, in the shape of the signal.
 
     With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over
-    frames, s the signal, L the signal of the flat frames, n_d, n_f and n_c the numbers of dark frames,
-    flat frames and dark rows, and V the variance of offsets and dark signal over pixels:
+    frames, s the signal, L the signal of the flat frames, n_d, n_f and n_c the numbers of dark
+    frames, flat frames and dark rows, and V the variance of offsets and dark signal over pixels:
 
     temporal s + T; of dark rows T/n_c more
     offsets (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without, since a flat

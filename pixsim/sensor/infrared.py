@@ -31,8 +31,7 @@ def pixel_notes(
     """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves
     out of its light.
 
-    camera, irradiance : the light on the sensor and the camera in front of it; None if they are
-        not known yet
+    camera, irradiance : the light on the sensor and the camera in front of it, if they are known
     """
     notes = unit_slips(physics.pixel)
     if camera is None or irradiance is None:

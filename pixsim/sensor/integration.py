@@ -255,11 +255,11 @@ def _hard_edges(samples: Array) -> NDArray[np.bool_]:
 
 
 def ringing_cells(samples: Array) -> NDArray[np.bool_]:
-    """Return in which cells (n, columns) the spline of a column rings by more than `_RING_TOLERANCE` of
-    the light there.
+    """Return in which cells (n, columns) the spline of a column rings by more than
+    `_RING_TOLERANCE` of the light there.
 
     The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
-    what is far away, or in another column, has no part in it. Light that is further below zero than
+    edges far away, or in another column, have no part in it. Light that is further below zero than
     it would ring is meant, as in a difference of two pictures.
     """
     hard = _hard_edges(samples)
@@ -542,8 +542,8 @@ def _blurred_lights(
 
 @dataclass(frozen=True)
 class PartBehindLens:
-    """A part of a picture with light around it, behind a real lens with one blur: that of the middle
-    of the part.
+    """A part of a picture with light around it, behind a real lens that blurs all of
+    it like its middle.
 
     Films of other samples of the same part differ by their samples alone: they have the same PSF,
     which no film cuts off.
@@ -615,7 +615,7 @@ class PartBehindLens:
     ) -> list[tuple[ChannelLight, ...]]:
         """Return the light in the part for each channel of a pixel, on each of the films.
 
-        illuminations : of the channels, those of the whole picture
+        illuminations : of the channels, by the whole picture
         """
         transfer = diffusion_of(physics.channels[0])
         image, _ = self.films[0]
@@ -661,8 +661,8 @@ def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
-    """Return the MTF of diffusion at frequencies and a wavelength, for a front-lit pixel without a
-    microlens; None without it.
+    """Return the MTF of diffusion at frequencies and a wavelength, if charge
+    diffuses in a front-lit pixel without a microlens.
 
     Under a microlens light arrives near the middle of a photodiode, and diffusion is among the
     shares of the neighbours.
@@ -821,11 +821,11 @@ def integrate_pixels(
     rate : (H, W) per µm², means over square cells of `sample_pitch_um`
     pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the width of the picture
     running : `running_integral(rate)` if available; it is the same for all pitches
-    size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
-    only : numbers of the rows and of the columns of pixels that are needed; None means all of them
+    size_um : `array_size_um`, (height, width) that the pixels fill, or None for the whole picture
+    only : numbers of the rows and of the columns of pixels that are needed, or None for all of them
     first_um : where the first row and the first column begin (`first_edge_um`); None centres the
         array on the picture
-    moves : how the picture moves; None if it stands still
+    moves : how the picture moves, if it does
 
     Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are
     in memory. Raises PixsimError if not one pixel fits.
@@ -939,7 +939,7 @@ def _photodiode_edges_um(
 ) -> tuple[Array, Array]:
     """Return the first and the last edge of each photodiode in a line of pixels, (count,) each.
 
-    first_um : where the line begins; None centres it on the length
+    first_um : where the line begins, or None for a line in the middle of the length
     """
     if first_um is None:
         centre_um = length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
@@ -961,8 +961,8 @@ def illumination_of(
 
 
 def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> float:
-    """Return the area whose light a pixel on axis collects: that of the photodiode, or what the
-    stack passes to photodiodes.
+    """Return the area whose light a pixel on axis collects: of the photodiode, or of the light that
+    the stack passes to photodiodes.
     """
     if physics.stack is None:  # needs no mean spectrum of the picture
         return physics.photodiode_area_um2
@@ -1057,8 +1057,8 @@ class ChannelLight:
 
     @cached_property
     def running_integral(self) -> _RunningIntegral | None:
-        """Running integral of the picture, which takes longer than all steps of a pitch; None if
-        too large to store.
+        """Running integral of the picture, which takes longer than all steps of a pitch, unless it
+        is too large to store.
         """
         if self.rate_e_per_s_um2.size > MAX_STORED_SAMPLES:
             return None
@@ -1070,7 +1070,7 @@ class ChannelLight:
         return LightSpectrum(self.rate_e_per_s_um2)
 
     def moves(self, moving: Moving, physics: PixelPhysics) -> Moves | None:
-        """Return how the light moves over the pixels; None if it stands still."""
+        """Return how the light moves over the pixels, if it does."""
         if not moving.is_on:
             return None
         return Moves(self.spectrum, moving, physics.pixel.bin_side)

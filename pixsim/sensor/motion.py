@@ -164,8 +164,8 @@ class _SlantedSpectrum:
 def _difference_of_products(
     factors: tuple[Array, Array, Array, Array], rows: slice, work: Array, out: Array
 ) -> None:
-    """Write the product of the first two factors, down and across, less that of the last two, to
-    some rows of a plane.
+    """Write the product of the first two factors, down and across, less the product of the last
+    two, to some rows of a plane.
     """
     down, across, other_down, other_across = factors
     np.multiply(other_down[rows, None], other_across, out=work)

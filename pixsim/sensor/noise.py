@@ -119,8 +119,8 @@ def selected_sources(
 ) -> list[NoiseSource]:
     """Return the sources of a readout, all of them or a selection.
 
-    is_temporal : whether they are temporal or fixed; None selects both
-    along : the pixels that share a value; None selects any
+    is_temporal : whether they are temporal or fixed, or None for both
+    along : the pixels that share a value, or None for any
     """
     sources = [source for source in SOURCES if source.name not in readout.silent]
     if is_temporal is not None:

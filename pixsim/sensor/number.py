@@ -20,7 +20,7 @@ class Number(Words):
         or of the layout
     part_of : words of data sheets for a sum that holds it, and in whose place it may be given
     in_technology : whether a technology may state it, where the pixel does not
-    technology_default : value of a technology that does not state it; None if the technology's
+    technology_default : value of a technology that does not state it, unless the technology's
         record declares it
     scales_with_area : whether a data sheet states it for its pitch, from which the value at other
         pitches follows by their area

@@ -366,7 +366,7 @@ def smallest_pitch_um(technology: Technology) -> float:
 
 
 def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name: str) -> float:
-    """Return the fill factor of a pixel at a pitch: the stated one, or that of `fill_factor_law`.
+    """Return the fill factor of a pixel at a pitch, as stated or by `fill_factor_law`.
 
     name : of the setting that states the pitch, for messages
 
@@ -498,7 +498,7 @@ def absorbed_efficiency(
     """Return the QE η(λ) of silicon from its value at one wavelength, (...) as the wavelengths: η
     (1 - e^(-αd))/(1 - e^(-α₀d)).
 
-    Charge is collected from the surface to the depth d, and from nowhere below it. α is that of
+    Charge is collected from the surface to the depth d, and from nowhere below it. α is
     `absorption_per_um` at 300 K, α₀ its value at `at_nm`. The curve is constant below 300 nm, and 0
     beyond 1200 nm.
 
@@ -581,7 +581,7 @@ class Charge:
 
     @property
     def diffusion_um(self) -> tuple[float, float] | None:
-        """The depletion depth and the diffusion length; None where no charge diffuses."""
+        """The depletion depth and the diffusion length, if charge diffuses."""
         depletion_um, length_um = self.stack.depletion_um, self.stack.diffusion_length_um
         return None if depletion_um is None or length_um is None else (depletion_um, length_um)
 
@@ -612,7 +612,7 @@ class PixelPhysics:
     pixel : the parameters that it is derived from
     technology : with the pixel's fill-factor law
     fill_factor : photodiode area over pixel area
-    capacitance_ff : mean over the swing; None for a pinned photodiode
+    capacitance_ff : mean over the swing, or None for a pinned photodiode
     full_well_e : charge that the pixel holds
     dark_current_e_per_s : at the pixel's temperature, mean of all pixels
     reset_noise_e : √(n kTC)/q
@@ -620,13 +620,13 @@ class PixelPhysics:
     dsnu : of the dark current of pixels that are not hot, relative to its mean
     offset_fpn_e : offsets of pixels
     column_fpn_e : offsets of columns
-    diode : the photodiode; None if it is pinned
-    growth : area of the photodiode over that of the measured pixel (`growth_from_data_sheet`)
+    diode : the photodiode, unless it is pinned
+    growth : area of the photodiode over the area in the measured pixel (`growth_from_data_sheet`)
     hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of
         their dark current over the mean of the others, and standard deviation of its logarithm
     channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of
         a colour sensor the mean
-    stack : between the surface and the photodiode; None: a pixel collects the light on its
+    stack : between the surface and the photodiode; without it a pixel collects the light on its
         photodiode, from every direction alike
     charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`,
         `crosstalk`), and its temperature
@@ -654,7 +654,7 @@ class PixelPhysics:
 
     @property
     def layout(self) -> Layout | None:
-        """Which channel each value of its frames belongs to; None for a monochrome sensor."""
+        """Which channel each value of its frames belongs to, if it has colour filters."""
         return Layout.of(self.pixel)
 
     @property
@@ -675,13 +675,13 @@ class PixelPhysics:
 
     @property
     def read_pitch_um(self) -> float:
-        """Distance of what is read: of the pixels, or of the sums of a binned sensor."""
+        """Distance, centre to centre, of pixels, or of the sums of a binned sensor."""
         return self.pitch_um * self.pixel.bin_side
 
     @property
     def registration(self) -> Registration:
-        """Distances, down and across, of a border of what is read from the die's centre, in its
-        pitches; or `CENTRED`.
+        """Distances, down and across, of a border between pixels, or binned sums, from the die's
+        centre, in their pitches; or `CENTRED`.
         """
         stated = self.pixel.registration
         return CENTRED if stated is None else (stated[1], stated[0])
@@ -735,7 +735,7 @@ class PixelPhysics:
     @property
     def efficiency_f_number(self) -> float | None:
         """F-number at which the quantum efficiency was measured on the whole pixel under a
-        microlens; None: on the photodiode.
+        microlens, if it was.
         """
         if self.stack is None:
             return None
@@ -753,11 +753,11 @@ class PixelPhysics:
 
     @property
     def efficiency_stack(self) -> Stack | None:
-        """Stack of the whole pixel under a microlens whose quantum efficiency was measured; None:
-        measured on the photodiode.
+        """Stack of the whole pixel under a microlens whose quantum efficiency was measured, if it
+        was.
 
-        Its pitch is that of the measurement, where it is stated. A pixel without a microlens may be
-        too wide for an ideal one at its height; the lowest ideal one stands for it then, which
+        Its pitch is the one of the measurement, where it is stated. A pixel without a microlens may
+        be too wide for an ideal one at its height; the lowest ideal one stands for it then, which
         passes all of a slow lens's light.
         """
         if self.stack is None or self.efficiency_f_number is None:
@@ -784,8 +784,8 @@ class PixelPhysics:
 
     @property
     def _efficiency_is_of_sheet(self) -> bool:
-        """Whether the quantum efficiency is that of a data sheet, and not a number in place of the
-        technology's.
+        """Whether the quantum efficiency comes from a data sheet, and not from a number in place of
+        the technology's.
         """
         pixel = self.pixel
         is_stated = pixel.quantum_efficiency is not None or bool(efficiencies_of(pixel.colour))
@@ -802,8 +802,8 @@ class PixelPhysics:
         return sheet_k or self.technology.dark_doubling_k
 
     def number(self, quantity: str) -> float:
-        """Return a number that pixels and technologies may state: the pixel's own, or that of its
-        technology, in its unit.
+        """Return a number that pixels and technologies may state, in its unit: the pixel's, or its
+        technology's.
 
         quantity : name of a field of `PixelOptions` that a technology may have, too
 
@@ -876,10 +876,10 @@ class PixelPhysics:
 def growth_from_data_sheet(
     pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None
 ) -> float:
-    """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is
-    not given.
+    """Return the photodiode area relative to the measured pixel; 1 if the measured pitch is not
+    stated.
 
-    full_well_e : of the measured pixel; None: `pixel.full_well_e`
+    full_well_e : of the measured pixel, or None for `pixel.full_well_e`
 
     Raises PixsimError if the measured pitch leaves no photodiode, or if the scaled full well is out
     of range.
@@ -912,8 +912,7 @@ _PIXEL_NOISES = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor"
 
 
 def _dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
-    """Return the given dark current of the measured pixel at the pixel's temperature; None if none
-    is given.
+    """Return the dark current of the measured pixel at the pixel's temperature, if it is stated.
 
     doubling_k : of the technology, for a data sheet that states none
 
@@ -989,11 +988,11 @@ def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
 
 
 def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
-    """Return the spread of the pixel offsets over the full well: as stated, or that of the source
+    """Return the spread of the pixel offsets over the full well, as stated or from the source
     followers (`follower_offset_e`).
 
-    Their σ(V_t) is read over the mean capacitance of the node, so that it has the same share of the
-    swing as of the full well.
+    Their σ(V_t) is read over the mean capacitance of the node, so that it is the same share
+    of the swing and of the full well.
 
     Raises PixsimError if one of the two numbers is missing, or the node's capacitance is unknown.
     """
@@ -1051,7 +1050,7 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
 
 
 def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions | None:
-    """Return the stack of a pixel: its own values, and those of the technology where it has none.
+    """Return the stack of a pixel: its values, and where it has none, the values of the technology.
 
     None if there are none at all, or the pixel's own switch the stack off.
 
@@ -1104,7 +1103,7 @@ def largest_pitch_um(pixel: PixelOptions, technology: Technology) -> float:
 def _stack_of(options: StackOptions, pixel: Pixel, photodiode_side_um: float) -> Stack:
     """Return the stack of a pixel from the `stack_options` of it.
 
-    The height of a technology is that of its small pixels. A microlens on a wider one than h √π
+    The height of a technology belongs to its small pixels. A microlens on a wider one than h √π
     lies higher, at the lowest possible height, since makers would not build one that cannot focus.
 
     Raises PixsimError as `Stack` does, with the name of the setting.
@@ -1154,8 +1153,8 @@ def _or_default(value: float | None, default: float) -> float:
 
 
 def _process_dark_e_per_s(pixel: Pixel, technology: Technology, area_um2: float) -> float:
-    """Return the dark current of a square photodiode by the densities of its process: that of its
-    area, and that of its perimeter.
+    """Return the dark current of a square photodiode, of its area and its perimeter, by the
+    densities of its process.
     """
     above_k = pixel.temperature_k - _REFERENCE_TEMPERATURE_K
     temperature_factor = 2 ** (above_k / technology.dark_doubling_k)
@@ -1171,8 +1170,8 @@ def _process_dark_e_per_s(pixel: Pixel, technology: Technology, area_um2: float)
 def _offset_spreads_e(
     pixel: Pixel, technology: Technology, full_well_e: float, process_well: Well
 ) -> tuple[float, float]:
-    """Return the spread of the offsets of pixels and of columns, in electrons; DSNU1288 is that of
-    all offsets.
+    """Return the spread of the offsets of pixels and of columns, in electrons; DSNU1288 counts all
+    offsets as offsets of pixels.
     """
     if pixel.dsnu_e is not None:
         return pixel.dsnu_e, 0.0
@@ -1184,11 +1183,11 @@ def _offset_spreads_e(
 def _measured_well_e(
     pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float | None
 ) -> float | None:
-    """Return the full well of the measured pixel: as stated, or such that it has the stated
-    saturation capacity; None if neither is stated.
+    """Return the full well of the measured pixel, if it is stated, or the one that gives the stated
+    saturation capacity.
 
     area_um2 : of the photodiode of the measured pixel
-    dark_current_e_per_s : of the measured pixel; None: that of the process
+    dark_current_e_per_s : of the measured pixel, or None for the current of the process
     """
     capacity_e = pixel.saturation_capacity_e
     if capacity_e is None:

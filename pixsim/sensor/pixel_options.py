@@ -46,7 +46,7 @@ MISMATCH = {"a_vt_mv_um", "follower_area_um2"}  # two words that state the offse
 
 
 def excluded_by(names: Iterable[str]) -> set[str]:
-    """The fields of a pixel that cannot be given together with those of `names`, since they state
+    """The fields of a pixel that cannot be given together with the fields `names`, since they state
     the same quantity.
     """
     excluded: set[str] = set()
@@ -491,9 +491,7 @@ class PixelOptions(Record):
 
     @property
     def adc_range_per_well(self) -> float | None:
-        """Ratio of the range of the ADC to the full well of a data sheet; None if it does not state
-        both.
-        """
+        """Ratio of the range of the ADC to the full well of a data sheet, if it states both."""
         full_well_e = self.saturation_capacity_e if self.full_well_e is None else self.full_well_e
         gain_e_per_dn = self.stated_gain_e_per_dn
         if full_well_e is None or gain_e_per_dn is None:
@@ -525,7 +523,8 @@ class Pixel(PixelOptions):
     them, see `PixelOptions`) make `technology` 'none'. If only some of them are given, the others
     come from the default technology, which `assumption` then states.
 
-    >>> Pixel(pitch_um=3.75, full_well_e=10500, read_noise_e=2.3, dark_current_e_per_s=3, quantum_efficiency=0.62).technology
+    >>> sheet = {"full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
+    >>> Pixel(pitch_um=3.75, quantum_efficiency=0.62, **sheet).technology
     'none'
     >>> Pixel(pitch_um=3.75, full_well_e=10500).assumption
     'technology 0.35um assumed, without read_noise_e, dark_current_e_per_s, quantum_efficiency'

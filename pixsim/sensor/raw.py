@@ -76,8 +76,8 @@ class RawFrame:
     saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the
         simulation knows the charge; for files of other programs there is `top_code_fraction`
     layout : which channel each value belongs to, as in a `Frame`
-    saturated : (rows, columns) which pixels of a burst were full in any of its subexposures, as in a
-        `Frame`
+    saturated : (rows, columns) which pixels of a burst were full in any of its subexposures, as in
+        a `Frame`
     """
 
     dn: NDArray[Any] = field(repr=False)

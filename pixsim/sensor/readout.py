@@ -141,7 +141,7 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
 
     PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would
     have negative currents; hot pixels (`pixsim.sensor.mismatch`) have a stream of their own, so
-    that all other maps are those of a sensor without them.
+    that all other maps are the same as without them.
     """
     p = readout.burst(1)
     dark_spread = readout.dark_spread
@@ -190,7 +190,7 @@ def make_sensor(
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
     seed : 0 or more; equal seeds give equal sensors
-    aspect : ratio of the film's width to its height; None means the shape of the camera's die
+    aspect : ratio of the film's width to its height, or None for the shape of the camera's die
 
     Raises PixsimError if the pitch is too small for the technology, larger than the die, or gives
     too many pixels.
@@ -218,11 +218,11 @@ def make_sensor(
 @dataclass(frozen=True)
 class Frame:
     """The digital numbers of one frame, with the quantities behind them; of a burst, the sums over
-    its exposures.
+    its subexposures.
 
     dn : (rows, columns) int32, 0 … 2^bits - 1
     mean_e : (rows, columns) mean photo-electrons, before non-uniformity, dark charge and noise
-    integration_s : integration time, of all exposures together
+    integration_s : integration time, of all subexposures together
     dn_per_e : gain, DN per electron
     black_level_dn : DN without light and dark charge
     mean_dark_e : mean dark charge of a pixel in this frame
@@ -231,19 +231,19 @@ class Frame:
     gain_db : amplification of the exposure, which `dn_per_e` includes
     saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and
         dark, with shot noise, before reset noise and offsets) or whose DN is the top code, in any
-        exposure
-    corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None
-        without one
-    layout : which channel each value belongs to; None for a monochrome sensor. A stacked one has
-        its planes one below the other
-    registration : of its pixels on the die, as of `PixelPhysics`
-    exposures : that are summed
-    white_level_dn : highest code; None: all bits set
+        subexposure
+    corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them, if
+        there is one
+    layout : which channel each value belongs to, or None for a monochrome sensor. A stacked sensor
+        has its planes one below the other
+    registration : of its pixels on the die, as in `PixelPhysics`
+    exposures : number of subexposures that are summed
+    white_level_dn : highest code, or None for all bits set
     saturated : (rows, columns) which pixels were full in any exposure: charge at the full well (a
         soft one: at 99 % of it), or the top code. `saturated_fraction` is its mean, but for a soft
         well. None: not known
     dark_noise_e : standard deviation of all temporal noise without light and dark charge, of all
-        exposures together
+        subexposures together
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -266,7 +266,7 @@ class Frame:
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Rows and columns of what is read: pixels, or their sums with binning."""
+        """Rows and columns of pixels, or of their sums with binning."""
         return (
             self.dn.shape[0] // (1 if self.layout is None else self.layout.planes),
             self.dn.shape[1],
@@ -299,7 +299,7 @@ class Frame:
     def estimate_variance_e2(self) -> Array:
         """Estimated variance of `estimate_e` over frames of the same sensor, (rows, columns).
 
-        It is that of the Poisson law at the estimate, if that is above 0, and at the mean dark
+        It is the variance of Poisson counts at the estimate, if it is above 0, and at the mean dark
         charge, with reset, read and row noise and rounding; valid where nothing clips. Frames of a
         correction add noise of their own, which is not in it.
         """
@@ -358,13 +358,13 @@ def read_out(
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel;
     temporal noise is from `rng`.
 
-    The gain is that of the sensor's `readout`, which `capture_from_rates` takes to an exposure
+    The gain is in the sensor's `readout`, which `capture_from_rates` takes to an exposure
     (`Readout.at`).
 
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and
     read noise (one normal) → row noise → fixed offsets → gain → black level → ADC. Closed forms are
-    `frame_mean_dn` and `frame_variance_dn2`. Of a burst (`Readout.burst`) mean and time are those
-    of all its exposures, and the frame is the sum of their codes.
+    `frame_mean_dn` and `frame_variance_dn2`. Of a burst (`Readout.burst`) mean and time belong to
+    all its subexposures together, and the frame is the sum of their codes.
 
     Raises PixsimError if `mean_e` has not the shape of the sensor.
     """
@@ -549,7 +549,7 @@ def _never_clips(
     """Return which pixels no subexposure clips, and whose noise makes rounding a noise, (rows,
     columns).
 
-    charges_e : mean charges of the subexposures, as of `_subexposure_charges_e`
+    charges_e : mean charges of the subexposures, from `_subexposure_charges_e`
     offset_e : fixed offsets, (rows, columns)
     row_noise : (subexposures, rows, 1) electrons
     p : of one subexposure
@@ -583,8 +583,8 @@ def _draw_summed_codes(
 ) -> Array:
     """Draw the sum of the codes of all subexposures at once, (rows, columns), without clipping.
 
-    The sum of Poisson counts is one; that of normal values, and of all roundings but the last, is
-    a normal value.
+    A sum of Poisson counts is a Poisson count; a sum of normal values, with all roundings but the
+    last, is a normal value.
 
     charges_e, offset_e, row_noise, p : as in `_never_clips`
     """
@@ -705,7 +705,7 @@ def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     one LSB above 0 DN.
 
     Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M -
-    b)/F, solved for b. Of a burst it is that of each exposure.
+    b)/F, solved for b. For a burst it is the black level of each subexposure.
     """
     readout, integration_s = readout.burst(1), integration_s / readout.exposures
     adc, spread = readout.adc, BLACK_SIGMAS * dark_spread_e(readout, integration_s)
@@ -729,7 +729,7 @@ def capture_from_rates(
     each : (rows, columns) rates in each subexposure of a burst, whose mean is the signal; empty if
         all are the same
 
-    Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for
+    Raises PixsimError if the shape differs from the sensor's, or if the electrons are too many for
     the numbers of the rates.
     """
     p = sensor.readout.at(exposure)
@@ -854,10 +854,10 @@ def capture(
 ) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC.
 
-    camera : that of the irradiance
+    camera : of the irradiance
     sensor : from `make_sensor`, for the same camera
     exposure : None takes the default, automatic exposure
-    motion : of the scene; None means that it stands still. Light from beyond the picture is taken
+    motion : of the scene, if it moves. Light from beyond the picture is taken
         as reflected at its borders
     rng : for temporal noise only; the sensor has the fixed pattern
 

@@ -48,8 +48,9 @@ def _normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
 
 
 def _node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
-    """Nodes of the spreads of gain and offset, which are in units of the temporal noise;
-    `_MAX_NODES` in all.
+    """Number of nodes of the spreads of gain and offset, `_MAX_NODES` in all.
+
+    gain_sigmas, offset_sigmas : the spreads in units of the temporal noise
 
     Nodes wider apart than the temporal noise would be seen one by one at the clip.
     """
@@ -164,7 +165,7 @@ def saturation_capacity_e(
 ) -> float:
     """μ_e.sat of a pixel with a hard clip, in a dark so short that it adds no charge.
 
-    adc_range_e : signal at the ADC's top code; None means the full well
+    adc_range_e : signal at the ADC's top code, or None for the full well
     noise_e, gain_spread, offset_spread_e : as in `level_moments`
     """
     clip = full_well_e, adc_range_e, noise_e, gain_spread, offset_spread_e
