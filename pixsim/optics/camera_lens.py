@@ -55,60 +55,57 @@ from pixsim.optics.lens_options import READING_OPTIONS, LensOptions, TracedLens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.thin_lens import irradiance_factor
 
-# of chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off
+# Chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off.
 _CHIEF_RAYS = 129
-_CIRCLE_STEP, _CIRCLE_STEPS = 0.99, 400  # towards the axis, to the end of the image circle
-_BEYOND = 1e-6  # of the corner's height, so that the last row does not end before it
-_MIN_ILLUMINATION = (
-    0.3  # of the light on the axis; towards the end of an image circle pupils shrink to nothing
-)
-_NODE_COUNTS = (17, 33, 65)  # of wavefronts from the axis to the corner
-_WAVELENGTH_COUNTS = (4, 6, 8, 12)  # of a light's blur
+# The end of the image circle is approached by this factor, in so many steps.
+_CIRCLE_STEP, _CIRCLE_STEPS = 0.99, 400
+# Of the corner's height, so that the last row does not end before it.
+_BEYOND = 1e-6
+# Of the light on the axis: towards the end of an image circle pupils shrink to nothing.
+_MIN_ILLUMINATION = 0.3
+
+# What a tiling may have: wavefronts from the axis to the corner, wavelengths of a light's blur,
+# film cells along a PSF, and tiles across the longer side of the die; fewer take no less time.
+_NODE_COUNTS = (17, 33, 65)
+_WAVELENGTH_COUNTS = (4, 6, 8, 12)
 _PSF_SIDES = (9, 17, 33, 49, 65, 97, 129)
-_TILE_COUNTS = (24, 32, 48, 64)  # across the longer side of the die; fewer take no less time
-# film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer
-# film
+_TILE_COUNTS = (24, 32, 48, 64)
+# Film cells from tile to tile, at least: on coarser films, smaller tiles take longer than a finer
+# film.
 _MIN_SPACING = 8
-_TILE_ORDER = 3  # the error of tiles falls with this power of their number, or faster
-_TEST_HEIGHTS = (
-    0.0,
-    0.25,
-    0.5,
-    0.7,
-    0.86,
-    0.97,
-)  # of the way to the corner of the die, where errors are found
-_FIRST_TEST_HEIGHTS = [
-    3,
-    4,
-]  # of these places: towards the corner PSFs change most, and few tiles are too few there alone
-# along half a side of the die, by which the share of the area is found for which such a place
-# stands
+# The error of tiles falls with this power of their number, or faster.
+_TILE_ORDER = 3
+
+# Test points, of the way to the corner of the die. Towards the corner PSFs change most: few tiles
+# are too few at the first two points alone.
+_TEST_HEIGHTS = (0.0, 0.25, 0.5, 0.7, 0.86, 0.97)
+_FIRST_TEST_HEIGHTS = [3, 4]
+# Along half a side of the die, for the share of the area for which a point stands.
 _AREA_POINTS = 64
-# of the period of the finest detail that a lens passes: cells on which errors of its blur are
-# found, at most
+# Cells on which errors are computed, at most: of the period of the finest detail that a lens
+# passes.
 _PERIOD_SHARE = 0.25
-_TEST_CELLS = 33  # of a PSF, with which the errors of wavelengths and nodes are found
-_COARSE_WINDOW = 32  # film cells, for rays on a film that is too coarse for waves
-_VIEW_STEPS = 4
-_LIGHT_SHARE, _CUT_SHARE = (
-    0.2,
-    0.4,
-)  # of the tolerance, for wavelengths, for nodes, and for what a PSF lacks
-_USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
-GROUPS, GROUP_WAVELENGTHS = (
-    6,
-    2,
-)  # of neighbouring bands that have one blur, in light of several spectra
+# Film cells of a PSF with which the errors of wavelengths and nodes are computed.
+_TEST_CELLS = 33
+# Film cells, for rays on a film that is too coarse for waves.
+_COARSE_WINDOW = 32
+# Shares of the tolerance: for wavelengths and for nodes each, and for the tails of PSFs.
+_LIGHT_SHARE, _CUT_SHARE = 0.2, 0.4
+# Of the rms of a blurred picture about its mean.
+_USUAL_TOLERANCE = 0.01
+
+# In light of several spectra: groups of neighbouring bands that have one blur.
+GROUPS, GROUP_WAVELENGTHS = 6, 2
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
+_VIEW_STEPS = 4
 _OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
-# degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
+
+# Degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency.
 _SPLINE = 5
-_IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
-_SLOPE, _CURVATURE = (
-    np.array([1, -8, 0, 8, -1]) / 12,
-    np.array([-1, 16, -30, 16, -1]) / 12,
-)  # of samples, to the fourth order
+_IMAGES = 4  # of a frequency on each side, for the error of the spline
+# Derivatives of samples, to the fourth order.
+_SLOPE = np.array([1, -8, 0, 8, -1]) / 12
+_CURVATURE = np.array([-1, 16, -30, 16, -1]) / 12
 
 
 def camera_with_lens(
@@ -118,7 +115,7 @@ def camera_with_lens(
     veil and fall-off of the options.
 
     camera : with the die and the object's distance
-    camera_options : options; a focal length and chief rays are those of the lens, and `f_number` stops it
+    camera_options : a focal length and chief rays are those of the lens, and `f_number` stops it
         down
 
     Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for
@@ -138,56 +135,66 @@ def camera_with_lens(
                 "that of the lens",
                 hint,
             )
+
+    lens = _lens_record(camera, camera_options, lens_options)
+    traced = traced_lens(lens, camera.object_distance_m)
+
+    # The thin lens of the same image distance, and of the same numerical aperture on the axis.
+    object_mm = 1e3 * camera.object_distance_m
+    image_mm = traced.paraxial_height_mm
+    focal_mm = object_mm * image_mm / (object_mm + image_mm)
+    solid_angle_sr = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm))
+    squared_aperture = solid_angle_sr / math.pi
+    effective_f_number = math.sqrt((1 - squared_aperture) / squared_aperture) / 2
+    magnification = focal_mm / (object_mm - focal_mm)
+    changes = {
+        "focal_length_mm": focal_mm,
+        "f_number": effective_f_number / (1 + magnification),
+        "chief_ray_angle": _chief_rays(lens, camera.object_distance_m, lens.field_mm),
+        "lens": lens,
+    }
+    return Camera(**camera.model_dump(exclude=set(changes)) | changes)
+
+
+def _lens_record(
+    camera: Camera, camera_options: CameraOptions, lens_options: LensOptions
+) -> TracedLens:
+    """Return the record of a real lens in a camera, scaled such that its largest field reaches the
+    corner of the die unless its focal length is stated.
+
+    Warns if this scales a lens of the user's, which exists in one size; packaged ones are designs.
+    """
+    assert lens_options.file is not None
     is_user_file = Path(lens_options.file).is_file()
     file = str(Path(lens_options.file).resolve()) if is_user_file else lens_options.file
     unscaled = read_lens(file, lens_options)
+    first_order = unscaled.first_order(unscaled.primary_nm)
     field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
-    focal_mm, f_number = (
-        unscaled.first_order(unscaled.primary_nm).focal_length_mm,
-        unscaled.first_order(unscaled.primary_nm).f_number,
-    )
-    if lens_options.focal_length_mm is None:
-        farthest_mm = abs(
-            float(unscaled.chief_ray(unscaled.max_field_deg, unscaled.primary_nm).height_mm)
-        )
-        scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
-        if (
-            is_user_file and abs(scaled_mm / focal_mm - 1) > _OTHER_SCALE
-        ):  # a lens that exists; packaged ones are designs
-            warn(Note("lens_scaled", lens=unscaled.prescription.name, focal_mm=focal_mm))
-    else:
-        scaled_mm = lens_options.focal_length_mm
-    lens = TracedLens(
+
+    focal_mm = lens_options.focal_length_mm
+    if focal_mm is None:
+        file_focal_mm = focal_mm = first_order.focal_length_mm
+        chief_ray = unscaled.chief_ray(unscaled.max_field_deg, unscaled.primary_nm)
+        farthest_mm = abs(float(chief_ray.height_mm))
+        if farthest_mm:
+            focal_mm = float(f"{file_focal_mm * field_mm / farthest_mm:.6g}")
+        if is_user_file and abs(focal_mm / file_focal_mm - 1) > _OTHER_SCALE:
+            warn(Note("lens_scaled", lens=unscaled.prescription.name, focal_mm=file_focal_mm))
+
+    f_number = camera_options.f_number
+    if f_number is None:
+        f_number = float(f"{first_order.f_number:.9g}")
+    return TracedLens(
         file=file,
-        focal_length_mm=scaled_mm,
+        focal_length_mm=focal_mm,
         refocus=lens_options.refocus,
         focus_nm=lens_options.focus_nm,
         ideal=lens_options.ideal,
-        f_number=float(f"{f_number:.9g}")
-        if camera_options.f_number is None
-        else camera_options.f_number,
+        f_number=f_number,
         field_mm=field_mm,
         content=content_hash(unscaled.fingerprint),
         **{name: getattr(lens_options, name) for name in READING_OPTIONS},
     )
-    traced = traced_lens(lens, camera.object_distance_m)
-    object_mm = 1e3 * camera.object_distance_m
-    image_mm = traced.paraxial_height_mm
-    focal_mm = object_mm * image_mm / (object_mm + image_mm)
-    squared_aperture = float(traced.projected_solid_angle_sr(0.0, traced.primary_nm)) / math.pi
-    f_number = (
-        math.sqrt((1 - squared_aperture) / squared_aperture)
-        / 2
-        / (1 + focal_mm / (object_mm - focal_mm))
-    )
-    rows = _chief_rays(lens, camera.object_distance_m, field_mm)
-    values = {
-        "focal_length_mm": focal_mm,
-        "f_number": f_number,
-        "chief_ray_angle": rows,
-        "lens": lens,
-    }
-    return Camera(**camera.model_dump(exclude=set(values)) | values)
 
 
 def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camera:
@@ -199,17 +206,21 @@ def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camer
     die = {"die_mm": other.die_mm, "die_height_mm": other.die_height_mm}
     if camera.lens is None or camera.die_um == other.die_um:
         return camera.model_copy(update=die)
-    wanted_mm = camera.image_distance_mm * (other.die_mm / camera.die_mm if same_view else 1.0)
-    bare, made = without_lens(camera).model_copy(update=die), camera
-    for _ in range(
-        _VIEW_STEPS if same_view else 1
-    ):  # the image distance grows nearly as the focal length
-        focal_mm = camera.lens.focal_length_mm if made.lens is None else made.lens.focal_length_mm
-        options = camera.lens_options.model_copy(
-            update={"focal_length_mm": focal_mm * wanted_mm / made.image_distance_mm}
+
+    image_distance_mm = camera.image_distance_mm
+    if same_view:
+        image_distance_mm *= other.die_mm / camera.die_mm
+    without_file = without_lens(camera).model_copy(update=die)
+
+    # In steps, since the image distance grows only nearly as the focal length.
+    scaled, focal_mm = camera, camera.lens.focal_length_mm
+    for _ in range(_VIEW_STEPS if same_view else 1):
+        focal_mm = focal_mm * image_distance_mm / scaled.image_distance_mm
+        options = camera.lens_options.model_copy(update={"focal_length_mm": focal_mm})
+        scaled = camera_with_lens(
+            without_file, CameraOptions(f_number=camera.lens.f_number), options
         )
-        made = camera_with_lens(bare, CameraOptions(f_number=camera.lens.f_number), options)
-    return made
+    return scaled
 
 
 @lru_cache(maxsize=16)
@@ -225,18 +236,22 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
             f"'{lens.file}', which has changed since this light was made",
             "the same prescription",
         )
-    scaled = unscaled.scaled(
-        lens.focal_length_mm / unscaled.first_order(unscaled.primary_nm).focal_length_mm
-    )
+
+    focal_mm = unscaled.first_order(unscaled.primary_nm).focal_length_mm
+    scaled = unscaled.scaled(lens.focal_length_mm / focal_mm)
     try:
         scaled = scaled.stopped_down(lens.f_number)
     except PixsimError as error:
         raise PixsimError(f"camera.{error}") from None
-    half_deg = math.degrees(math.atan(lens.field_mm / lens.focal_length_mm))
+
+    half_field_deg = math.degrees(math.atan(lens.field_mm / lens.focal_length_mm))
+    object_mm = 1e3 * object_distance_m
     try:
-        return scaled.refocused(lens.refocus, 1e3 * object_distance_m, half_deg, lens.focus_nm)
+        return scaled.refocused(lens.refocus, object_mm, half_field_deg, lens.focus_nm)
     except PixsimError as error:
-        raise error if lens.focus_nm is None else PixsimError(f"lens.focus_nm: {error}") from None
+        if lens.focus_nm is None:
+            raise
+        raise PixsimError(f"lens.focus_nm: {error}") from None
 
 
 @lru_cache(maxsize=16)
@@ -249,20 +264,18 @@ def _chief_rays(
     Beyond the image circle the illumination is 0.
     """
     lens = traced_lens(traced, object_distance_m)
-    heights, fields = field_angles(traced, object_distance_m, corner_mm)
-    angles = lens.chief_ray(fields, lens.primary_nm).angle_deg
+    heights_mm, fields = field_angles(traced, object_distance_m, corner_mm)
+    angles_deg = lens.chief_ray(fields, lens.primary_nm).angle_deg
     illumination = lens.relative_illumination(fields)
-    rows = [
-        (float(h), float(a), float(r))
-        for h, a, r in zip(heights, angles, illumination, strict=True)
-    ]
+    rows = list(zip(heights_mm.tolist(), angles_deg.tolist(), illumination.tolist(), strict=True))
     rows[0] = (0.0, 0.0, 1.0)
-    if heights[-1] < corner_mm:
-        step = _BEYOND * corner_mm
-        rows += [
-            (rows[-1][0] + step, rows[-1][1], 0.0),
-            (max(corner_mm, rows[-1][0] + 2 * step) * (1 + _BEYOND), rows[-1][1], 0.0),
-        ]
+
+    circle_mm, angle_deg, _ = rows[-1]
+    if circle_mm < corner_mm:
+        step_mm = _BEYOND * corner_mm
+        end_mm = max(corner_mm, circle_mm + 2 * step_mm) * (1 + _BEYOND)
+        rows.append((circle_mm + step_mm, angle_deg, 0.0))
+        rows.append((end_mm, angle_deg, 0.0))
     return tuple(rows)
 
 
@@ -279,19 +292,22 @@ def field_angles(
         largest_deg = lens.field_of_height(corner_mm * (1 + _BEYOND), nm)
     except PixsimError:  # the image circle ends before the corner
         largest_deg = math.degrees(math.atan(corner_mm / lens.paraxial_height_mm))
+
     for _ in range(_CIRCLE_STEPS):
         fields = np.linspace(0.0, largest_deg, _CHIEF_RAYS)
         try:
-            heights = np.asarray(lens.chief_ray(fields, nm).height_mm)
+            heights_mm = np.asarray(lens.chief_ray(fields, nm).height_mm)
         except PixsimError:
             largest_deg *= _CIRCLE_STEP
             continue
-        rising_count = 1 + int(
-            np.argmax(np.append(np.diff(heights), -1.0) <= 0)
-        )  # beyond it, light folds back
-        if rising_count == _CHIEF_RAYS:
-            return heights, fields
-        largest_deg = float(fields[rising_count - 1])
+
+        # Where heights fall again, light folds back.
+        falls = np.append(np.diff(heights_mm), -1.0) <= 0
+        last = int(np.argmax(falls))
+        if last == _CHIEF_RAYS - 1:
+            return heights_mm, fields
+        largest_deg = float(fields[last])
+
     raise invalid(
         "lens.file",
         f"'{traced.file}', without an image of {corner_mm:g} mm around its axis",
@@ -299,12 +315,12 @@ def field_angles(
     )
 
 
-def _odd_spline(at: Array, values: Array) -> Callable[..., Array]:
+def _odd_spline(positions: Array, values: Array) -> Callable[..., Array]:
     """Return the cubic spline through values of an odd function at positions from 0 on."""
     from scipy.interpolate import CubicSpline  # takes 0.3 s
 
     spline: Callable[..., Array] = CubicSpline(
-        np.concatenate([-at[:0:-1], at]), np.concatenate([-values[:0:-1], values])
+        np.concatenate([-positions[:0:-1], positions]), np.concatenate([-values[:0:-1], values])
     )
     return spline
 
@@ -344,7 +360,7 @@ class Distortion:
         """Return a picture (H, W) of pitch · widening, without distortion, as the lens shows it
         with the pitch, (H, W).
         """
-        return _moved(
+        return _resampled(
             picture,
             pitch_um,
             _odd_spline(self.height_mm, self.undistorted_mm),
@@ -360,10 +376,10 @@ class Distortion:
         """
         straight_mm = self.image_scale * self.undistorted_mm
         inverse = _odd_spline(straight_mm, self.height_mm)
-        return _moved(picture, pitch_um, inverse, float(straight_mm[-1]), 1.0)
+        return _resampled(picture, pitch_um, inverse, float(straight_mm[-1]), 1.0)
 
 
-def _moved(
+def _resampled(
     picture: Picture,
     pitch_um: float,
     source_height_mm: Callable[..., Array],
@@ -376,51 +392,44 @@ def _moved(
     The spline rings at edges, also below zero. That is part of what a lens and pixels see with the
     right contrast: only pixels may end at zero.
 
-    source_height_mm : distance (n,) -> distance from which it comes, or its derivative of an order that is
-        given
+    source_height_mm : distance (n,) -> distance from which it comes, or its derivative of the order
+        that is the second argument
     """
     from scipy.ndimage import map_coordinates, spline_filter  # takes 0.05 s
 
-    y, x = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
+    y_mm, x_mm = ((np.arange(n) - (n - 1) / 2) * pitch_um * 1e-3 for n in picture.shape)
+    middle_row, middle_column = ((n - 1) / 2 for n in picture.shape)
     filtered = spline_filter(np.asarray(picture, float), _SPLINE, mode="reflect")
     moved = np.empty(picture.shape)
 
     def move(rows: slice) -> None:
-        radius = np.maximum(np.hypot(x, y[rows, None]), 1e-12)
-        grown = (
-            source_height_mm(np.minimum(radius, max_height_mm))
-            / np.minimum(radius, max_height_mm)
-            / (widening * pitch_um * 1e-3)
-        )
-        at = [
-            y[rows, None] * grown + (picture.shape[0] - 1) / 2,
-            x * grown + (picture.shape[1] - 1) / 2,
-        ]
-        map_coordinates(filtered, at, moved[rows], _SPLINE, "reflect", prefilter=False)
+        radius_mm = np.maximum(np.hypot(x_mm, y_mm[rows, None]), 1e-12)
+        inside_mm = np.minimum(radius_mm, max_height_mm)
+        cells_per_mm = source_height_mm(inside_mm) / inside_mm / (widening * pitch_um * 1e-3)
+        source = [y_mm[rows, None] * cells_per_mm + middle_row, x_mm * cells_per_mm + middle_column]
+        map_coordinates(filtered, source, moved[rows], _SPLINE, "reflect", prefilter=False)
 
     in_threads(move, strips(*picture.shape), picture.size)
+
     # A cell of the source covers 1/m cells here. Means over one are these and (1 - 1/m²)/24 of
     # their curvature, in each direction.
-    around = np.pad(moved, len(_SLOPE) // 2, "symmetric")
+    extended = np.pad(moved, len(_SLOPE) // 2, "symmetric")
 
     def widen(rows: slice) -> None:
-        height, radius = y[rows, None], np.maximum(np.hypot(x, y[rows, None]), 1e-12)
-        within = np.minimum(radius, max_height_mm)
-        tangential = 1 - np.square(widening * within / source_height_mm(within))
-        radial = np.where(
-            radius > max_height_mm,
-            tangential,
-            1 - np.square(widening / source_height_mm(within, 1)),
-        )
-        lines = around[rows.start : rows.stop + len(_SLOPE) - 1]
+        height_mm = y_mm[rows, None]
+        radius_mm = np.maximum(np.hypot(x_mm, height_mm), 1e-12)
+        inside_mm = np.minimum(radius_mm, max_height_mm)
+        tangential = 1 - np.square(widening * inside_mm / source_height_mm(inside_mm))
+        radial = 1 - np.square(widening / source_height_mm(inside_mm, 1))
+        radial = np.where(radius_mm > max_height_mm, tangential, radial)
+
+        lines = extended[rows.start : rows.stop + len(_SLOPE) - 1]
         down = _correlated(lines[:, 2:-2], _CURVATURE)
-        across, sloped = (
-            _correlated(part.T, weights).T
-            for part, weights in ((lines[2:-2], _CURVATURE), (lines, _SLOPE))
-        )
+        across = _correlated(lines[2:-2].T, _CURVATURE).T
+        diagonal = _correlated(_correlated(lines.T, _SLOPE).T, _SLOPE)
         outwards = (
-            np.square(x) * across + 2 * x * height * _correlated(sloped, _SLOPE) + height**2 * down
-        ) / np.square(radius)
+            np.square(x_mm) * across + 2 * x_mm * height_mm * diagonal + height_mm**2 * down
+        ) / np.square(radius_mm)
         moved[rows] += (tangential * (down + across) + (radial - tangential) * outwards) / 24
 
     in_threads(widen, strips(*picture.shape), picture.size)
@@ -440,28 +449,38 @@ def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.f
     """Return the error of details that `Distortion.applied` moves, relative to them, (n, n) for all
     pairs of frequencies.
 
-    It is 0 beyond half of the film's Nyquist frequency, where the film itself is too coarse, and
-    that of the points which lie farthest between cells of the source. The spline of degree p has
-    the transform H_m = (f + m)^-(p + 1) / Σ_k (f + k)^-(p + 1) at a frequency f and its images f +
-    m (M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821); means over
+    It is 0 beyond half of the film's Nyquist frequency, where the film itself is too coarse. It is
+    the error of the points which lie farthest between cells of the source. The spline of degree p
+    has the transform H_m = (f + m)^-(p + 1) / Σ_k (f + k)^-(p + 1) at a frequency f and its images
+    f + m (M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821); means over
     other cells are off where their size changes most.
 
     frequency : (n,) in cycles per film cell, -0.5 to 0.5
     """
-    seen_by_film = np.hypot(frequency, frequency[:, None]) <= 0.25
-    height, source = distortion.height_mm[1:], distortion.undistorted_mm[1:] / distortion.widening
+    height_mm = distortion.height_mm[1:]
+    source_mm = distortion.undistorted_mm[1:] / distortion.widening
     spline = _odd_spline(distortion.height_mm, distortion.undistorted_mm)
-    magnification = np.concatenate([source / height, spline(height, 1) / distortion.widening])
-    cell_ratio = float(magnification[np.abs(magnification - 1).argmax()])
-    shift = min(0.5, 1e3 * float(np.abs(source - height).max()) / pitch_um)
+    tangential = source_mm / height_mm
+    radial = spline(height_mm, 1) / distortion.widening
+    magnification = np.concatenate([tangential, radial])
     f = np.where(frequency == 0, 1e-9, frequency)
-    source_frequency, images = f / float(magnification.min()), np.arange(-_IMAGES, _IMAGES + 1)
-    weight = (source_frequency[:, None] / (source_frequency[:, None] + images)) ** (_SPLINE + 1)
-    between = weight / weight.sum(axis=1, keepdims=True) @ np.exp(2j * np.pi * images * shift)
+
+    # Between the cells of the source, whose points are at most half a cell away.
+    shift = min(0.5, 1e3 * float(np.abs(source_mm - height_mm).max()) / pitch_um)
+    images = np.arange(-_IMAGES, _IMAGES + 1)
+    source_frequency = f[:, None] / float(magnification.min())
+    weight = (source_frequency / (source_frequency + images)) ** (_SPLINE + 1)
+    phases = np.exp(2j * np.pi * images * shift)
+    between = weight / weight.sum(axis=1, keepdims=True) @ phases
+
+    # Means over cells of another size, corrected by the curvature.
+    ratio = float(magnification[np.abs(magnification - 1).argmax()])
     curvature = (-30 + 32 * np.cos(2 * np.pi * f) - 2 * np.cos(4 * np.pi * f)) / 12
-    cells = np.sinc(f / cell_ratio) * (1 + (1 - cell_ratio**-2) / 24 * curvature) / np.sinc(f)
+    cells = np.sinc(f / ratio) * (1 + (1 - ratio**-2) / 24 * curvature) / np.sinc(f)
+
     error = 1 + np.abs(between - 1) + np.abs(cells - 1)
-    return np.asarray(seen_by_film * (np.outer(error, error) - 1))
+    is_seen_by_film = np.hypot(frequency, frequency[:, None]) <= 0.25
+    return np.asarray(is_seen_by_film * (np.outer(error, error) - 1))
 
 
 @lru_cache(maxsize=16)
@@ -469,24 +488,23 @@ def distortion_of(camera: Camera) -> Distortion | None:
     """Return the distortion of a camera's real lens over its die; None for a thin lens."""
     if camera.lens is None:
         return None
-    heights, fields = field_angles(
-        camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
+    corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
+    heights_mm, fields = field_angles(camera.lens, camera.object_distance_m, corner_mm)
+    lens = traced_lens(camera.lens, camera.object_distance_m)
+    return Distortion(
+        height_mm=heights_mm,
+        undistorted_mm=camera.image_distance_mm * np.tan(np.radians(fields)),
+        image_scale=lens.image_scale_mm / camera.image_distance_mm,
     )
-    image_scale = (
-        traced_lens(camera.lens, camera.object_distance_m).image_scale_mm / camera.image_distance_mm
-    )
-    return Distortion(heights, camera.image_distance_mm * np.tan(np.radians(fields)), image_scale)
 
 
 def without_lens(camera: Camera) -> Camera:
     """Return the thin lens that stands for a camera's real one: of its image distance and f-number;
     a thin lens as it is.
     """
-    return (
-        camera
-        if camera.lens is None
-        else camera.model_copy(update={"lens": None, "chief_ray_angle": None})
-    )
+    if camera.lens is None:
+        return camera
+    return camera.model_copy(update={"lens": None, "chief_ray_angle": None})
 
 
 def rendered_camera(camera: Camera) -> Camera:
@@ -562,47 +580,47 @@ def _farthest_mm(camera: Camera) -> float:
     """
     assert camera.lens is not None
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
-    return min(
-        float(field_angles(camera.lens, camera.object_distance_m, corner_mm)[0][-1]),
-        _illuminated_mm(camera),
-    )
+    heights_mm, _ = field_angles(camera.lens, camera.object_distance_m, corner_mm)
+    return min(float(heights_mm[-1]), _illuminated_mm(camera))
 
 
 def _wavefronts(
     camera: Camera, wavelengths_nm: tuple[float, ...], height_mm: Array
 ) -> tuple[FittedWavefronts, ...]:
+    """Return the wavefronts of a camera's real lens at distances from the axis, at each
+    wavelength.
+    """
     assert camera.lens is not None
     lens = traced_lens(camera.lens, camera.object_distance_m)
-    heights, fields = field_angles(
-        camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2
-    )
-    rays = pupil_rays(lens, _odd_spline(heights, fields)(height_mm), np.array(wavelengths_nm))
+    corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
+    table_mm, fields = field_angles(camera.lens, camera.object_distance_m, corner_mm)
+    rays = pupil_rays(lens, _odd_spline(table_mm, fields)(height_mm), np.array(wavelengths_nm))
     return tuple(
-        fit_wavefronts(nm, 1e3 * height_mm, pupil_rays_at_nm)
-        for nm, pupil_rays_at_nm in zip(wavelengths_nm, rays, strict=True)
+        fit_wavefronts(nm, 1e3 * height_mm, rays_at_nm)
+        for nm, rays_at_nm in zip(wavelengths_nm, rays, strict=True)
     )
 
 
 def _illuminated_mm(camera: Camera) -> float:
-    """Return the height up to which a real lens's light is more than `_MIN_ILLUMINATION` of that on the axis: its
-    blur is known to there.
+    """Return the height up to which a real lens has more than `_MIN_ILLUMINATION` of its light on
+    the axis, and up to which its blur is computed.
     """
     assert camera.relative_illumination is not None
+    heights_mm, relative = camera.relative_illumination
     return max(
-        height
-        for height, light in zip(*camera.relative_illumination, strict=True)
-        if light > _MIN_ILLUMINATION
+        height_mm
+        for height_mm, illumination in zip(heights_mm, relative, strict=True)
+        if illumination > _MIN_ILLUMINATION
     )
 
 
 def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
     """Return a few groups of neighbouring bands of about equal weight, (B,) each."""
-    seen = weight > 0
-    total = np.cumsum(weight) - weight / 2
-    group = np.minimum(
-        (total / max(weight.sum(), np.finfo(float).tiny) * groups).astype(int), groups - 1
-    )
-    return [seen & (group == number) for number in np.unique(group[seen])]
+    is_seen = weight > 0
+    middle = np.cumsum(weight) - weight / 2
+    total = max(weight.sum(), np.finfo(float).tiny)
+    group = np.minimum((middle / total * groups).astype(int), groups - 1)
+    return [is_seen & (group == number) for number in np.unique(group[is_seen])]
 
 
 def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Array, Array]:
@@ -613,25 +631,29 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     matrix of the polynomials that are orthogonal under the weights (Golub and Welsch, Math. Comp.
     23, 221, 1969), by Lanczos's steps.
     """
-    nm, which = np.unique(wavelength_nm[weight > 0], return_inverse=True)
-    share = np.bincount(which, weight[weight > 0]) / weight[weight > 0].sum()
+    is_seen = weight > 0
+    nm, which = np.unique(wavelength_nm[is_seen], return_inverse=True)
+    share = np.bincount(which, weight[is_seen]) / weight[is_seen].sum()
     if nm.size <= count:
         return nm, share
+
     middle, half = (nm[-1] + nm[0]) / 2, (nm[-1] - nm[0]) / 2
-    at = (nm - middle) / half
+    position = (nm - middle) / half
     basis = [np.sqrt(share)]
     matrix = np.zeros((count, count))
     for row in range(count):
-        step = at * basis[-1]
+        step = position * basis[-1]
         for _ in range(2):  # twice, so that rounding does not add up
             for vector in basis:
                 step = step - (vector @ step) * vector
-        matrix[row, row] = basis[-1] @ (at * basis[-1])
+        matrix[row, row] = basis[-1] @ (position * basis[-1])
         if row + 1 < count:
-            matrix[row, row + 1] = matrix[row + 1, row] = np.linalg.norm(step)
-            basis.append(step / matrix[row, row + 1])
-    values, vectors = np.linalg.eigh(matrix)
-    return np.clip(np.round(middle + half * values, 3), nm[0], nm[-1]), vectors[0] ** 2
+            norm = np.linalg.norm(step)
+            matrix[row, row + 1] = matrix[row + 1, row] = norm
+            basis.append(step / norm)
+
+    nodes, vectors = np.linalg.eigh(matrix)
+    return np.clip(np.round(middle + half * nodes, 3), nm[0], nm[-1]), vectors[0] ** 2
 
 
 def _traced_wavelengths(
@@ -641,14 +663,8 @@ def _traced_wavelengths(
     counts as at their ends.
     """
     assert camera.lens is not None
-    ranges = np.array(
-        [
-            glass.range_um
-            for glass in traced_lens(camera.lens, camera.object_distance_m).prescription.glasses
-        ]
-    )
-    low, high = 1e3 * ranges[:, 0].max(), 1e3 * ranges[:, 1].min()
-    return few_wavelengths(np.clip(wavelength_nm, low, high), weight, count)
+    lens = traced_lens(camera.lens, camera.object_distance_m)
+    return few_wavelengths(np.clip(wavelength_nm, *lens.known_nm), weight, count)
 
 
 _Transfer = Callable[[Array, float], Array] | None
@@ -660,9 +676,8 @@ def light_of(
 ) -> ChannelWavefronts:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
     nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    return ChannelWavefronts(
-        fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer
-    )
+    fronts = fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes)
+    return ChannelWavefronts(fronts, share, transfer)
 
 
 def thin_lens_error(
@@ -675,43 +690,50 @@ def thin_lens_error(
     differs from Foote's; and blur differs from the thin lens's diffraction, as `picture_error` has
     it.
     """
-    distortion, rows = distortion_of(camera), camera.chief_ray_angle
+    distortion = distortion_of(camera)
+    rows = camera.chief_ray_angle
     assert distortion is not None
     assert rows is not None
+    distortion_error = 1e3 * distortion.largest_mm / aperture_um
+
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     height_mm, _, relative = np.array([row for row in rows if row[0] <= corner_mm]).T
     foote = irradiance_factor(
         camera.f_number, height_mm / camera.image_distance_mm, camera.magnification
     )
-    error = 1e3 * distortion.largest_mm / aperture_um + float(
-        np.abs(relative / (foote / foote[0]) - 1).max()
-    )
+    fall_off_error = float(np.abs(relative / (foote / foote[0]) - 1).max())
+
+    error = distortion_error + fall_off_error
     if error > 1:
         return error
-    light, blur = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0)), 0.0
-    pitch_um *= _binned_cells(light, pitch_um)
-    for part in (0.0, 0.7, 1.0):
-        x_um = part * float(light.fronts[0].height_um[-1])
-        window = even_window(
-            light, x_um, 0.0, pitch_um, min(_TEST_CELLS, max_psf_cells(light, pitch_um))
+    light = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0))
+    return error + _blur_error(camera, light, pitch_um, aperture_um)
+
+
+def _blur_error(
+    camera: Camera, light: ChannelWavefronts, pitch_um: float, aperture_um: float
+) -> float:
+    """Return the largest `picture_error`, over the field, of diffraction in place of blur."""
+    grid_um = pitch_um * _binned_cells(light, pitch_um)
+    cells = min(_TEST_CELLS, max_psf_cells(light, grid_um))
+    wavelength_nm = np.array([front.wavelength_nm for front in light.fronts])
+    corner_um = float(light.fronts[0].height_um[-1])
+
+    worst = 0.0
+    for share in (0.0, 0.7, 1.0):
+        x_um = share * corner_um
+        window = even_window(light, x_um, 0.0, grid_um, cells)
+        frequency_cy_per_mm = np.hypot(
+            np.fft.fftfreq(window, 1e-3 * grid_um)[:, None], np.fft.rfftfreq(window, 1e-3 * grid_um)
         )
-        frequency = np.hypot(
-            np.fft.fftfreq(window, 1e-3 * pitch_um)[:, None],
-            np.fft.rfftfreq(window, 1e-3 * pitch_um),
-        )
-        thin = white_otf(
-            frequency,
-            np.array([front.wavelength_nm for front in light.fronts]),
-            light.share,
-            camera.effective_f_number,
-        )
-        exact = np.fft.rfft2(periodic_psf(light, x_um, 0.0, pitch_um, window))
-        blur = max(blur, picture_error(thin.astype(complex), exact, pitch_um, aperture_um))
-    return error + blur
+        thin = white_otf(frequency_cy_per_mm, wavelength_nm, light.share, camera.effective_f_number)
+        exact = np.fft.rfft2(periodic_psf(light, x_um, 0.0, grid_um, window))
+        worst = max(worst, picture_error(thin.astype(complex), exact, grid_um, aperture_um))
+    return worst
 
 
 def _binned_cells(light: ChannelWavefronts, pitch_um: float) -> int:
-    """Return how many film cells may be one along a side where errors of a blur are found.
+    """Return how many film cells may be one along a side where errors of a blur are computed.
 
     On a film much finer than the lens they all lie at low frequencies, which coarser cells hold
     too.
@@ -724,11 +746,11 @@ def dark_share(camera: Camera) -> float:
     if camera.relative_illumination is None:
         return 0.0
     heights_mm, relative = camera.relative_illumination
-    y, x = (
-        (np.arange(_DARK_CELLS) + 0.5) / _DARK_CELLS * side / 2
-        for side in (camera.height_mm, camera.die_mm)
-    )
-    return float(np.mean(np.interp(np.hypot(x, y[:, None]), heights_mm, relative) <= 0))
+    midpoints = (np.arange(_DARK_CELLS) + 0.5) / _DARK_CELLS  # of a quarter of the die
+    y_mm = midpoints * camera.height_mm / 2
+    x_mm = midpoints * camera.die_mm / 2
+    illumination = np.interp(np.hypot(x_mm, y_mm[:, None]), heights_mm, relative)
+    return float(np.mean(illumination <= 0))
 
 
 _BLURS: dict[str, FieldBlur] = {}
@@ -747,11 +769,11 @@ def _light_key(
 ) -> list[object]:
     """Return all that the PSFs of a light depend on but the film."""
     nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    transfer_values = (
-        []
-        if transfer is None
-        else [transfer(_TRANSFER_CY_PER_MM, wavelength).tolist() for wavelength in nm.tolist()]
-    )
+    transfer_values = []
+    if transfer is not None:
+        transfer_values = [
+            transfer(_TRANSFER_CY_PER_MM, wavelength).tolist() for wavelength in nm.tolist()
+        ]
     return [
         camera.without_veil.model_dump(mode="json"),
         asdict(replace(tiling, error=0.0, worst=0.0, cut_error=0.0, lacking=0.0)),
@@ -778,20 +800,21 @@ def psfs_of(
         cell_um = pitch_um
     key = content_hash([*_light_key(camera, tiling, wavelength_nm, weight, transfer), cell_um])
     farthest_um = farthest_tile_um(shape, pitch_um, *tiling.cells(pitch_um))
+
     psfs = _PSFS.pop(key, None)
     if psfs is None or psfs.max_height_um < farthest_um:
-        light = light_of(camera, wavelength_nm, weight, tiling, transfer)
-        # Those of the next film, whose cells end elsewhere, are to be the same.
-        beyond_um = math.hypot(
-            *(
-                side_um / 2 + tiling.psf_um + _SPARE_TILES * tiling.spacing_um
-                for side_um in camera.die_um
-            )
-        )
-        step_um = tiling.spacing_um / RADIAL_STEPS
+        # The next film, whose cells end elsewhere, is to have the same PSFs.
+        margin_um = tiling.psf_um + _SPARE_TILES * tiling.spacing_um
+        spare_um = math.hypot(*(side_um / 2 + margin_um for side_um in camera.die_um))
         psfs = radial_psfs(
-            light, cell_um, tiling.cells(cell_um)[1], step_um, max(farthest_um, beyond_um)
+            light_of(camera, wavelength_nm, weight, tiling, transfer),
+            pitch_um=cell_um,
+            cells=tiling.cells(cell_um)[1],
+            step_um=tiling.spacing_um / RADIAL_STEPS,
+            farthest_um=max(farthest_um, spare_um),
         )
+
+    # The last ones used stay longest.
     while _PSFS and sum(cached.cached_bytes for cached in list(_PSFS.values())) > _MAX_CACHED_BYTES:
         _PSFS.pop(next(iter(_PSFS)), None)
     _PSFS[key] = psfs
@@ -830,23 +853,26 @@ def blur_of(
 def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
     """Return how the blur of a picture is computed: as its header has it; None for a thin lens.
 
-    A picture from elsewhere has what `choose_tiling` chooses for even light and `_USUAL_TOLERANCE`.
+    A picture from elsewhere has what `choose_tiling` chooses for uniform light and
+    `_USUAL_TOLERANCE`.
     """
     if camera.lens is None:
         return None
-    if (stated := image.header.get(LENS_HEADER)) is not None:
+    stated = image.header.get(LENS_HEADER)
+    if stated is not None:
         return _stated_tiling(stated, image)
     if "camera" in image.header and "lens" not in image.header["camera"] and "plan" in image.header:
         return None  # the plan left the real lens out
+
     nm = tuple(image.wavelength_nm.tolist())
     return choose_tiling(
         camera,
-        image.shape,
-        image.pitch_um,
-        nm,
-        (1.0,) * len(nm),
-        2 * image.pitch_um,
-        _USUAL_TOLERANCE,
+        shape=image.shape,
+        pitch_um=image.pitch_um,
+        wavelength_nm=nm,
+        weight=(1.0,) * len(nm),
+        aperture_um=2 * image.pitch_um,
+        tolerance=_USUAL_TOLERANCE,
     )
 
 
@@ -854,32 +880,25 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take
     forever.
     """
+    max_tiles, max_cells = 2 * _TILE_COUNTS[-1], 2 * _PSF_SIDES[-1]
     try:
         tiling = TypeAdapter(Tiling).validate_python(stated)
-        tiles, cells = (
-            max(image.shape) * image.pitch_um / tiling.spacing_um,
-            tiling.psf_um / image.pitch_um,
-        )
-        has_known_counts = (
-            1 <= tiling.wavelengths <= _WAVELENGTH_COUNTS[-1]
+        tiles = max(image.shape) * image.pitch_um / tiling.spacing_um
+        cells = tiling.psf_um / image.pitch_um
+        is_usable = (
+            0 < tiles <= max_tiles
+            and 0 <= cells <= max(max_cells, *image.shape)
+            and 1 <= tiling.wavelengths <= _WAVELENGTH_COUNTS[-1]
             and 4 <= tiling.nodes <= _NODE_COUNTS[-1]
         )
-        usable = (
-            0 < tiles <= 2 * _TILE_COUNTS[-1]
-            and 0 <= cells <= max(2 * _PSF_SIDES[-1], *image.shape)
-            and has_known_counts
-        )
     except (ValidationError, ZeroDivisionError):
-        usable = False
-    if not usable:
-        expected = (
-            f"at most {2 * _TILE_COUNTS[-1]} tiles across, PSFs of {2 * _PSF_SIDES[-1]} cells, and the rest"
-            " as pixsim.render writes it"
-        )
+        is_usable = False
+    if not is_usable:
         raise invalid(
             f"'{LENS_HEADER}' of the light's header",
             f"{stated!r:.200}",
-            expected,
+            f"at most {max_tiles} tiles across, PSFs of {max_cells} cells, and the rest as"
+            " pixsim.render writes it",
             "Render the scene again.",
         )
     return tiling
@@ -952,20 +971,16 @@ def _mean_mtf(
 
 
 def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
-    """Return the light of the ideal image: that on the sensor, or without distortion where
+    """Return the light of the ideal image: on the sensor, or without distortion where
     `LensOptions.ideal` asks for it.
     """
     distortion = distortion_of(camera)
-    if (
-        camera.lens is None
-        or distortion is None
-        or camera.lens.ideal == "distorted"
-        or tiling_of(image, camera) is None
-    ):
+    if camera.lens is None or distortion is None or camera.lens.ideal == "distorted":
         return image
-    return image.with_planes(
-        np.stack([np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes])
-    )
+    if tiling_of(image, camera) is None:
+        return image
+    planes = [np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes]
+    return image.with_planes(np.stack(planes))
 
 
 @lru_cache(maxsize=64)

@@ -16,9 +16,8 @@ from pixsim.base.records import as_float
 from pixsim.light.curves import MAX_FILE_BYTES, rows_schema
 from pixsim.light.tables import PERCENT, as_number, read_cells
 
-ChiefRayAngles = tuple[
-    tuple[float, ...], ...
-]  # (image height in mm, angle in degrees[, relative illumination]), heights increasing
+# (image height in mm, angle in degrees[, relative illumination]), heights increasing
+ChiefRayAngles = tuple[tuple[float, ...], ...]
 _CHIEF_RAY_COLUMNS = ("image_height_mm", "deg", "relative_illumination")
 _ALLOWED_CHIEF_RAYS = (
     "a CSV file with the columns image_height_mm, deg and, if it is known, relative_illumination"
@@ -26,26 +25,37 @@ _ALLOWED_CHIEF_RAYS = (
 _ALLOWED_ILLUMINATION = "a CSV file with the columns image_height_mm and relative_illumination"
 _CHIEF_RAY_HEIGHTS_MM = (1e-6, 1e4)  # 1 nm ... ten times the largest die
 _MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
+# A few per cent above 1 in lenses whose exit pupil grows with the field.
+_MAX_RELATIVE_ILLUMINATION = 2.0
 
 
 def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -> object:
-    """Chief ray angles as rows of numbers, from rows, or from the path of a CSV file. ValueError if
-    it is neither.
+    """Return chief ray angles as rows of numbers, from rows, or from the path of a CSV file.
+
+    Raises ValueError if the value is neither.
     """
     if value is None:
         return None
     if isinstance(value, str | Path):
         return _read_chief_rays(Path(value))
     try:
-        rows = tuple(
-            tuple(as_float(number) for number in row) for row in value if not isinstance(row, str)
-        )
+        rows = _as_rows(value)
     except (TypeError, ValueError):
         raise ValueError(
             "got neither a file nor a list of rows; allowed: 'cra.csv', or rows of image height in"
             " mm and degrees, as [[0, 0], [1.5, 12], [3, 25]]"
         ) from None
     return _check_chief_rays(rows, "a list")
+
+
+def _as_rows(value: Iterable[Iterable[object]]) -> ChiefRayAngles:
+    """Return rows of numbers, without texts among the rows.
+
+    Raises TypeError or ValueError for what is no number.
+    """
+    return tuple(
+        tuple(as_float(number) for number in row) for row in value if not isinstance(row, str)
+    )
 
 
 def _read_chief_rays(path: Path) -> ChiefRayAngles:
@@ -109,18 +119,27 @@ def _read_heights(
 
 
 def _chief_ray_column(title: str) -> str:
-    """Name of a column of `_CHIEF_RAY_COLUMNS` that a title states with its unit, as Image height
-    (mm); else the title.
+    """Return the name of the column of `_CHIEF_RAY_COLUMNS` that a title states with its unit, as
+    Image height (mm); else the title.
     """
+    height, angle, illumination = _CHIEF_RAY_COLUMNS
     plain = title.lower()
     if "height" in plain and re.search(r"(?<![a-z])mm(?![a-z])", plain):
-        return _CHIEF_RAY_COLUMNS[0]
+        return height
     if re.search(r"cra|angle", plain) and re.search(r"deg|°", plain):
-        return _CHIEF_RAY_COLUMNS[1]
-    return _CHIEF_RAY_COLUMNS[2] if re.search(r"relative[ _]illumination", plain) else plain
+        return angle
+    if re.search(r"relative[ _]illumination", plain):
+        return illumination
+    return plain
 
 
 def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
+    """Return rows of chief ray angles, with values too small for the physics as 0.
+
+    source : the file or the list, for messages
+
+    Raises ValueError if the rows are no chief rays of a lens.
+    """
     allowed = (
         "2 to 1000 rows of an image height in mm and an angle in degrees, and perhaps the relative"
         " illumination, all alike"
@@ -131,6 +150,7 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
         and all(len(row) == len(rows[0]) for row in rows)
     ):
         raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
+
     rows = tuple(tuple(0.0 if abs(value) < SMALLEST else value for value in row) for row in rows)
     for number, row in enumerate(rows, 1):
         if not all(map(math.isfinite, row)):
@@ -142,80 +162,91 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
             )
         if len(row) == 3:
             _check_relative(row[2], number, source)
-    if rows[0][:2] != (0, 0):
-        got = f"{source} that begins with {rows[0][0]:g} mm and {rows[0][1]:g} degrees"
+
+    height_mm, angle_deg, *illumination = rows[0]
+    if (height_mm, angle_deg) != (0, 0):
         raise ValueError(
-            f"got {got}; allowed: 0 mm and 0 degrees in the first row, the axis of the lens"
+            f"got {source} that begins with {height_mm:g} mm and {angle_deg:g} degrees; allowed: 0"
+            " mm and 0 degrees in the first row, the axis of the lens"
         )
-    if len(rows[0]) == 3 and rows[0][2] != 1:
-        got = f"{source} with a relative illumination of {rows[0][2]:g} on the axis"
-        raise ValueError(f"got {got}; allowed: 1 there. Divide all values by {rows[0][2]:g}.")
+    if illumination and illumination[0] != 1:
+        raise ValueError(
+            f"got {source} with a relative illumination of {illumination[0]:g} on the axis;"
+            f" allowed: 1 there. Divide all values by {illumination[0]:g}."
+        )
     _check_heights(rows, source)
     return rows
 
 
 def _check_relative(value: float, number: int, source: str) -> None:
+    """Raise ValueError for a relative illumination that no lens has.
+
+    number, source : of the row, and its file or list, for messages
+    """
     if not 0 <= value <= _MAX_RELATIVE_ILLUMINATION:
         hint = " Divide percentages by 100." if _MAX_RELATIVE_ILLUMINATION < value <= 100 else ""
-        got = f"{source} with a relative illumination of {value:g} in row {number}"
         raise ValueError(
-            f"got {got}; allowed: 0 to {_MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}"
+            f"got {source} with a relative illumination of {value:g} in row {number}; allowed: 0 to"
+            f" {_MAX_RELATIVE_ILLUMINATION:g}, 1 on the axis.{hint}"
         )
 
 
 def _check_heights(rows: ChiefRayAngles, source: str) -> None:
-    for (low, *_), (high, *_) in pairwise(rows):
-        if not low < high:
+    """Raise ValueError if image heights do not increase, or if one is out of all proportion."""
+    for (low_mm, *_), (high_mm, *_) in pairwise(rows):
+        if not low_mm < high_mm:
             raise ValueError(
-                f"got {source} with {low:g} mm followed by {high:g} mm; allowed: image heights that"
-                " increase"
+                f"got {source} with {low_mm:g} mm followed by {high_mm:g} mm; allowed: image"
+                " heights that increase"
             )
+
     min_mm, max_mm = _CHIEF_RAY_HEIGHTS_MM
-    if outside := [row[0] for row in rows if row[0] != 0 and not min_mm <= row[0] <= max_mm]:
+    outside = [row[0] for row in rows if row[0] != 0 and not min_mm <= row[0] <= max_mm]
+    if outside:
         raise ValueError(
             f"got {source} with {outside[0]:g} mm; allowed: 0, then {min_mm:g} to {max_mm:g} mm"
         )
 
 
 def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | None) -> object:
-    """Image heights in mm and the illumination there, 1 on the axis, from rows or from a CSV file.
-    ValueError if it is neither.
+    """Return image heights in mm and the illumination there, 1 on the axis, from rows or from a CSV
+    file.
 
-    A row of the axis may be missing.
+    A row of the axis may be missing. Raises ValueError if the value is neither.
     """
     if value is None:
         return None
     if isinstance(value, str | Path):
-        source, columns = f"'{value}'", _CHIEF_RAY_COLUMNS[0::2]
+        source = f"'{value}'"
+        columns = _CHIEF_RAY_COLUMNS[0::2]
         rows = _read_heights(Path(value), "relative illumination", _ALLOWED_ILLUMINATION, [columns])
     else:
         source = "a list"
         try:
-            rows = tuple(
-                tuple(as_float(number) for number in row)
-                for row in value
-                if not isinstance(row, str)
-            )
+            rows = _as_rows(value)
         except (TypeError, ValueError):
             raise ValueError(
                 f"got neither a file nor a list of rows; allowed: {_ALLOWED_ILLUMINATION}"
             ) from None
+
     if not (
         1 <= len(rows) <= _MAX_CHIEF_RAYS
         and all(len(row) == 2 and all(map(math.isfinite, row)) for row in rows)
     ):
-        allowed = (
-            f"1 to {_MAX_CHIEF_RAYS} rows of an image height in mm and the illumination there"
-            " relative to the axis"
+        raise ValueError(
+            f"got {source} of {len(rows)} rows; allowed: 1 to {_MAX_CHIEF_RAYS} rows of an image"
+            " height in mm and the illumination there relative to the axis"
         )
-        raise ValueError(f"got {source} of {len(rows)} rows; allowed: {allowed}")
     for number, (_, relative) in enumerate(rows, 1):
         _check_relative(relative, number, source)
-    rows = rows if rows[0][0] == 0 else ((0.0, 1.0), *rows)
-    if rows[0][1] != 1:
+
+    if rows[0][0] != 0:
+        rows = ((0.0, 1.0), *rows)
+    on_axis = rows[0][1]
+    if on_axis != 1:
         raise ValueError(
-            f"got {source} with {rows[0][1]:g} on the axis; allowed: 1 there. Divide all values by"
-            f" {rows[0][1]:g}."
+            f"got {source} with {on_axis:g} on the axis; allowed: 1 there. Divide all values by"
+            f" {on_axis:g}."
         )
     _check_heights(rows, source)
     if len(rows) < 2:
@@ -224,10 +255,6 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
         )
     return rows
 
-
-_MAX_RELATIVE_ILLUMINATION = (
-    2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
-)
 
 ChiefRays = Annotated[
     ChiefRayAngles,

@@ -30,9 +30,8 @@ from pixsim.optics.quantities import FNumberOrPinhole
 
 _NM_PER_MM = 1e6
 _OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
-_MAX_CACHED_TABLES = (
-    320  # one for each wavelength, 80 MiB in all: more than a plan has bands, or none would be kept
-)
+# One for each wavelength, 80 MiB in all: more than a plan has bands, or none would stay cached.
+_MAX_CACHED_TABLES = 320
 _MAX_CACHED_SUMS = 64  # of sums over the wavelengths, 16 MiB in all
 
 
@@ -138,10 +137,8 @@ def diffract_sum(
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
-    pictures_of_one_channel = ((picture, [weight]) for picture, weight in pictures)
-    return diffract_sums(
-        pictures_of_one_channel, 1, shape, pitch_um, wavelength_nm, f_number, transfer
-    )[0]
+    one_channel = ((picture, [weight]) for picture, weight in pictures)
+    return diffract_sums(one_channel, 1, shape, pitch_um, wavelength_nm, f_number, transfer)[0]
 
 
 def diffract_sums(
@@ -169,67 +166,74 @@ def diffract_sums(
     highest = float(np.hypot(fx[-1], fy[-1]))
     if f_number is not None:
         highest = min(highest, float(cutoff_cy_per_mm(wavelength_nm.min(), f_number)))
-    lowest = 1 / (
-        2 * max(shape) * pitch_um * 1e-3
-    )  # a shorter table would have steps too small to divide by
+    # A shorter table would have steps too small to divide by.
+    lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)
     table, step = _frequencies(max(highest, lowest))
-
-    def otf_of(weight: Array) -> Array:
-        bands = np.flatnonzero(weight)
-        if transfer is None and f_number is not None:
-            return _white_table(
-                float(table[-1]),
-                tuple(wavelength_nm[bands].tolist()),
-                tuple(weight[bands].tolist()),
-                f_number,
-            )
-        otf = np.zeros_like(table)
-        for band in bands:
-            nm = float(wavelength_nm[band])
-            lens = (
-                np.ones_like(table)
-                if f_number is None
-                else _otf_table(float(table[-1]), nm, f_number)
-            )
-            otf += weight[band] * (
-                lens
-                if transfer is None
-                else lens * values_of("transfer", transfer, table.shape, table, nm)
-            )
-        return otf
 
     totals: dict[int, Array] = {}
     spare: Array | None = None
     for picture, weights in pictures:
-        channels_with_light = [channel for channel in range(channels) if np.any(weights[channel])]
-        if channels_with_light:
-            plane = empty_planes(*shape) if spare is None else spare
-            values = np.asarray(picture)
-            for rows in strips(*shape):
-                plane[rows] = values[rows]
-                release(values[rows])
-            spectrum = dct(plane)
-            spare = spectrum
-            new_channels = [channel for channel in channels_with_light if channel not in totals]
-            if (
-                new_channels
-            ):  # the last new channel takes the spectrum's own memory, after all others
-                totals |= {channel: empty_planes(*shape) for channel in new_channels[:-1]} | {
-                    new_channels[-1]: spectrum
-                }
-                spare = None
-            _filter(
-                spectrum,
-                fy / step,
-                fx / step,
-                {channel: otf_of(weights[channel]) for channel in channels_with_light},
-                totals,
-                new_channels,
-            )
+        lit_channels = [channel for channel in range(channels) if np.any(weights[channel])]
+        if not lit_channels:
+            continue
+        plane = empty_planes(*shape) if spare is None else spare
+        values = np.asarray(picture)
+        for rows in strips(*shape):
+            plane[rows] = values[rows]
+            release(values[rows])
+        spectrum = dct(plane)
+        spare = spectrum
+
+        # The last new channel takes the spectrum's own memory, after all others.
+        new_channels = [channel for channel in lit_channels if channel not in totals]
+        if new_channels:
+            for channel in new_channels[:-1]:
+                totals[channel] = empty_planes(*shape)
+            totals[new_channels[-1]] = spectrum
+            spare = None
+
+        otfs = {
+            channel: _radial_otf(table, wavelength_nm, weights[channel], f_number, transfer)
+            for channel in lit_channels
+        }
+        _filter(spectrum, fy / step, fx / step, otfs, totals, new_channels)
+
     return [
         inverse_dct(totals[channel]) if channel in totals else np.zeros(shape)
         for channel in range(channels)
     ]
+
+
+def _radial_otf(
+    table_cy_per_mm: Array,
+    wavelength_nm: Array,
+    weight: Array,
+    f_number: float | None,
+    transfer: Callable[[Array, float], Array] | None,
+) -> Array:
+    """Return Σ weight · OTF of `diffract_sum` at the frequencies of a table."""
+    highest_cy_per_mm = float(table_cy_per_mm[-1])
+    bands = np.flatnonzero(weight)
+    if transfer is None and f_number is not None:
+        return _white_table(
+            highest_cy_per_mm,
+            tuple(wavelength_nm[bands].tolist()),
+            tuple(weight[bands].tolist()),
+            f_number,
+        )
+
+    otf = np.zeros_like(table_cy_per_mm)
+    for band in bands:
+        nm = float(wavelength_nm[band])
+        if f_number is None:
+            band_otf = np.ones_like(table_cy_per_mm)
+        else:
+            band_otf = _otf_table(highest_cy_per_mm, nm, f_number)
+        if transfer is not None:
+            shape = table_cy_per_mm.shape
+            band_otf = band_otf * values_of("transfer", transfer, shape, table_cy_per_mm, nm)
+        otf += weight[band] * band_otf
+    return otf
 
 
 def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:

@@ -263,7 +263,7 @@ def _share_inside(distance: Array, slope: Array) -> Array:
 
 def pupil_function(
     numbers: Array, wavelength_nm: float, azimuth: float, step: float
-) -> tuple[NDArray[np.complex128], float]:
+) -> tuple[NDArray[np.complex64], float]:
     """Return the amplitude over direction cosines in the axes of the film, and the area of the
     pupil in samples.
 
@@ -544,7 +544,7 @@ def periodic_psf(
     return np.asarray(irfft2(on_film, (window, window)))
 
 
-def _intensity(pupil: NDArray[np.complex128], fine: int, rows: int) -> NDArray[np.float32]:
+def _intensity(pupil: NDArray[np.complex64], fine: int, rows: int) -> NDArray[np.float32]:
     """Return the intensity (rows, fine) of a pupil function.
 
     rows : `fine`, or half of them if the pupil is symmetric in its rows

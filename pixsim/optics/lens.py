@@ -51,50 +51,47 @@ from pixsim.optics.ray_trace import (
     trace,
 )
 
-_StopPoints = Annotated[
-    ArrayLike, Bounds(-2, 2)
-]  # over the stop's radius: a square grid, no lengths
+# Over the stop's radius: a square grid, no lengths.
+_StopPoints = Annotated[ArrayLike, Bounds(-2, 2)]
+_Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 _MM_PER_NM = 1e-6
-# of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a Cooke
-# triplet at 20°
+
+# Degree of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a
+# Cooke triplet at 20°; and the rays on half of the stop to which it is fitted.
 DEGREE = 11
-RINGS, SPOKES = 8, 13  # of rays to which that polynomial is fitted, on half of the stop
-# distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
-# tilt
+RINGS, SPOKES = 8, 13
+# Distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
+# tilt.
 _AIM_TOLERANCE = 1e-9
 _MAX_AIM_STEPS = 30
-_FIELD_STEPS = 12  # to a field whose chief ray is not found from the axis
+_FIELD_STEPS = 12  # to a field whose chief ray cannot be aimed from the axis
 _MAX_CACHED_INDICES = 256  # sets of wavelengths
-# rays at a time: with fewer, threads take longer to take turns than to trace; more need more memory
+# Rays at a time: with fewer, threads take longer to take turns than to trace; with more, memory
+# runs short.
 BLOCK = 1 << 15
-_SPOKES_OF_OUTLINE = (
-    256  # of light at an image point: 1e-5 of the area if clear apertures cut corners
-)
+
+# Spokes of light at an image point: 1e-5 of the area if clear apertures cut corners, 1e-6 of it
+# where only the stop cuts.
+_SPOKES_OF_OUTLINE = 256
+_SMOOTH_SPOKES = 64
+_MAX_SPOKES = 4096
 _OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
 OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
-_MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
-_SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
-_MAX_SPOKES = 4096
-ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = (
-    60,
-    1e-12,
-    1e-11,
-)  # of edges in direction cosines, and of field angles in degrees
+_MIDDLE_STEPS = 3  # each is a 20th of the one before: slivers of 1e-4 of a pupil
+# Of edges in direction cosines, and of field angles in degrees.
+ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11
+INSIDE = 1 + 1e-12  # of the stop's edge
+
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
+# Of the search for the largest field that can be traced, in tenths of a degree.
+LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 _FOCUS_STEP_MM = 1e-3
-_FAINTEST_F_NUMBER = (
-    1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
-)
-# of the focal length: the image may lie as far in front of the last surface, as within a cover
-# glass
+# With an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding.
+_FAINTEST_F_NUMBER = 1000.0
+# Of the focal length: the image may lie as far in front of the last surface, as within a cover
+# glass.
 VIRTUAL = 0.01
-LIMIT_FIELDS, LIMIT_PER_DEG = (
-    33,
-    10,
-)  # of the search for the largest field that can be traced, in tenths
-INSIDE = 1 + 1e-12  # of the stop's edge
-_Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 from pixsim.optics.camera import Camera
 
-# entry of an irradiance's header: of what is in view, the nearest, the one least out of focus, the
-# farthest
+# Entry of an irradiance's header: the nearest depth in view, the one least out of focus, and the
+# farthest.
 DEPTHS = "depths_m"
 
 
@@ -18,7 +18,8 @@ def signed_disc_um(camera: Camera, depth_m: float) -> float:
     """Return the diameter of a thin lens's disc for a point at a depth, below 0 in front of the
     plane in focus.
     """
-    return _disc_per_dioptre_um(camera) * (1 / camera.object_distance_m - 1 / depth_m)
+    dioptres = 1 / camera.object_distance_m - 1 / depth_m
+    return _disc_per_dioptre_um(camera) * dioptres
 
 
 def depth_of_disc_m(camera: Camera, signed_um: float) -> float:
@@ -37,7 +38,8 @@ def depth_of_field_m(camera: Camera, blur_um: float) -> tuple[float, float]:
     focuses on the object's distance, and has the discs of a thin lens of its image distance and
     aperture.
 
-    >>> near_m, far_m = depth_of_field_m(Camera(focal_length_mm=50.0, f_number=2.0, object_distance_m=5.0), 30.0)
+    >>> camera = Camera(focal_length_mm=50.0, f_number=2.0, object_distance_m=5.0)
+    >>> near_m, far_m = depth_of_field_m(camera, 30.0)
     >>> round(near_m, 2), round(far_m, 2)  # u f²/(f² ± N c (u - f))
     (4.47, 5.67)
     """
@@ -50,4 +52,5 @@ def finite_or_none(depths_m: Sequence[float]) -> list[float | None]:
 
 
 def _disc_per_dioptre_um(camera: Camera) -> float:
+    """Return the diameter of a disc for a defocus of one dioptre on the object side."""
     return 2e3 * camera.aperture_radius_m * camera.image_distance_mm

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.optics.field_blur import PupilRays
-from pixsim.optics.lens import Lens, Outline
+from pixsim.optics.lens import Lens, Outline, Wavefront
 
 RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
 _OUTLINE_SPOKES = 180
@@ -27,41 +27,56 @@ def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[
 
     Raises PixsimError if a chief ray does not reach the image.
     """
-    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)  # the last ring is the rim
+    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)[:, None]  # the last ring is the rim
     turn = np.linspace(0, np.pi, SPOKES)
-    x, y = ((radius[:, None] * part).ravel() for part in (np.sin(turn), np.cos(turn)))
-    known_nm = np.clip(wavelength_nm, *lens.known_nm)
-    fields, nm = np.tile(field_deg, wavelength_nm.size), np.repeat(known_nm, field_deg.size)
-    waves_per_wave = np.repeat(known_nm / wavelength_nm, field_deg.size)
-    waves, outline = lens.wavefront(fields, nm, x, y), lens.outline(fields, nm, _OUTLINE_SPOKES)
+    stop_x = (radius * np.sin(turn)).ravel()
+    stop_y = (radius * np.cos(turn)).ravel()
+
+    # All pairs of wavelengths and fields, field after field.
+    traced_nm = np.clip(wavelength_nm, *lens.known_nm)
+    fields = np.tile(field_deg, wavelength_nm.size)
+    nm = np.repeat(traced_nm, field_deg.size)
+    waves_per_traced_wave = np.repeat(traced_nm / wavelength_nm, field_deg.size)
+
+    waves = lens.wavefront(fields, nm, stop_x, stop_y)
+    outline = lens.outline(fields, nm, _OUTLINE_SPOKES)
     spokes = np.stack([np.cos(outline.angle), np.sin(outline.angle)], axis=-1)
-    from_image = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
+    pupil_from_image_mm = lens.first_order(lens.primary_nm).exit_pupil_from_image_mm
     rays = []
     for index in range(fields.size):
-        cosines, off_mm = (
-            waves.cosines[index],
-            np.stack([waves.x_mm[index], waves.y_mm[index]], axis=-1),
-        )
-        if math.isfinite(
-            from_image
-        ):  # a ray with this direction, off the image point, leaves the sphere a little elsewhere
-            distance = -math.copysign(
-                math.hypot(float(waves.chief_y_mm[index]), from_image), from_image
+        cosines = _sphere_cosines(waves, index, pupil_from_image_mm)
+        is_usable = np.isfinite(waves.opd_waves[index]) & np.isfinite(cosines).all(axis=-1)
+        is_usable[is_usable] = _near(outline, index, cosines[is_usable])
+        rays.append(
+            PupilRays(
+                cosines=cosines[is_usable],
+                opd_waves=waves.opd_waves[index][is_usable] * waves_per_traced_wave[index],
+                outline=outline.radius[index][:, None] * spokes + outline.centre[index],
+                height_um=1e3 * float(waves.chief_y_mm[index]),
             )
-            along = (off_mm * cosines).sum(axis=-1)
-            with np.errstate(
-                invalid="ignore"
-            ):  # at the end of an image circle some rays miss the sphere
-                back = along + np.copysign(
-                    np.sqrt(distance**2 + along**2 - np.square(off_mm).sum(axis=-1)), distance
-                )
-            cosines = (back[:, None] * cosines - off_mm) / distance
-        seen = np.isfinite(waves.opd_waves[index]) & np.isfinite(cosines).all(axis=-1)
-        seen[seen] = _near(outline, index, cosines[seen])
-        edge = outline.radius[index][:, None] * spokes + outline.centre[index]
-        opd = waves.opd_waves[index][seen] * waves_per_wave[index]
-        rays.append(PupilRays(cosines[seen], opd, edge, 1e3 * float(waves.chief_y_mm[index])))
-    return [rays[first : first + field_deg.size] for first in range(0, fields.size, field_deg.size)]
+        )
+    starts = range(0, fields.size, field_deg.size)
+    return [rays[first : first + field_deg.size] for first in starts]
+
+
+def _sphere_cosines(waves: Wavefront, index: int, pupil_from_image_mm: float) -> Array:
+    """Return the directions (rays, 2) of the points where rays leave the reference sphere, from its
+    centre.
+
+    A ray off the image point leaves the sphere a little elsewhere than a parallel one through it.
+    """
+    cosines = waves.cosines[index]
+    if math.isinf(pupil_from_image_mm):
+        return cosines
+
+    off_mm = np.stack([waves.x_mm[index], waves.y_mm[index]], axis=-1)
+    radius_mm = math.hypot(float(waves.chief_y_mm[index]), pupil_from_image_mm)
+    distance_mm = -math.copysign(radius_mm, pupil_from_image_mm)
+    along_mm = (off_mm * cosines).sum(axis=-1)
+    with np.errstate(invalid="ignore"):  # at the end of an image circle some rays miss the sphere
+        root_mm = np.sqrt(distance_mm**2 + along_mm**2 - np.square(off_mm).sum(axis=-1))
+    back_mm = along_mm + np.copysign(root_mm, distance_mm)
+    return np.asarray((back_mm[:, None] * cosines - off_mm) / distance_mm)
 
 
 def _near(outline: Outline, index: int, cosines: Array) -> NDArray[np.bool_]:

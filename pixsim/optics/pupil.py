@@ -84,34 +84,36 @@ class Pupil:
         centre, radial, tangential = (
             part[..., None, :] for part in (self.centre, self.radial, self.tangential)
         )
-        point, slope = (
-            centre + radial * cosine + tangential * sine,
-            tangential * cosine - radial * sine,
-        )
+        point = centre + radial * cosine + tangential * sine
+        slope = tangential * cosine - radial * sine
         if not self.is_in_tangents:
             return point, slope
+
+        # s = t/√(1 + t²) of tangents t, and its derivative.
         secant2 = 1 + np.square(point).sum(axis=-1, keepdims=True)
         along = (point * slope).sum(axis=-1, keepdims=True)
         return point / np.sqrt(secant2), (slope - point * along / secant2) / np.sqrt(secant2)
 
     def _cosines(self, point: Array) -> Array:
-        return (
-            point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True))
-            if self.is_in_tangents
-            else point
-        )
+        """Return the direction cosines of points of the ellipse."""
+        if not self.is_in_tangents:
+            return point
+        return np.asarray(point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True)))
 
     def directions(self, rings: int, spokes: int) -> Directions:
         """Return quadrature nodes, (..., rings · spokes): Gauss-Legendre in radius², equal steps in
         φ.
         """
         node, share = _gauss_nodes(rings)
-        radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(spokes) * (2 * np.pi / spokes)
-        x, y = (radius * turned for turned in (np.cos(angle), np.sin(angle)))
+        radius = np.sqrt((1 + node) / 2)[:, None]
+        angle = np.arange(spokes) * (2 * np.pi / spokes)
+        x = (radius * np.cos(angle)).ravel()[:, None]
+        y = (radius * np.sin(angle)).ravel()[:, None]
+
         centre, radial, tangential = (
             part[..., None, :] for part in (self.centre, self.radial, self.tangential)
         )
-        point = centre + radial * x.ravel()[:, None] + tangential * y.ravel()[:, None]
+        point = centre + radial * x + tangential * y
         weight = np.broadcast_to(np.repeat(share / (2 * spokes), spokes), point.shape[:-1])
         if self.is_in_tangents:  # cos⁴ per area of tangents
             weight = weight / (1 + np.square(point).sum(axis=-1)) ** 2
@@ -170,24 +172,22 @@ def disc_pupil(
             f"{chief.flat[np.argmax(np.abs(chief))]:g}",
             "above -90 and below 90 degrees",
         )
-    turn = np.radians(azimuth)
-    outward, sideways = (
-        np.stack([np.cos(turn), np.sin(turn)], -1),
-        np.stack([-np.sin(turn), np.cos(turn)], -1),
-    )
     sine = np.sin(np.radians(chief))
     farthest = np.abs(sine) + aperture
     if not np.all(farthest < 1):
-        got = (
-            f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus"
-            " numerical aperture)"
-        )
         raise invalid(
             "pupil",
-            got,
+            f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus"
+            " numerical aperture)",
             "below 1, the horizon",
             "Take a larger f_number or a smaller chief_ray_deg.",
         )
+
+    turn = np.radians(azimuth)
+    outward = np.stack([np.cos(turn), np.sin(turn)], -1)
+    sideways = np.stack([-np.sin(turn), np.cos(turn)], -1)
     return Pupil(
-        sine[..., None] * outward, aperture[..., None] * outward, aperture[..., None] * sideways
+        centre=sine[..., None] * outward,
+        radial=aperture[..., None] * outward,
+        tangential=aperture[..., None] * sideways,
     )
