@@ -35,7 +35,7 @@ def _srgb_value(light: Numbers) -> Array:
     1.
 
     >>> _srgb_value(0.214).round(4).item()
-    0.4999
+    0.5
     """
     inside = np.clip(light, 0.0, 1.0)
     curved = SRGB_SCALE * inside ** (1 / SRGB_GAMMA) - SRGB_OFFSET

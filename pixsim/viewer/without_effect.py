@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
@@ -55,13 +54,14 @@ from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
 from pixsim.viewer.screen import HEADER_OF_WHITE, amount_of_white, white_field
 from pixsim.viewer.setting import Setting
 
-# of the smallest difference that a result resolves: the scatter of a frame, a code of the display
+# Of the smallest difference that a result resolves: the scatter of a frame, a code of the display.
 RESOLVED = 1e-3
-_METRIC_DIGITS = 1e-6  # relative: 1e-3 of the last of the four digits that are shown
-PIXELS, SAMPLES = (
-    20,
-    24,
-)  # across the small light; they do not divide each other, so that places of pixels show
+# Relative: 1e-3 of the last of the four digits that are shown.
+_METRIC_DIGITS = 1e-6
+
+# Across the small light; they do not divide each other, so that places of pixels count.
+PIXELS = 20
+SAMPLES = 24
 MIN_ASPECT, MAX_ASPECT = 0.5, 2.0  # of the small light
 DOTS = 16  # of the display across it
 BAND_NM = 40.0
@@ -69,8 +69,10 @@ _WHITE_OVER_LIGHT = 1.1  # so that no dot of the ideal picture is brighter than 
 _NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 # Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
 _PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
-PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1  # of what dark charge leaves, of the brightest pixel
+# Of what dark charge leaves, of the brightest pixel.
+PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1
 STREAM = ("small light",)
+
 _MAX_CACHED_NOTES = 256  # of calls with records
 _SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
 _QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
@@ -86,14 +88,14 @@ def changed_settings(record: Record, prefix: str = "", but: Sequence[str] = ()) 
     records inside.
 
     A value of 0 is the absence of what it states, and no such setting.
+
+    prefix : of the names, with its dot
+    but : names of fields that are left out
     """
     for name, info in type(record).model_fields.items():
         value = getattr(record, name)
-        if (
-            name not in record.model_fields_set
-            or name in but
-            or (value == 0 and value is not False)
-        ):
+        is_absent = value == 0 and value is not False
+        if name not in record.model_fields_set or name in but or is_absent:
             continue
         # Pydantic 2.10 asks for the data, which no factory of a record takes.
         if value != info.get_default(call_default_factory=True, validated_data={}):
@@ -135,7 +137,7 @@ def record_with(record: _RecordKind, path: Sequence[str], value: object) -> _Rec
 
 
 def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
-    """Return an imaging with another value of a setting, as of `record_with`."""
+    """Return an imaging with another value of a setting by its dotted name, as `record_with`."""
     table, *path = name.split(".")
     if table == "metric":
         options = record_with(imaging.metrics.options, path, value)
@@ -143,11 +145,9 @@ def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
     if table == "lens":
         table, path = "camera", [ANY_LENS_FIELDS[path[0]]]
     imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
-    return (
-        imaging.changed(technology=load_technology(imaging.pixel.technology))
-        if name == "pixel.technology"
-        else imaging
-    )
+    if name == "pixel.technology":
+        imaging = imaging.changed(technology=load_technology(imaging.pixel.technology))
+    return imaging
 
 
 def words_of(annotation: object) -> Iterator[object]:
@@ -185,46 +185,48 @@ class _SmallLight:
 
     @classmethod
     def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> _SmallLight:
-        """Return the small light for settings; `picture` is light that is given, whose bands it
-        has.
+        """Return the small light for settings.
+
+        picture : light of the user, whose bands it has; None for light that is rendered
         """
-        physics, camera = imaging.physics, imaging.camera
-        read_um = physics.read_pitch_um
+        camera = imaging.camera
         size_um = camera.die_um if picture is None else displays.picture_size_um(picture)
         aspect = min(max(size_um[0] / size_um[1], MIN_ASPECT), MAX_ASPECT)
-        width_um = PIXELS * read_um
+        width_um = PIXELS * imaging.physics.read_pitch_um
         sample_um = width_um / SAMPLES
         rows = round(aspect * SAMPLES)
         scale = rows * sample_um / size_um[0], width_um / size_um[1]
 
-        header: dict[str, Any] = (
-            {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
-        )
+        header: dict[str, Any] = {}
+        if picture is None or "camera" in picture.header:
+            header["camera"] = camera.model_dump()
         if picture is not None and "diffraction" in picture.header:
             header["diffraction"] = picture.header["diffraction"]
         if picture is None:
             count = int((HIGH_NM - LOW_NM) / BAND_NM)
-            bands = HIGH_NM - BAND_NM * (np.arange(count, 0, -1) - 0.5), np.full(count, BAND_NM)
+            centre_nm = HIGH_NM - BAND_NM * (np.arange(count, 0, -1) - 0.5)
+            width_nm = np.full(count, BAND_NM)
         else:
-            bands = picture.wavelength_nm, picture.band_width_nm
-        spectra = np.stack([600 / bands[0], bands[0] / 600])
-        with_target, background = (
-            np.stack(planes).astype(np.float32) for planes in _pictures(rows)
-        )
+            centre_nm, width_nm = picture.wavelength_nm, picture.band_width_nm
 
-        def light(planes: NDArray[Any], brightness: float) -> SpectralImage:
-            return SpectralImage(
-                *bands, sample_um, factors=(brightness * spectra, planes), header=header
-            )
+        # Two spectra, each with a picture of its own.
+        spectra = np.stack([600 / centre_nm, centre_nm / 600])
+        target_planes, background_planes = _pictures(rows)
+
+        def light(planes: tuple[Array, Array], brightness: float) -> SpectralImage:
+            factors = brightness * spectra, np.stack(planes).astype(np.float32)
+            return SpectralImage(centre_nm, width_nm, sample_um, factors=factors, header=header)
 
         # The brightness is known once the camera has seen light of unit brightness.
-        unit = light(with_target, 1.0)
+        unit = light(target_planes, 1.0)
         small = cls(unit, unit, imaging, scale, dict(_NO_WHITE))
         brightness = small._brightness(small.seen(imaging))
-        scaled = replace(
-            small, light=light(with_target, brightness), background=light(background, brightness)
+        small = replace(
+            small,
+            light=light(target_planes, brightness),
+            background=light(background_planes, brightness),
         )
-        return replace(scaled, white=scaled._white(scaled.seen(imaging)))
+        return replace(small, white=small._white(small.seen(imaging)))
 
     def _brightness(self, imaging: Imaging) -> float:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures
@@ -233,35 +235,32 @@ class _SmallLight:
         readout, exposure = imaging.readout, imaging.exposure
         assert self.light.factors is not None
         spectrum = self.light.factors[0].mean(axis=0)
-        electrons = [
-            float((electrons_per_joule(channel, self.light) * spectrum).sum())
-            * collecting_area_um2(self.light, imaging.camera, channel)
-            for channel in imaging.physics.channels
-        ]
+        electrons = []
+        for channel in imaging.physics.channels:
+            rate = float((electrons_per_joule(channel, self.light) * spectrum).sum())
+            electrons.append(rate * collecting_area_um2(self.light, imaging.camera, channel))
         unit_light_e_per_s = 1e-12 * max(electrons) * readout.bin_side**2
         if not unit_light_e_per_s > 0:  # pixels that see nothing of it are refused elsewhere
             return 1.0
 
+        dark_e_per_s = readout.dark_current_e_per_s
         if exposure.integration_s is None:
             well_e = exposure.well_target * readout.saturation_e
             time_s = _PART_OF_LONGEST * exposure.times * exposure.max_integration_s
             if exposure.flicker_hz is not None:  # in many periods lamps are steady
                 time_s = min(time_s, _PART_OF_LONGEST / exposure.flicker_hz)
-            if readout.dark_current_e_per_s * time_s > PART_OF_WELL * well_e:
-                time_s = PART_OF_WELL * well_e / readout.dark_current_e_per_s
+            if dark_e_per_s * time_s > PART_OF_WELL * well_e:
+                time_s = PART_OF_WELL * well_e / dark_e_per_s
         else:
             well_e = PART_OF_WELL * readout.saturation_e
             time_s = exposure.times * exposure.integration_s
-        light_e = max(well_e - readout.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
+        light_e = max(well_e - dark_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
         return light_e / time_s / unit_light_e_per_s
 
     def _white(self, imaging: Imaging) -> dict[str, float | None]:
         """Return the fields of a display that state a white above all of the light."""
-        return _NO_WHITE | {
-            white_field(self.light): (
-                _WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())
-            )
-        }
+        largest = float(amount_of_white(imaging, self.light).max())
+        return _NO_WHITE | {white_field(self.light): _WHITE_OVER_LIGHT * largest}
 
     def seen(self, imaging: Imaging) -> Imaging:
         """Return settings for the small light: the camera scaled with its die, few dots, and the
@@ -269,30 +268,22 @@ class _SmallLight:
         """
         down, across = self.scale
         camera = imaging.camera
-        tables = {
-            name: rows and tuple((across * row[0], *row[1:]) for row in rows)
-            for name, rows in (
-                ("chief_ray_angle", camera.chief_ray_angle),
-                ("fall_off", camera.fall_off),
-            )
-        }
-        lengths = {
-            name: across * getattr(camera, name)
-            for name in ("focal_length_mm", "object_distance_m", "die_mm")
-        }
-        height_mm = None if camera.die_height_mm is None else down * camera.die_height_mm
-        camera = camera.model_copy(
-            update={"lens": None, "die_height_mm": height_mm, **lengths, **tables}
-        )
+        changes: dict[str, Any] = {"lens": None}
+        for name in ("focal_length_mm", "object_distance_m", "die_mm"):
+            changes[name] = across * getattr(camera, name)
+        if camera.die_height_mm is not None:
+            changes["die_height_mm"] = down * camera.die_height_mm
+        for name in ("chief_ray_angle", "fall_off"):
+            rows = getattr(camera, name)
+            changes[name] = rows and tuple((across * row[0], *row[1:]) for row in rows)
 
         develop = imaging.develop
         if "matrix" not in self.imaging.develop.model_fields_set:
             develop = develop.model_copy(update={"matrix": _QUICK_MATRIX})
-
         display = imaging.display.model_copy(update={"dots": DOTS, **self.white})
         motion = Motion(image_um_per_s=imaging.um_per_s) if imaging.motion.is_on else imaging.motion
         return imaging.changed(
-            camera=camera,
+            camera=camera.model_copy(update=changes),
             develop=develop,
             display=display,
             motion=motion,
@@ -301,8 +292,8 @@ class _SmallLight:
             is_run=False,
         )
 
-    def _seen_from(self, imaging: Imaging) -> tuple[object, ...]:
-        """Return what the light behind the lens depends on."""
+    def _lens_key(self, imaging: Imaging) -> tuple[object, ...]:
+        """Return a key for all that the light behind the lens depends on."""
         physics = imaging.physics
         electrons = [
             electrons_per_joule(channel, self.light).tobytes() for channel in physics.channels
@@ -312,7 +303,7 @@ class _SmallLight:
 
     def behind_lens(self, imaging: Imaging) -> tuple[ChannelLight, ...]:
         """Return the light behind the lens, as each channel sees it."""
-        key = self._seen_from(imaging)
+        key = self._lens_key(imaging)
         if key not in self._lights:
             self._lights[key] = lights_of(self.light, imaging.camera, imaging.physics)
         return self._lights[key]
@@ -323,7 +314,7 @@ class _SmallLight:
         pixels = str(physics.layout), physics.read_pitch_um, physics.border_um, physics.registration
         tone = develop.tone_curve, develop.tone_gamma, develop.tone_white
         key = (
-            *self._seen_from(imaging),
+            *self._lens_key(imaging),
             pixels,
             imaging.display.model_dump_json(),
             tone,
@@ -331,8 +322,10 @@ class _SmallLight:
             metrics.needs_light,
         )
         if key not in self._prepared:
-            light = SceneLight(self.light, self.background if has_target(metrics.names) else None)
-            self._prepared[key] = prepare_scene(imaging, light, lights=self.behind_lens(imaging))
+            background = self.background if has_target(metrics.names) else None
+            self._prepared[key] = prepare_scene(
+                imaging, SceneLight(self.light, background), lights=self.behind_lens(imaging)
+            )
         return self._prepared[key]
 
 
@@ -342,24 +335,26 @@ def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     From left to right: black, a ramp, and behind a slanted edge white. The target is a square on
     the ramp, of one spectrum alone.
     """
-    y, x = ((np.arange(count) + 0.5) / count for count in (rows, SAMPLES))
-    ramp = np.clip((x[None] - 0.15) / 0.6, 0.0, 1.0) * np.ones((rows, 1)) * 0.6
-    ramp[x[None] > 0.7 + 0.1 * (y[:, None] - 0.5)] = 1.0
-    patch = (np.abs(x[None] - 0.5) < 0.12) & (np.abs(y[:, None] - 0.5) < 0.2)
-    share = np.where(y[:, None] < 0.5, 0.4, 0.6) * np.ones((1, SAMPLES))
+    y = ((np.arange(rows) + 0.5) / rows)[:, None]
+    x = ((np.arange(SAMPLES) + 0.5) / SAMPLES)[None]
+    ramp = np.clip((x - 0.15) / 0.6, 0.0, 1.0) * np.ones((rows, 1)) * 0.6
+    ramp[x > 0.7 + 0.1 * (y - 0.5)] = 1.0
+
+    # The share of the first spectrum is another in the upper and in the lower half.
+    share = np.where(y < 0.5, 0.4, 0.6) * np.ones((1, SAMPLES))
     background = share * ramp, (1 - share) * ramp
-    return (np.where(patch, ramp, background[0]), np.where(patch, 0.0, background[1])), background
+    is_target = (np.abs(x - 0.5) < 0.12) & (np.abs(y - 0.5) < 0.2)
+    with_target = np.where(is_target, ramp, background[0]), np.where(is_target, 0.0, background[1])
+    return with_target, background
 
 
 # --- the rule
 
 
-class _SmallFrame:
+class _Trial:
     """What settings make of the small light, each part computed when it is asked for."""
 
-    def __init__(
-        self, small: _SmallLight, imaging: Imaging, base: _SmallFrame | None = None
-    ) -> None:
+    def __init__(self, small: _SmallLight, imaging: Imaging, base: _Trial | None = None) -> None:
         self.small = small
         self.base = base or self
         self.imaging = small.seen(imaging)
@@ -439,49 +434,66 @@ class _SmallFrame:
         return np.array(list(values.values()))
 
 
-def _has_effect(base: _SmallFrame, other: _SmallFrame) -> bool:
-    """Whether two settings give the small light another frame, noise, ideal picture or metric.
+def _has_effect(base: _Trial, other: _Trial) -> bool:
+    """Return whether two settings give the small light another frame, noise, ideal picture or
+    metric.
 
     The noise is that of the same mean charge, and the picture that of the same frame: each part is
-    judged by itself.
+    compared by itself.
     """
     if str(other.physics.layout) != str(base.physics.layout):
         return True
+    return (
+        _changes_frame(base, other)
+        or _changes_picture(base, other)
+        or _changes_metrics(base, other)
+    )
+
+
+def _changes_frame(base: _Trial, other: _Trial) -> bool:
+    """Return whether the mean frame, its noise, or the ends of its codes differ."""
     light_e = base.frame.mean_e
     variance_e2 = base.variance_e2(light_e)
     scatter_e = np.sqrt(variance_e2)
-    if _differ(other.variance_e2(light_e), variance_e2, (RESOLVED * scatter_e) ** 2):
-        return True
-    if _differ(other.ends_e, base.ends_e, RESOLVED * float(scatter_e.min())):
-        return True
-    if _differ(other.mean_e, base.mean_e, RESOLVED * scatter_e):
-        return True
-    if _differ(other.clipped_e, base.clipped_e, RESOLVED * float(scatter_e.min())):
-        return True
+    least_e = RESOLVED * float(scatter_e.min())
+    return (
+        _differ(other.variance_e2(light_e), variance_e2, (RESOLVED * scatter_e) ** 2)
+        or _differ(other.ends_e, base.ends_e, least_e)
+        or _differ(other.mean_e, base.mean_e, RESOLVED * scatter_e)
+        or _differ(other.clipped_e, base.clipped_e, least_e)
+    )
 
+
+def _changes_picture(base: _Trial, other: _Trial) -> bool:
+    """Return whether the ideal picture differs, or, for ΔE, the picture of a frame."""
     code = 2.0**-base.imaging.display.bits
-    if _differ(other.prepared.screen.ideal, base.prepared.screen.ideal, RESOLVED * code):
+    tolerance = RESOLVED * code
+    if _differ(other.prepared.screen.ideal, base.prepared.screen.ideal, tolerance):
         return True
-    metrics = base.imaging.metrics.chosen
-    if any(metric.is_delta_e for metric in metrics):
-        light, other_light = (
-            trial.chain.development.light(base.frame) for trial in (base, other)
-        )  # before a display rounds it
-        if _differ(other_light, light, RESOLVED * code):
+    if not any(metric.is_delta_e for metric in base.imaging.metrics.chosen):
+        return False
+
+    # The light before a display rounds it, then the picture and its ΔE.
+    development, other_development = base.chain.development, other.chain.development
+    frame = base.frame
+    if _differ(other_development.light(frame), development.light(frame), tolerance):
+        return True
+    score, other_score = development.score(frame), other_development.score(frame)
+    return _differ(other_score.image, score.image, tolerance) or _differ(
+        other_score.delta_e, score.delta_e, 100 * RESOLVED * code
+    )
+
+
+def _changes_metrics(base: _Trial, other: _Trial) -> bool:
+    """Return whether a metric beside ΔE differs, for the same frame."""
+    for metric in base.imaging.metrics.chosen:
+        if metric.is_delta_e:
+            continue
+        values = base.metric_values(metric, base.frame)
+        other_values = other.metric_values(metric, base.frame)
+        # NaN differs from everything: of a metric without a number nothing is known.
+        if _differ(other_values, values, _METRIC_DIGITS * np.abs(values)):
             return True
-        ours, theirs = (trial.chain.development.score(base.frame) for trial in (base, other))
-        if _differ(theirs.image, ours.image, RESOLVED * code) or _differ(
-            theirs.delta_e, ours.delta_e, 100 * RESOLVED * code
-        ):
-            return True
-    for metric in metrics:
-        if not metric.is_delta_e:
-            values = base.metric_values(metric, base.frame)
-            # NaN differs from everything: of a metric without a number nothing is known.
-            if _differ(
-                other.metric_values(metric, base.frame), values, _METRIC_DIGITS * np.abs(values)
-            ):
-                return True
     return False
 
 
@@ -526,8 +538,7 @@ class UserSettings:
 
     @classmethod
     def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> UserSettings:
-        """Return those of tables by their names, as the user gave them, and of the command's
-        settings above all tables.
+        """Return the settings of tables, by their names, and those of the command above all tables.
 
         facts : further fields
         """
@@ -540,27 +551,15 @@ class UserSettings:
             names += changed_settings(record, f"{table}.", but=inside)
         names = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]
 
-        technology = imaging.physics.technology
-        same = {
-            f"pixel.{name}"
-            for name, value in imaging.pixel
-            if value == getattr(technology, name, None)
-        }
-        if technology.name == NO_TECHNOLOGY:  # which follows from the numbers of a data sheet
-            same.add("pixel.technology")
-        if picture is not None:
-            sizes_mm = (1e-3 * um for um in displays.picture_size_um(picture))
-            dies_mm = imaging.camera.die_height_mm, imaging.camera.die_mm
-            for name, size_mm, die_mm in zip(
-                ("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True
-            ):
-                if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=_SAME_LENGTH):
-                    same.add(name)
-        return cls(imaging, tuple(name for name in names if name not in same), **facts)
+        implied = _implied_settings(imaging, picture)
+        return cls(imaging, tuple(name for name in names if name not in implied), **facts)
 
     @classmethod
     def from_records(cls, imaging: Imaging, light: SpectralImage) -> UserSettings:
-        """Return those of a call with records, in light that is given."""
+        """Return the settings of a call with records.
+
+        light : of the user
+        """
         tables: dict[str, Record] = {
             table: getattr(imaging, table) for table in TABLES if table != "lens"
         }
@@ -569,26 +568,26 @@ class UserSettings:
 
     @classmethod
     def from_setting(cls, imaging: Imaging, setting: Setting, **facts: Any) -> UserSettings:
-        """Return those of a command's settings; `facts` are further fields."""
+        """Return the settings of a command; `facts` are further fields."""
         tables: dict[str, Record] = {table: getattr(setting, table) for table in TABLES}
         return cls.of(imaging, tables, settings=setting, **facts)
 
     @cached_property
-    def base(self) -> _SmallFrame | None:
-        """What the settings make of the small light; None where it is too small for them."""
+    def base(self) -> _Trial | None:
+        """The trial of the settings; None where the small light is too small for them."""
         try:
-            trial = _SmallFrame(_SmallLight.of(self.imaging, self.picture), self.imaging)
+            trial = _Trial(_SmallLight.of(self.imaging, self.picture), self.imaging)
             trial.variance_e2(trial.frame.mean_e)
         except PixsimError:
             return None
         return trial
 
-    def trial_with(self, name: str, value: object) -> _SmallFrame:
-        """Return what other settings make of the small light, as of `_imaging_with`. Raises
-        PixsimError if they are refused.
+    def trial_with(self, name: str, value: object) -> _Trial:
+        """Return the trial with another value of a setting, by `_imaging_with`. Raises PixsimError
+        if it is refused.
         """
         assert self.base is not None
-        return _SmallFrame(self.base.small, _imaging_with(self.imaging, name, value), self.base)
+        return _Trial(self.base.small, _imaging_with(self.imaging, name, value), self.base)
 
     def without_effect(self) -> list[str]:
         """Return the names of the settings that do nothing."""
@@ -629,6 +628,28 @@ class UserSettings:
             record = getattr(record, part)
         fields = type(record).model_fields
         return list(words_of(fields[path[-1]].annotation)) if path[-1] in fields else []
+
+
+def _implied_settings(imaging: Imaging, picture: SpectralImage | None) -> set[str]:
+    """Return the names of settings whose values other settings or the light imply anyway."""
+    technology = imaging.physics.technology
+    names = {
+        f"pixel.{name}" for name, value in imaging.pixel if value == getattr(technology, name, None)
+    }
+    if technology.name == NO_TECHNOLOGY:  # which follows from the numbers of a data sheet
+        names.add("pixel.technology")
+    if picture is None:
+        return names
+
+    height_um, width_um = displays.picture_size_um(picture)
+    camera = imaging.camera
+    for name, size_um, die_mm in (
+        ("camera.die_height_mm", height_um, camera.die_height_mm),
+        ("camera.die_mm", width_um, camera.die_mm),
+    ):
+        if die_mm is not None and math.isclose(die_mm, 1e-3 * size_um, rel_tol=_SAME_LENGTH):
+            names.add(name)
+    return names
 
 
 class Row(NamedTuple):
@@ -732,46 +753,44 @@ def effect_notes(sensors: Mapping[str, Iterable[UserSettings]]) -> list[Note]:
     """
     labels_of: dict[str, list[str]] = {}
     for label, cases in sensors.items():
-        names: list[str] | None = None
-        for case in cases:
-            if names is not None:
-                case = replace(case, names=tuple(name for name in names if name in case.names))
-            names = case.without_effect()
-            if not names:
-                break
-        for name in names or ():
+        for name in _without_effect_in_all(cases):
             labels_of.setdefault(name, []).append(label)
 
+    # Settings of the same sensors share a note.
     names_of: dict[tuple[str, ...], list[str]] = {}
     for name, labels in labels_of.items():
         names_of.setdefault(tuple(labels), []).append(name)
     notes = []
-    for having, together in names_of.items():
-        verb = "changes" if len(together) == 1 else "change"
-        note = Note("no_effect", words=f"{', '.join(together)} {verb} nothing here")
-        notes.append(note if len(having) == len(sensors) else note.of(having))
+    for labels_together, names in names_of.items():
+        verb = "changes" if len(names) == 1 else "change"
+        note = Note("no_effect", words=f"{', '.join(names)} {verb} nothing here")
+        is_of_all = len(labels_together) == len(sensors)
+        notes.append(note if is_of_all else note.of(labels_together))
     return notes
 
 
+def _without_effect_in_all(cases: Iterable[UserSettings]) -> list[str]:
+    """Return the names of settings that do nothing in any of the cases; none of no case."""
+    names: list[str] | None = None
+    for case in cases:
+        if names is not None:
+            case = replace(case, names=tuple(name for name in names if name in case.names))
+        names = case.without_effect()
+        if not names:
+            break
+    return names or []
+
+
 def warn_of_settings(imaging: Imaging, light: SpectralImage) -> None:
-    """Warn of the settings without effect of a call with records, which may come again: they are
-    judged once.
+    """Warn of the settings without effect of a call with records; settings that come again are
+    tried once.
     """
     tables = [getattr(imaging, table) for table in TABLES if table != "lens"]
+    records = [record.model_dump_json() for record in (*tables, imaging.metrics.options)]
     metrics = [(metric.name, metric.code) for metric in imaging.metrics.chosen]
-    bands = (
-        light.wavelength_nm.tobytes(),
-        light.band_width_nm.tobytes(),
-        light.shape,
-        light.pitch_um,
-    )
+    bands = light.wavelength_nm.tobytes(), light.band_width_nm.tobytes()
     header = [repr(light.header.get(name)) for name in ("camera", "diffraction")]
-    key = (
-        *(record.model_dump_json() for record in (*tables, imaging.metrics.options)),
-        *metrics,
-        *bands,
-        *header,
-    )
+    key = (*records, *metrics, *bands, light.shape, light.pitch_um, *header)
     if key not in _notes:
         while len(_notes) >= _MAX_CACHED_NOTES:
             del _notes[next(iter(_notes))]
