@@ -15,6 +15,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -316,17 +317,19 @@ def _what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
     if a.streams != b.streams:
         yield f"random streams ({_shortened(a.streams)} and {_shortened(b.streams)})"
     for name in a.lights.keys() & b.lights.keys():
-        one, other = (
-            {
-                key: value
-                for key, value in each.lights[name].items()
-                if key not in _PIXEL_HEADER_KEYS
-            }
-            for each in (a, b)
-        )
-        for key in sorted(one.keys() | other.keys()):
-            if json.dumps(one.get(key)) != json.dumps(other.get(key)):  # a NaN equals itself
-                yield f"the light's {key} ({_shortened(one.get(key))} and {_shortened(other.get(key))})"
+        first = _light_header(a, name)
+        second = _light_header(b, name)
+        for key in sorted(first.keys() | second.keys()):
+            # As JSON, a NaN equals itself.
+            if json.dumps(first.get(key)) != json.dumps(second.get(key)):
+                values = f"{_shortened(first.get(key))} and {_shortened(second.get(key))}"
+                yield f"the light's {key} ({values})"
+
+
+def _light_header(result: ResultFolder, name: str) -> dict[str, Any]:
+    """Return the header of a light, without what it says of the pixels."""
+    header = result.lights[name]
+    return {key: value for key, value in header.items() if key not in _PIXEL_HEADER_KEYS}
 
 
 def _shortened(value: object) -> str:
@@ -453,87 +456,66 @@ def run_prepared(
     agreed: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Comparison:
-    """Run a prepared comparison; the other arguments are those of `compare`."""
+    """Run a prepared comparison. Further arguments are described at `compare`."""
     types = 1 if job.types is None else len(job.types.sample.quantiles)
     check_number(max(len(job.combinations), types), job.evaluations, agreed)
     stage = progress or no_stage
     with collected_notes() as notes, ExitStack() as stack:
-        folder = None if out is None else stack.enter_context(output_folder(out))
-        files = {
-            name: None if folder is None else folder / name for name in (ROWS_FILE, TYPES_FILE)
-        }
-        for file in filter(None, files.values()):
-            check_replaceable_results(file)
+        rows_file: Path | None = None
+        types_file: Path | None = None
+        if out is not None:
+            folder = stack.enter_context(output_folder(out))
+            rows_file = folder / ROWS_FILE
+            types_file = folder / TYPES_FILE
+            check_replaceable_results(rows_file)
+            check_replaceable_results(types_file)
         workers: Workers | None = None
         if jobs is not None or scheduler is not None:
             workers = stack.enter_context(workers_for(jobs, scheduler))
 
         groups, lights = _render_groups(job, stage)
-        by_number = {group.first.group: group for group in groups}
         cases = [case for group in groups for case in group.cases]
         rendered_sensors = rendered_cases(cases, [light for light, _ in lights])
         _check_sensors(groups, rendered_sensors)
         table = evaluate_points(
-            rendered_sensors, files[ROWS_FILE], workers, lambda: stage("sense and score")
+            rendered_sensors, rows_file, workers, lambda: stage("sense and score")
         )
         for case, rows in zip(cases, table.by_case(), strict=True):
+            names = [name for name in (case.sensor, case.condition) if name]
             for reason in dict.fromkeys(rows.reasons.values()):
-                warn(
-                    Note("undefined_metric", words=reason).of(
-                        filter(None, [case.sensor, case.condition])
-                    )
-                )
-        measuring = stage("error of the film")
-        sensors = []
-        for number, (sensor, (light, plan)) in enumerate(
-            zip(rendered_sensors, lights, strict=True)
-        ):
-            progress_of_sensor = share_of(
-                measuring, number / len(rendered_sensors), (number + 1) / len(rendered_sensors)
-            )
-            sensors.append(
-                _compared_sensor(
-                    by_number[sensor.case.group], sensor, light, plan, progress_of_sensor
-                )
-            )
-        measuring(1.0)
+                warn(Note("undefined_metric", words=reason).of(names))
+
+        compared = _compared_sensors(groups, rendered_sensors, lights, stage("error of the film"))
         result = Comparison(
             job=replace(job, groups=tuple(groups), cases=tuple(cases)),
             table=table,
-            compared=tuple(sensors),
+            compared=tuple(compared),
         )
         if job.types is not None:
-            drawn = _differences_of_types(
-                job.types,
-                result,
-                rendered_sensors,
-                files[TYPES_FILE],
-                workers,
-                stage("sensor types"),
+            distributions = _differences_of_types(
+                job.types, result, rendered_sensors, types_file, workers, stage("sensor types")
             )
-            result = replace(result, uncertainty=tuple(drawn))
+            result = replace(result, uncertainty=tuple(distributions))
     return replace(result, warned=tuple(notes))
 
 
 def _check_sensors(groups: Sequence[SensorGroup], rendered_sensors: Sequence[RenderedCase]) -> None:
-    """Raise PixsimError for sensors whose ideal images differ; warn of their numbers, their stacks
-    and what the display clips.
+    """Raise PixsimError for sensors whose ideal images differ.
+
+    Warns of what the display clips, and of what a review of the settings says.
     """
     for group in groups:
-        members = [
-            rendered for rendered in rendered_sensors if rendered.case.group == group.first.group
-        ]
+        members = [sensor for sensor in rendered_sensors if sensor.case.group == group.first.group]
         with named(group.words):
             check_ideals(members)
-        for rendered in members:
-            imaging, image = rendered.imaging, rendered.scenes.irradiance
-            with named(rendered.case.sensor):
-                prepared = rendered.light()
+        for sensor in members:
+            header = sensor.scenes.irradiance.header
+            with named(sensor.case.sensor):
+                prepared = sensor.light()
                 assert isinstance(prepared, PreparedScene)
-                warn_of_clipping(prepared.beyond_white, image.header, imaging.display)
+                warn_of_clipping(prepared.beyond_white, header, sensor.imaging.display)
     warn_of_reviews(
-        (rendered.case.sensor, rendered.case, rendered.scenes.light)
-        for rendered in rendered_sensors
+        (sensor.case.sensor, sensor.case, sensor.scenes.light) for sensor in rendered_sensors
     )
 
 
@@ -547,69 +529,99 @@ def _render_groups(
     """
     groups: list[SensorGroup] = []
     lights: list[tuple[Light, Plan]] = []
-    on_film: dict[int, int] = {}
+    rendered_widths: list[int] = []  # of the films of the groups
     for number, group in enumerate(job.groups):
         pair = str(group.first.labels.get(PAIR, ""))
         if pair and any(
-            # Another sensor may have asked for a finer film.
-            pair not in other.first.labels.values()
-            and (other.first.at, other.first.condition, other.match)
-            == (group.first.at, group.first.condition, group.match)
-            and group.sees_the_same(other)
-            and on_film[place] == other.film_width
-            for place, other in enumerate(groups)
+            # The film may be finer than planned, for another sensor.
+            width == other.film_width and _is_pair_among(group, pair, other)
+            for other, width in zip(groups, rendered_widths, strict=True)
         ):
             continue
 
-        def part(name: str, words: tuple[str, ...] = (pair, group.words)) -> Progress:
-            return stage(": ".join(filter(None, (*words, name))))
-
-        quiet = suppressed_warnings() if pair or number >= len(job.condition_groups()) else None
+        # Warnings of pairs and of further cases repeat those of the first ones.
+        words = [f"{pair} alone"] if pair else []
         with ExitStack() as stack:
-            if quiet is not None:
-                stack.enter_context(quiet)
-            stack.enter_context(
-                named(", ".join(filter(None, (f"{pair} alone" if pair else "", group.words))))
-            )
-            group_lights = _lights_on_one_film(group, part)
-        on_film[len(groups)] = group_lights[0][0].image.shape[1]
+            if pair or number >= len(job.condition_groups()):
+                stack.enter_context(suppressed_warnings())
+            stack.enter_context(named(", ".join(filter(None, (*words, group.words)))))
+            group_stage = partial(_stage_of_group, stage, (pair, group.words))
+            group_lights = _lights_on_one_film(group, group_stage)
         groups.append(group)
         lights += group_lights
+        rendered_widths.append(group_lights[0][0].image.shape[1])
     return groups, lights
 
 
+def _is_pair_among(group: SensorGroup, pair: str, other: SensorGroup) -> bool:
+    """Return whether a pair of sensors alone sees the same as in another group of its case.
+
+    pair : label of the pair
+    """
+    if pair in other.first.labels.values():
+        return False
+    place = group.first.at, group.first.condition, group.match
+    other_place = other.first.at, other.first.condition, other.match
+    return other_place == place and group.sees_the_same(other)
+
+
+def _stage_of_group(stage: Stage, words: tuple[str, ...], name: str) -> Progress:
+    """Return the callback of a stage whose name begins with the words of a group."""
+    return stage(": ".join(filter(None, (*words, name))))
+
+
 def _lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Plan]]:
-    """Return the light of every sensor on one film, fine enough for all, with the plan of that
-    film.
+    """Return the light of every sensor with the plan of its film, all on one film that is fine
+    enough for each.
     """
     width = group.film_width
-    while True:
-        lights: list[tuple[Light, Plan]] = []
-        for case in group.cases:
-            with named(case.sensor):
-                lights.append(
-                    rendered_light(group.request(case, width), stage(f"render {case.sensor}"))
-                )
-            if (
-                across := lights[-1][0].image.shape[1]
-            ) > width:  # its film had to be finer: the others take that one too
-                width = across
-                break
-        else:
-            imaging_and_images = []
-            for case, (light, _) in zip(group.cases, lights, strict=True):
-                shared = {"display": group.display, "border_um": group.border_um(case.camera)}
-                imaging_and_images.append(
-                    (Imaging.of(case.settings, case.camera).changed(**shared), light.image)
-                )
-            # Of a plate each light says what it holds: one that ends at 830 nm has less of an
-            # infrared lamp.
-            common_white = {} if group.display.white else white_header(imaging_and_images)
-            for imaging, image in imaging_and_images:
-                image.header |= (
-                    white_header([(imaging, image)]) if group.display.white else common_white
-                )
-            return lights
+    lights: list[tuple[Light, Plan]] = []
+    while len(lights) < len(group.cases):
+        case = group.cases[len(lights)]
+        with named(case.sensor):
+            lights.append(
+                rendered_light(group.request(case, width), stage(f"render {case.sensor}"))
+            )
+        rendered_width = lights[-1][0].image.shape[1]
+        if rendered_width > width:
+            # The film of this sensor had to be finer: all are rendered on that one.
+            width = rendered_width
+            lights = []
+
+    imagings = [
+        Imaging.of(case.settings, case.camera).changed(
+            display=group.display, border_um=group.border_um(case.camera)
+        )
+        for case in group.cases
+    ]
+    images = [light.image for light, _ in lights]
+    # A plate's lights state their own white: one that ends at 830 nm has less of an infrared lamp.
+    has_plate = bool(group.display.white)
+    common_white = {} if has_plate else white_header(list(zip(imagings, images, strict=True)))
+    for imaging, image in zip(imagings, images, strict=True):
+        image.header |= white_header([(imaging, image)]) if has_plate else common_white
+    return lights
+
+
+def _compared_sensors(
+    groups: Sequence[SensorGroup],
+    rendered_sensors: Sequence[RenderedCase],
+    lights: Sequence[tuple[Light, Plan]],
+    progress: Progress,
+) -> list[ComparedSensor]:
+    """Return the sensors of a comparison with their light, first frame and errors of the film.
+
+    lights : of each sensor, with the plan of its film
+    """
+    groups_by_number = {group.first.group: group for group in groups}
+    count = len(rendered_sensors)
+    compared = []
+    for number, (sensor, (light, plan)) in enumerate(zip(rendered_sensors, lights, strict=True)):
+        group = groups_by_number[sensor.case.group]
+        sensor_progress = share_of(progress, number / count, (number + 1) / count)
+        compared.append(_compared_sensor(group, sensor, light, plan, sensor_progress))
+    progress(1.0)
+    return compared
 
 
 def _compared_sensor(
@@ -619,20 +631,18 @@ def _compared_sensor(
     plan: Plan,
     progress: Progress | None = None,
 ) -> ComparedSensor:
-    """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and
-    errors of the film.
+    """Return a sensor of a comparison with its light, first frame and errors of the film.
 
     progress : of the measurement of the film's errors
     """
-    case, imaging = rendered.case, rendered.imaging
-    chain = make_chain(imaging.registered(0), rendered.light())
+    case = rendered.case
+    chain = make_chain(rendered.imaging.registered(0), rendered.light())
     score = chain.simulate(*case.stream, 0)
     is_pictured = not case.labels.get(PAIR) and group.weight > 0
-    budget = (
-        noise_budget(chain, light.image, *case.stream, 0)
-        if case.settings.noise_budget and is_pictured
-        else None
-    )
+    budget = None
+    if case.settings.noise_budget and is_pictured:
+        budget = noise_budget(chain, light.image, *case.stream, 0)
+
     time_s = score.frame.integration_s
     white_e = chain.white_e_per_s * time_s
     with suppressed_warnings():  # the result itself warns
@@ -679,35 +689,14 @@ def _differences_of_types(
                 f"{first} and {other}: nothing is drawn, since no number of these two is unknown"
             )
             warn(Note("no_effect", words=words))
-    base = {
-        (group.first.group, rendered.case.sensor): rendered
-        for other, groups in uncertain.items()
-        for group in groups
-        for rendered in rendered_sensors
-        if rendered.case.group == group.first.group and rendered.case.sensor in (first, other)
-    }
-    cases: list[Case[Any]] = []
-    lights: list[Light] = []
-    for number, rendered in enumerate(base.values()):
-        assert rendered.case.imaging is not None
-        light = Light(
-            rendered.scenes.irradiance,
-            rendered.case.camera,
-            background=rendered.scenes.light.background,
-        )
-        for draw, imaging in enumerate(types.imagings(rendered.case.sensor, rendered.case.imaging)):
-            cases.append(
-                replace(
-                    rendered.case,
-                    imaging=imaging,
-                    further_displays=(),
-                    labels=rendered.case.labels | {"draw": draw},
-                    group=(number, draw),
-                    sizes={imaging.pixel.pitch_um: FEW_SENSORS},
-                )
-            )
-            lights.append(light)
-    table = evaluate_points(rendered_cases(cases, lights), file, workers, lambda: progress)
+    base: dict[tuple[object, str], RenderedCase] = {}
+    for other, groups in uncertain.items():
+        numbers = [group.first.group for group in groups]
+        for number, sensor in product(numbers, rendered_sensors):
+            if sensor.case.group == number and sensor.case.sensor in (first, other):
+                base[number, sensor.case.sensor] = sensor
+    sensor_types = _rendered_types(types, list(base.values()))
+    table = evaluate_points(sensor_types, file, workers, lambda: progress)
 
     uncertainties = []
     for (other, groups), metric in product(uncertain.items(), table.metrics):
@@ -717,10 +706,12 @@ def _differences_of_types(
         scatter = np.zeros((change.size, FEW_SENSORS))
         for group in groups:
             if group.weight:
-                a, b = (values[group.first.group, name] for name in (first, other))
+                a = values[group.first.group, first]
+                b = values[group.first.group, other]
                 change += group.weight * (b.mean(axis=1) - a.mean(axis=1))
                 scatter += group.weight * (b - a)
 
+        # The types have few frames: they tell the change from the sensors as they are.
         differences = result.pairs(other, metric).differences
         as_is = float(differences[:FEW_SENSORS].mean())
         drawn_differences = float(differences.mean()) + (change - as_is)
@@ -728,7 +719,7 @@ def _differences_of_types(
             PairUncertainty(
                 names=(first, other),
                 drawn=types.sample,
-                asked=types.requested_draws,
+                requested_draws=types.requested_draws,
                 total=types.total,
                 differences=drawn_differences,
                 scatter_variances=scatter_variances(scatter),
@@ -736,6 +727,31 @@ def _differences_of_types(
             )
         )
     return uncertainties
+
+
+def _rendered_types(types: Types, base: Sequence[RenderedCase]) -> list[RenderedCase]:
+    """Return the sensor types of sensors in their light, all types of a sensor together."""
+    cases: list[Case[Any]] = []
+    lights: list[Light] = []
+    for number, sensor in enumerate(base):
+        case = sensor.case
+        assert case.imaging is not None
+        light = Light(
+            sensor.scenes.irradiance, case.camera, background=sensor.scenes.light.background
+        )
+        for draw, imaging in enumerate(types.imagings(case.sensor, case.imaging)):
+            cases.append(
+                replace(
+                    case,
+                    imaging=imaging,
+                    further_displays=(),
+                    labels=case.labels | {"draw": draw},
+                    group=(number, draw),
+                    sizes={imaging.pixel.pitch_um: FEW_SENSORS},
+                )
+            )
+            lights.append(light)
+    return rendered_cases(cases, lights)
 
 
 def scatter_variances(differences: Array) -> Array:

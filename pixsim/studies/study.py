@@ -438,7 +438,7 @@ def _types_by_metric(
                     sample=sample if type_request.total else sample_of(sample, curve.technology),
                     table=table,
                     holds=holds,
-                    asked=type_request.draws,
+                    requested_draws=type_request.draws,
                     seed=study.seed,
                     label="" if has_one_curve else curve.label,
                     total=type_request.total,

@@ -645,7 +645,7 @@ class UncertaintyResult:
         or the best value of another metric by its column, the ends of their 95 % intervals
         (`outputs`; NaN for an open end), and whether the optimum is `inside` the sizes tried
     holds : statement -> whether it holds for each type, (n,)
-    asked, seed : the number of types asked for, and the seed of the draws
+    requested_draws, seed : number of types, which is rounded up, and seed of the draws
     label : of the curve whose optimum it is; empty for the only one
     total : whether the sensor types are the points of total indices
     metric : whose optimum it is
@@ -654,7 +654,7 @@ class UncertaintyResult:
     sample: Sample = field(repr=False)
     table: dict[str, Array] = field(repr=False)
     holds: dict[str, Array] = field(repr=False)
-    asked: int
+    requested_draws: int
     seed: int
     label: str = ""
     total: bool = False
@@ -723,7 +723,7 @@ class UncertaintyResult:
             "label": self.label,
             **({} if self.metric.is_delta_e else {"metric": self.metric.name}),
             "draws": self.draws,
-            "asked": self.asked,
+            "asked": self.requested_draws,
             "seed": self.seed,
             "inputs": self.sample.stated,
             "optimum_um": {
@@ -847,7 +847,7 @@ class PairUncertainty:
 
     names : of the two sensors, a and b
     drawn : the sensor types of all sensors
-    asked : number of types that was asked for; the sample has a power of two of them
+    requested_draws : number of types; the sample has a power of two of them
     total : whether they are the points of total indices
     differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
     scatter_variances : of each difference by the noise of its frames, (n,)
@@ -856,7 +856,7 @@ class PairUncertainty:
 
     names: tuple[str, str]
     drawn: Sample
-    asked: int
+    requested_draws: int
     total: bool
     differences: Array = field(repr=False)
     scatter_variances: Array = field(repr=False)
@@ -892,7 +892,7 @@ class PairUncertainty:
         """Return the result as in compare.json."""
         return {
             "draws": len(self.differences),
-            "asked": self.asked,
+            "asked": self.requested_draws,
             "probability_a_better": asdict(self.probability_a_better),
             "difference": {"quantiles": self.difference.quantiles},
             "inputs": self.sample.stated,
