@@ -283,9 +283,9 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
     letters = [_letter(title) for title in titles if title] or list("RGB")
     count = len(table.columns)
     if len(letters) != count:
-        named = f"{len(letters)} channels in the title" if any(titles) else "no title"
+        title_words = f"{len(letters)} channels in the title" if any(titles) else "no title"
         raise ValueError(
-            f"got '{path}' with {named} and {count} values; allowed: {_ALLOWED_CURVES}, as"
+            f"got '{path}' with {title_words} and {count} values; allowed: {_ALLOWED_CURVES}, as"
             " wavelength_nm,R,G,B"
         )
 

@@ -97,9 +97,12 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & _TILED:
-        across, down = struct.unpack("<2IB", attributes.get("tiles", b""))[:2]
-        if min(across, down) < 1 or 4 * across * down * count > _MAX_TILE_BYTES:
-            raise _damaged(path, f"tiles of {across} × {down} samples")
+        tile_width, tile_height = struct.unpack("<2IB", attributes.get("tiles", b""))[:2]
+        if (
+            min(tile_width, tile_height) < 1
+            or 4 * tile_width * tile_height * count > _MAX_TILE_BYTES
+        ):
+            raise _damaged(path, f"tiles of {tile_width} × {tile_height} samples")
 
     check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
 
@@ -190,8 +193,10 @@ def _check_diffuser(plate: dict[str, Any], bands: int) -> None:
         raise TypeError(f"{DIFFUSER} must be a table")
     per_nm = np.array(plate.get(DIFFUSER_W, []), float)
     distance_m = plate.get("distance_m", 1.0)
-    others = [value for name, value in plate.items() if name not in (DIFFUSER_W, "distance_m")]
-    values = np.array([*per_nm, distance_m, *others], float)
+    other_values = [
+        value for name, value in plate.items() if name not in (DIFFUSER_W, "distance_m")
+    ]
+    values = np.array([*per_nm, distance_m, *other_values], float)
     if per_nm.size not in (0, bands) or not np.isfinite(values).all() or values.min() < 0:
         raise ValueError(
             f"{DIFFUSER} must be a table of numbers of 0 or more, one for each band where it has"

@@ -66,7 +66,7 @@ class LightUnit:
         return float(f"1e{self.exponent}")
 
 
-def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> LightUnit:
+def parse_light_unit(text: str, name: str = "units", typed: bool = True) -> LightUnit:
     """Parse a unit such as `W.m^-2.nm^-1`, `W m-2 nm-1`, `W/m2/nm`, `uW/(cm² sr nm)`,
     `nW/(cm)^2/(nm)/(sr)` or `W.m^-3`.
 
@@ -77,7 +77,7 @@ def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> Ligh
     Raises PixsimError if the text does not parse, or is neither an irradiance nor a radiance.
     """
     if len(text) > _MAX_UNIT:
-        raise invalid(what, excerpt(text), ALLOWED_UNITS, HOW_TO_STATE)
+        raise invalid(name, excerpt(text), ALLOWED_UNITS, HOW_TO_STATE)
     plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(_AS_ASCII).replace("**", "^"))
     watt = metre = steradian = ten = 0
     tokens = re.findall(_TOKEN, plain)
@@ -88,7 +88,7 @@ def parse_light_unit(text: str, what: str = "units", typed: bool = True) -> Ligh
             spectral = metre == -3  # per area and per wavelength
             return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
 
-    raise invalid(what, excerpt(text, typed=typed), ALLOWED_UNITS, HOW_TO_STATE)
+    raise invalid(name, excerpt(text, typed=typed), ALLOWED_UNITS, HOW_TO_STATE)
 
 
 def _product(tokens: list[str]) -> Powers:
@@ -277,10 +277,10 @@ def _read_spectral_exr(path: Path) -> Cube:
             'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral"; of a'
             " Mitsuba scene pixsim takes the XML, and renders it itself."
         )
-        named = (
+        allowed = (
             "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
         )
-        raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
+        raise invalid("spectral EXR", channel_list, allowed, "" if _is_not_rgb(names) else hint)
 
     window = header["dataWindow"]
     is_cropped = not np.array_equal(window, header["displayWindow"])
@@ -495,8 +495,8 @@ def _plain_envi(path: Path, content: bytes) -> Iterator[tuple[str, str | None]]:
         yield str(path.absolute()), None
         return
     suffixes = ("", ".img", ".dat", *(f".{kind}" for kind in _ENVI_INTERLEAVES), ".raw")
-    others = (path.with_suffix(suffix) for end in suffixes for suffix in (end, end.upper()))
-    raw = next((str(other.absolute()) for other in others if other.is_file()), None)
+    candidates = (path.with_suffix(suffix) for end in suffixes for suffix in (end, end.upper()))
+    raw = next((str(candidate.absolute()) for candidate in candidates if candidate.is_file()), None)
     if not has_order:
         text += "\nbyte order = 0\n"
     with TemporaryDirectory() as folder:
@@ -510,8 +510,8 @@ def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | Non
     memory at a time.
     """
     for rows in strips(len(data), math.prod(data.shape[1:]), _GAP_VALUES):
-        if at := first_where(data[rows] == ignored):
-            return rows.start + at[0], at[1], at[2]
+        if index := first_where(data[rows] == ignored):
+            return rows.start + index[0], index[1], index[2]
     return None
 
 
@@ -534,10 +534,10 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
 
     for field, neutral in _ENVI_NEUTRAL.items():
         stated = (float(value) for value in np.atleast_1d(header.get(field, [])))
-        if (other := next((number for number in stated if number != neutral), None)) is not None:
+        if (factor := next((number for number in stated if number != neutral), None)) is not None:
             allowed = f"none, or {neutral:g} for each band"
             hint = "Apply it (leave bad bands out) and delete it."
-            raise invalid(f"'{field}' in '{path}'", f"{other:g}", allowed, hint)
+            raise invalid(f"'{field}' in '{path}'", f"{factor:g}", allowed, hint)
 
 
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:

@@ -385,9 +385,9 @@ class SpectralImage:
                 "columns", columns, f"1 to {width}, and at least one row of square samples"
             )
 
-        before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
-        factor = float(f"{before['factor'] * ratio:.12g}")
-        header = self.header | {"reduced": {"samples": before["samples"], "factor": factor}}
+        earlier = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
+        factor = float(f"{earlier['factor'] * ratio:.12g}")
+        header = self.header | {"reduced": {"samples": earlier["samples"], "factor": factor}}
 
         planes = np.empty((len(self.planes), rows, columns), np.float32)
         for plane, means in zip(self.planes, planes, strict=True):
@@ -495,8 +495,8 @@ class SpectralImage:
         """
         spectra, _ = self.factors or (np.ones((1, 1)), None)
         low, high = extremes(self.planes)
-        others = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
-        if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *others)):
+        arrays = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
+        if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *arrays)):
             got = (
                 f"values from {low:g} to {high:g}, and a value here or among the bands or spectra"
                 " that is not finite"
@@ -570,7 +570,7 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
     steps = np.flatnonzero((values[:-1] > OUTLIER * values[1:]) & (values[1:] > 0))
     if not steps.size:
         return []
-    outliers = [divmod(int(at), picture.shape[1]) for at in order[: steps[-1] + 1]]
+    outliers = [divmod(int(index), picture.shape[1]) for index in order[: steps[-1] + 1]]
     brightest_other = values[steps[-1] + 1]
     neighbourhoods = [
         picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
@@ -637,17 +637,17 @@ def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray
     ratio = width / columns
     edges_x = np.linspace(0, width, columns + 1)
     edges_y = (height - rows * ratio) / 2 + ratio * np.arange(rows + 1)
-    total = _running(_running(picture, edges_y).T, edges_x).T
+    total = _running_integral(_running_integral(picture, edges_y).T, edges_x).T
     # A mean lies in the range of its values, but for rounding errors.
     return np.clip(total / ratio**2, *extremes(picture[None])).astype(np.float32)
 
 
-def _running(values: NDArray[Any], edges: Array) -> Array:
+def _running_integral(values: NDArray[Any], edges: Array) -> Array:
     """Return the integrals of the rows of `values`, taken as constant in each, between edges in
     units of a row.
     """
-    at = np.clip(edges, 0, len(values))
-    below = np.minimum(at.astype(int), len(values) - 1)
+    position = np.clip(edges, 0, len(values))
+    below = np.minimum(position.astype(int), len(values) - 1)
     result = np.empty((edges.size, values.shape[1]))
     total = np.zeros((1, values.shape[1]))
     for rows in strips(*values.shape):  # a picture in float64 need not be in memory
@@ -656,7 +656,7 @@ def _running(values: NDArray[Any], edges: Array) -> Array:
         total = np.cumsum(np.concatenate([total[-1:], strip]), axis=0)
         here = np.flatnonzero((below >= rows.start) & (below < rows.stop))
         row = below[here] - rows.start
-        result[here] = total[row] + (at[here] - below[here])[:, None] * strip[row]
+        result[here] = total[row] + (position[here] - below[here])[:, None] * strip[row]
         release(values[rows])
 
     return np.diff(result, axis=0)
@@ -760,12 +760,14 @@ class Spectrum:
         is missed.
         """
         x, y = self.nodes_nm, self.values
-        running = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
-        at = np.clip(edges_nm, x[0], x[-1])
-        index = np.clip(np.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
-        over = at - x[index]
+        cumulative = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
+        position_nm = np.clip(edges_nm, x[0], x[-1])
+        index = np.clip(np.searchsorted(x, position_nm, side="right") - 1, 0, x.size - 2)
+        distance_nm = position_nm - x[index]
         width = np.maximum(x[index + 1] - x[index], np.finfo(float).tiny)
-        integral = running[index] + over * (y[index] + over / width * (y[index + 1] - y[index]) / 2)
+        integral = cumulative[index] + distance_nm * (
+            y[index] + distance_nm / width * (y[index + 1] - y[index]) / 2
+        )
         return np.diff(integral) / np.diff(edges_nm)
 
     def integral(self, low_nm: float = LOW_NM, high_nm: float = HIGH_NM) -> float:
@@ -802,10 +804,10 @@ def regular_values(table: Spectrum) -> Array | None:
     0.1 nm does so.
     """
     distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
-    whole = np.rint(distances).astype(int)
-    if not np.allclose(distances, whole, rtol=0, atol=1e-6) or not np.all(whole > 0):
+    counts = np.rint(distances).astype(int)
+    if not np.allclose(distances, counts, rtol=0, atol=1e-6) or not np.all(counts > 0):
         return None
-    count = int(whole.sum()) // int(np.gcd.reduce(whole)) + 1
+    count = int(counts.sum()) // int(np.gcd.reduce(counts)) + 1
     if count > MAX_REGULAR_VALUES:
         return None
     return table.at(np.linspace(table.nodes_nm[0], table.nodes_nm[-1], count))

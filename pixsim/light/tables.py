@@ -27,7 +27,7 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)
 _BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
 # Between titles that blanks part: two blanks, one that is neither before nor within brackets, a
 # comma, one after a bracket.
-WAYS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
+TITLE_SEPARATORS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
 MAX_DIGITS = 400  # of a cell: more than any double needs
 # Titles stand close above the numbers, in short cells; the time to look for words and units in one
 # grows with its square.
@@ -119,13 +119,13 @@ class Cells:
         return "." if self.separator == "," else ","
 
 
-def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
+def read_cells(path: Path, name: str, allowed: str, max_bytes: int) -> Cells:
     """Cells of a table. ValueError if the file cannot be read or is no text.
 
-    what, allowed : of the setting, for messages
+    name, allowed : of the setting, for messages
     """
     try:
-        text = as_text(read_bytes(path, what, allowed, max_bytes))
+        text = as_text(read_bytes(path, name, allowed, max_bytes))
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
 
@@ -152,22 +152,24 @@ def read_cells(path: Path, what: str, allowed: str, max_bytes: int) -> Cells:
         except csv.Error as error:
             raise ValueError(f"got '{path}' ({error}); allowed: {allowed}") from None
 
-    used = [
+    numbered_rows = [
         (number, row)
         for number, row in enumerate(rows, 1)
         if any(row) and not row[0].startswith(_COMMENT)
     ]
-    for _, row in used:
+    for _, row in numbered_rows:
         while not row[-1]:
             row.pop()
 
-    start = next((number for number, row in used if _BEGINS_NUMBER.match(row[0])), len(lines) + 1)
+    start = next(
+        (number for number, row in numbered_rows if _BEGINS_NUMBER.match(row[0])), len(lines) + 1
+    )
     comments = [
         line.strip().lstrip(_COMMENT).strip()
         for line in lines[: start - 1]
         if line.lstrip().startswith(_COMMENT)
     ]
-    return Cells(used, separator, comments[-1] if comments else "")
+    return Cells(numbered_rows, separator, comments[-1] if comments else "")
 
 
 def _separator(lines: Sequence[str]) -> str | None:
@@ -199,7 +201,7 @@ def as_number(cell: str, decimal: str) -> Decimal | None:
 
 def read_table(
     path: Path,
-    what: str,
+    name: str,
     allowed: str,
     value_count: int,
     max_bytes: int,
@@ -207,14 +209,14 @@ def read_table(
 ) -> WavelengthTable:
     """Read a table whose first column is wavelength.
 
-    what, allowed : of the setting, for messages
+    name, allowed : of the setting, for messages
     value_count : columns of values that each line must have; with 1, further ones are left out
     bounds_nm : lowest and highest wavelength; the message on others names the likely unit
 
     ValueError if the file is no such table: its message names a line without numbers, wavelengths
     out of bounds, or a unit that is none of wavelength.
     """
-    cells = read_cells(path, what, allowed, max_bytes)
+    cells = read_cells(path, name, allowed, max_bytes)
     headers, rows, percent_columns = _split_rows(cells, path, value_count)
     number_rows = [row for _, row in cells.rows[len(headers) :]]
     if value_count == 1 and cells.separator == "," and _has_decimal_commas_too(number_rows):
@@ -292,8 +294,8 @@ def _split_rows(
     rows: list[tuple[Decimal, ...]] = []
     percent_columns = set[int]()
     for line, row in cells.rows:
-        used = row if value_count > 1 else row[:2]
-        numbers = [as_number(cell, cells.decimal) for cell in used]
+        used_cells = row if value_count > 1 else row[:2]
+        numbers = [as_number(cell, cells.decimal) for cell in used_cells]
         if len(numbers) > value_count and None not in numbers:
             rows.append(tuple(number for number in numbers if number is not None))
             percent_columns |= {index for index, cell in enumerate(row) if cell.endswith("%")}
@@ -325,7 +327,9 @@ def _comment_titles(cells: Cells, width: int) -> list[list[str]]:
         return []
     # Units of a comment may be those of columns that are no longer there: it must fit as it is.
     parted = [cell.strip() for cell in cells.comment.split(cells.separator or ",")]
-    titles = _titles([cells.comment], width, None, WAYS[:3]) or _titles(parted, width, ",")
+    titles = _titles([cells.comment], width, None, TITLE_SEPARATORS[:3]) or _titles(
+        parted, width, ","
+    )
     return [titles] if titles else []
 
 
@@ -342,7 +346,10 @@ def _has_decimal_commas_too(rows: Sequence[Sequence[str]]) -> bool:
 
 
 def _titles(
-    header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS
+    header: Sequence[str],
+    count: int,
+    separator: str | None,
+    separator_patterns: Sequence[str] = TITLE_SEPARATORS,
 ) -> list[str]:
     """Title of each of `count` columns; empty if a header has another number of them, or longer
     texts.
@@ -352,7 +359,14 @@ def _titles(
     if separator is not None or not header:
         return list(header) if len(header) == count else []
     (line,) = header
-    return next((titles for way in ways if len(titles := re.split(way, line)) == count), [])
+    return next(
+        (
+            titles
+            for separator_pattern in separator_patterns
+            if len(titles := re.split(separator_pattern, line)) == count
+        ),
+        [],
+    )
 
 
 def _words(title: str) -> list[str]:
@@ -364,14 +378,11 @@ def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
     of energy or frequency.
     """
     unit = unit_of_wavelength(title)
-    if not unit and (
-        other := next(
-            (_NO_WAVELENGTH[word] for word in _words(title) if word in _NO_WAVELENGTH), ""
-        )
-    ):
+    other_units = [_NO_WAVELENGTH[word] for word in _words(title) if word in _NO_WAVELENGTH]
+    if not unit and other_units:
         raise ValueError(
-            f"got '{path}' in {other}, by its title; allowed: {allowed}. Convert it to wavelength"
-            " in nm"
+            f"got '{path}' in {other_units[0]}, by its title; allowed: {allowed}. Convert it to"
+            " wavelength in nm"
         )
     return unit
 
@@ -450,6 +461,6 @@ def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float,
     if column.unit != A_PER_W:
         return tuple(map(float, column.values))
     return tuple(
-        float(value) * _HC_PER_Q_NM_W_PER_A / float(at) if at else math.nan
-        for value, at in zip(column.values, nm, strict=True)
+        float(value) * _HC_PER_Q_NM_W_PER_A / float(wavelength_nm) if wavelength_nm else math.nan
+        for value, wavelength_nm in zip(column.values, nm, strict=True)
     )

@@ -704,12 +704,12 @@ def _channel_entries(sheet: DataSheet) -> list[Entry]:
     for letter, (e, t) in sheet.channels.items():
         k = e.readout.dn_per_e
         eta = e.efficiency
-        at = f"channel {letter}, {e.wavelength_nm:g} nm"
+        channel_words = f"channel {letter}, {e.wavelength_nm:g} nm"
         dark_e = math.sqrt(sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / k**2)
         saturation_e = variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * eta)
         lines += [
             _emva_entry(
-                f"responsivity, {at}",
+                f"responsivity, {channel_words}",
                 f"R_{letter}",
                 "DN/p",
                 t.responsivity_dn_per_p,
@@ -717,7 +717,7 @@ def _channel_entries(sheet: DataSheet) -> list[Entry]:
                 "K η",
             ),
             _emva_entry(
-                f"quantum efficiency, {at}",
+                f"quantum efficiency, {channel_words}",
                 f"η_{letter}",
                 "%",
                 t.efficiency * 100,
@@ -725,7 +725,7 @@ def _channel_entries(sheet: DataSheet) -> list[Entry]:
                 "QE(λ) · fill factor, for the whole pixel",
             ),
             _emva_entry(
-                f"sensitivity threshold, {at}",
+                f"sensitivity threshold, {channel_words}",
                 f"μ_p.min.{letter}",
                 "p",
                 t.threshold_p,
@@ -734,7 +734,7 @@ def _channel_entries(sheet: DataSheet) -> list[Entry]:
                 "quantisation-limited: an upper bound" if t.limited else "",
             ),
             _emva_entry(
-                f"saturation capacity, {at}",
+                f"saturation capacity, {channel_words}",
                 f"μ_p.sat.{letter}",
                 "p",
                 t.saturation_p,
@@ -836,13 +836,13 @@ def _spatial_entries(sheet: DataSheet) -> list[Entry]:
         f" {nominal:.4g}"
     )
     gain_source = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    whole = estimators.spatial_parts(FrameStack(1, map_e, np.zeros_like(map_e)))
+    true_parts = estimators.spatial_parts(FrameStack(1, map_e, np.zeros_like(map_e)))
 
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [
         replace(part, value=part.value + left_e2 * (name == "of rows"))
-        for part, (name, _) in zip(whole, PARTS, strict=True)
+        for part, (name, _) in zip(true_parts, PARTS, strict=True)
     ]
     measured = estimators.spatial_parts(sheet.dark_stack, _row_noise(sheet.experiment))
     split = zip(PARTS, measured, true_e2, strict=True)
@@ -895,18 +895,20 @@ def _dark_entries(sheet: DataSheet) -> list[Entry]:
     current = sheet.experiment.readout.dark_current_e_per_s
     gain = sheet.experiment.sensor.dark_gain
     unit = "e-/s"
-    at = f"mean of the pixels at {p.pixel.temperature_k:g} K"
+    source = f"mean of the pixels at {p.pixel.temperature_k:g} K"
     if p.hot_pixel_fraction and gain is not None:
         # Few pixels have much of it: the mean of a device differs from the stated one.
-        at = (
+        source = (
             f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give"
             f" {current:.4g}"
         )
         current *= float(gain.mean())
 
     entries = [
-        _emva_entry("dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
-        _emva_entry("dark current, from the variance", "μ_I.var", unit, from_variance, current, at),
+        _emva_entry("dark current, from the mean", "μ_I.mean", unit, from_mean, current, source),
+        _emva_entry(
+            "dark current, from the variance", "μ_I.var", unit, from_variance, current, source
+        ),
     ]
     temperatures, warm = sheet.warm_currents
     if warm and current:
@@ -976,9 +978,9 @@ def _noise_entries(sheet: DataSheet) -> list[Entry]:
         math.sqrt(sheet.dark_stack.temporal_dn2), variance_error_dn2 / (2 * math.sqrt(dark_dn2))
     )
     full_dn = Estimate(_highest_dn(e) - sheet.dark.mean_dn)
-    at = "from the parameters, at 13 % of saturation"
+    source = "from the parameters, at 13 % of saturation"
     return [
-        _noise_entry("temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
+        _noise_entry("temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), source),
         _noise_entry(
             "fixed-pattern noise",
             "σ_fp",
@@ -988,7 +990,7 @@ def _noise_entries(sheet: DataSheet) -> list[Entry]:
             "from this device's maps, at 13 %",
         ),
         _noise_entry(
-            "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at
+            "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), source
         ),
         _noise_entry(
             "signal over total noise at 13 %",

@@ -206,10 +206,10 @@ def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimat
     """Slope and intercept by least squares with equal weights, with standard errors by the errors
     of the points.
     """
-    middle = x - x.mean()
-    power = float(np.sum(middle**2))
-    slope = float(np.sum(middle * y)) / power
-    slope_weights = middle / power
+    centred = x - x.mean()
+    power = float(np.sum(centred**2))
+    slope = float(np.sum(centred * y)) / power
+    slope_weights = centred / power
     intercept_weights = 1 / x.size - x.mean() * slope_weights
     slope_error = math.sqrt(float(np.sum((slope_weights * y_error) ** 2)))
     intercept_error = math.sqrt(float(np.sum((intercept_weights * y_error) ** 2)))

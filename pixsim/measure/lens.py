@@ -417,12 +417,12 @@ def ray_spreads(
     for angle in field_deg:
         waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)
         is_traced = waves.passed & np.isfinite(waves.opd_waves)
-        off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
-        across, along = 1e3 * waves.x_mm[is_traced], 1e3 * (waves.y_mm + off)[is_traced]
-        counts = np.histogram2d(along, across, [edges, edges])[0]
-        psfs.append(counts / max(along.size, 1))
+        off_mm = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
+        x_um, y_um = 1e3 * waves.x_mm[is_traced], 1e3 * (waves.y_mm + off_mm)[is_traced]
+        counts = np.histogram2d(y_um, x_um, [edges, edges])[0]
+        psfs.append(counts / max(y_um.size, 1))
         lines = []
-        for values in (along, across):
+        for values in (y_um, x_um):
             half_width_um = max(float(np.abs(values).max(initial=0.0)), pitch_um) * (1 + 1e-9)
             line, _ = np.histogram(values, LINE_BINS, (-half_width_um, half_width_um))
             lines.append(
@@ -501,9 +501,9 @@ def cross_section(lens: Lens) -> _CrossSection:
         passed = waves.passed[0]
         z, y = path[passed, :, 2], path[passed, :, 1]
         if math.isinf(lens.object_distance_mm):
-            before = _BEFORE_LENS * length_mm
-            z = np.column_stack([z[:, 0] - before, z])
-            y = np.column_stack([y[:, 0] - before * math.tan(math.radians(angle)), y])
+            start_mm = _BEFORE_LENS * length_mm
+            z = np.column_stack([z[:, 0] - start_mm, z])
+            y = np.column_stack([y[:, 0] - start_mm * math.tan(math.radians(angle)), y])
 
         rays[angle] = list(zip(heights[passed].tolist(), z, y, strict=True))
 

@@ -824,14 +824,14 @@ def _check_kinks(
             warn(Note("edge_picture", words=words))
         return
 
-    at = int(np.argmax(kinks))
-    if not clipped[at]:
+    index = int(np.argmax(kinks))
+    if not clipped[index]:
         return
-    name = "bright" if levels[at] == max(levels) else "dark"
+    name = "bright" if levels[index] == max(levels) else "dark"
     got = (
-        f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at"
-        f" {percent(kinks[at])} of its steepest slope, beside {percent(kinks[1 - at])} on the other"
-        " side"
+        f"a {name} side at exactly {levels[index]:g} above black that the edge runs into at"
+        f" {percent(kinks[index])} of its steepest slope, beside {percent(kinks[1 - index])} on the"
+        " other side"
     )
     if is_unclipped:
         warn(Note("edge_picture", words=f"{got}, as if it were clipped: {_SHARPENS}"))
@@ -856,14 +856,14 @@ def _kink_slope(distance_px: Array, departure: Array, tolerance: float) -> float
     departure : of each pixel from the level of the side, which begins where no departure exceeds
         the tolerance
     """
-    away = np.abs(departure) > tolerance
-    if not away.any():
+    is_off_side = np.abs(departure) > tolerance
+    if not is_off_side.any():
         return 0.0
-    before_px = distance_px[away].max() - distance_px
-    near = away & (before_px < _KINK_PX)
-    centred = before_px[near] - before_px[near].mean()
+    before_px = distance_px[is_off_side].max() - distance_px
+    is_near = is_off_side & (before_px < _KINK_PX)
+    centred = before_px[is_near] - before_px[is_near].mean()
     spread = float(centred @ centred)
-    return abs(float(centred @ departure[near])) / spread if spread > 0 else 0.0
+    return abs(float(centred @ departure[is_near])) / spread if spread > 0 else 0.0
 
 
 def _smallest_step(side: Array) -> float:
@@ -887,8 +887,8 @@ def _noise_sigma(side: Array, code: float) -> float:
 def _highest_code(side: Array) -> tuple[float, float]:
     """Highest value but of hot pixels, and the fraction of pixels that have it."""
     values, counts = np.unique(side, return_counts=True)
-    at = min(int(np.searchsorted(np.cumsum(counts), _TOP_QUANTILE * side.size)), values.size - 1)
-    return float(values[at]), float(counts[at] / side.size)
+    index = min(int(np.searchsorted(np.cumsum(counts), _TOP_QUANTILE * side.size)), values.size - 1)
+    return float(values[index]), float(counts[index] / side.size)
 
 
 def _check_mosaic(data: Array) -> None:
@@ -985,13 +985,13 @@ def _first_line(
     """Return a straight line through the steepest points of the smoothed rows, and the number of
     rows.
     """
-    places = []
+    steepest_px = []
     for grid, derivative in zip(grids, derivatives, strict=True):
         smoothed = uniform_filter1d(derivative, _EDGE_SEARCH_PX, axis=1)
-        places.append(grid.x[smoothed[:, 1:-1].argmax(axis=1) + 1])
+        steepest_px.append(grid.x[smoothed[:, 1:-1].argmax(axis=1) + 1])
     row = np.concatenate([grid.row for grid in grids])
     order = np.argsort(row, kind="stable")
-    steepest = np.concatenate(places)[order]
+    steepest = np.concatenate(steepest_px)[order]
     row = row[order]
 
     # Medians over pairs of rows half the picture apart are robust against outliers.
@@ -1058,13 +1058,13 @@ def _degree_of_edge(row: Array, centre: Array) -> int:
     return 2 + int(curved[-1]) if curved.size else 1
 
 
-def _without_sampling_error(residual_px: Array, place: Array) -> Array:
+def _without_sampling_error(residual_px: Array, position_px: Array) -> Array:
     """The rows' distances from the edge (px), less their mean at each place of the edge within a
     pixel, an error of sampling.
 
-    place : of the edge in each row, in pixels of the channel
+    position_px : of the edge in each row, in pixels of the channel
     """
-    phase = np.floor(place % 1.0 * PHASES).astype(int) % PHASES
+    phase = np.floor(position_px % 1.0 * PHASES).astype(int) % PHASES
     rows = np.bincount(phase, minlength=PHASES)
     mean = np.bincount(phase, weights=residual_px, minlength=PHASES) / np.maximum(rows, 1)
     return residual_px - mean[phase]
@@ -1293,19 +1293,19 @@ def _sfr_bounds(
     # A bin is in the central differences on either side of it.
     before = np.append(0.0, window[:-1])
     after = np.append(window[1:], 0.0)
-    place = np.arange(spread.size)
+    bin_index = np.arange(spread.size)
     sfr = np.ones(frequency.size)
     sigma = np.zeros(frequency.size)
     for number, cy_per_px in enumerate(frequency):
-        turn = np.exp(-2j * np.pi * cy_per_px / bins_a_pixel * place)
+        phase = np.exp(-2j * np.pi * cy_per_px / bins_a_pixel * bin_index)
         step = np.exp(2j * np.pi * cy_per_px / bins_a_pixel)
-        value = complex(line @ turn) / total
+        value = complex(line @ phase) / total
         sfr[number] = abs(value)
 
         # The change of the SFR with each bin, along the direction of its complex value.
-        change = turn * (before * step - after / step) / 2 - (before - after) / 2 * value
-        along = (change * np.conj(value / (abs(value) or 1.0))).real
-        sigma[number] = math.sqrt(float(along**2 @ variance)) / abs(total)
+        change = phase * (before * step - after / step) / 2 - (before - after) / 2 * value
+        radial_change = (change * np.conj(value / (abs(value) or 1.0))).real
+        sigma[number] = math.sqrt(float(radial_change**2 @ variance)) / abs(total)
 
     low, high = _modulus_interval(sfr, sigma)
     correction = _filter_response(frequency, bins_a_pixel)
@@ -1345,13 +1345,13 @@ def _modulus_interval(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     """
     z = float(ndtri((1 + COVERAGE) / 2))
     low, high = np.maximum(modulus - z * sigma, 0.0), modulus + z * sigma
-    near = (sigma > 0) & (modulus < _FAR_SIGMAS * sigma)
-    square = (modulus[near] / sigma[near]) ** 2
+    is_near_zero = (sigma > 0) & (modulus < _FAR_SIGMAS * sigma)
+    square = (modulus[is_near_zero] / sigma[is_near_zero]) ** 2
     for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):
         # Where no noncentrality reaches the chance, 0 is nearest.
         is_out_of_range = -np.expm1(-square / 2) < chance
         noncentrality = np.where(is_out_of_range, 0.0, chndtrinc(square, 2.0, chance))
-        bound[near] = np.sqrt(np.nan_to_num(noncentrality)) * sigma[near]
+        bound[is_near_zero] = np.sqrt(np.nan_to_num(noncentrality)) * sigma[is_near_zero]
 
     return low, high
 
@@ -1359,12 +1359,14 @@ def _modulus_interval(modulus: Array, sigma: Array) -> tuple[Array, Array]:
 def _warn_of_curve(edge: EdgeResponse) -> None:
     """Warn of an SFR above 1.02, which neither lens nor pixel has."""
     for is_low, cause in ((True, "noise or shading"), (False, "sharpened, or noise")):
-        among = (edge.frequency_cy_per_px < _LOW_CY_PER_PX) == is_low
-        if not among.any() or (highest := float(edge.sfr[among].max())) <= _MAX_SFR:
+        in_range = (edge.frequency_cy_per_px < _LOW_CY_PER_PX) == is_low
+        if not in_range.any() or (highest := float(edge.sfr[in_range].max())) <= _MAX_SFR:
             continue
-        at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
-        low, high = edge.sfr_interval[:, at]
-        words = f"{cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[at]:.3f} cy/px; "
+        index = int(np.flatnonzero(in_range)[edge.sfr[in_range].argmax()])
+        low, high = edge.sfr_interval[:, index]
+        words = (
+            f"{cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[index]:.3f} cy/px; "
+        )
         words += f"the noise leaves {low:.3g} to {high:.3g}"
         warn(Note("edge_picture", words=words))
 

@@ -158,13 +158,13 @@ class Camera(Record):
     def _has_one_fall_off(self) -> Self:
         if self.fall_off is None:
             return self
-        if self.lens is not None or (
-            self.chief_ray_angle is not None and len(self.chief_ray_angle[0]) > 2
-        ):
-            other = "lens.file" if self.lens else "camera.chief_ray_angle"
+        table = self.chief_ray_angle
+        has_table = table is not None and len(table[0]) > 2
+        if self.lens is not None or has_table:
+            other_source = "lens.file" if self.lens else "camera.chief_ray_angle"
             raise ValueError(
-                f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one"
-                " of them"
+                f"got lens.relative_illumination beside {other_source}, which has a fall-off;"
+                " allowed: one of them"
             )
 
         self._corner_within("lens.relative_illumination", self.fall_off)
@@ -252,10 +252,10 @@ class Camera(Record):
         see, may differ.
         """
         tables = {self.relative_illumination, other.relative_illumination}
-        later = {
+        directions = {
             name: getattr(other, name) for name in ("chief_ray_angle", "fall_off", *_VEIL_FIELDS)
         }
-        return len(tables) == 1 and self.model_copy(update=later) == other
+        return len(tables) == 1 and self.model_copy(update=directions) == other
 
     @property
     def without_veil(self) -> Camera:

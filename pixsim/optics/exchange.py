@@ -189,13 +189,13 @@ def _from_cube(
     if outliers := find_outliers(data @ width_nm):
         header[OUTLIERS] = [list(sample) for sample in outliers]
         row, column = outliers[0]
-        named = f"row {row}, column {column}"
+        sample_words = f"row {row}, column {column}"
         if len(outliers) > 1:
-            named += f" and {len(outliers) - 1} more"
+            sample_words += f" and {len(outliers) - 1} more"
         words = (
-            f"has samples that stand alone, more than {OUTLIER:g} times all others ({named}), as"
-            " fireflies of a path tracer do: the automatic exposure is as if they were like their"
-            " neighbours. Remove them at their source"
+            f"has samples that stand alone, more than {OUTLIER:g} times all others"
+            f" ({sample_words}), as fireflies of a path tracer do: the automatic exposure is as if"
+            " they were like their neighbours. Remove them at their source"
         )
         warn(Note("light_file", file=path.name, words=words))
 
@@ -258,8 +258,8 @@ def _read_pixsim_exr(
     image = read_exr(path)
     _agreed_unit(path, foreign.IRRADIANCE_UNIT, units)
     _agreed_pitch(path, image.pitch_um, pitch_um, camera, image.shape[1])
-    if before := image.header.get("reduced"):
-        factor = f"{before['factor']:.4g}"
+    if reduced := image.header.get("reduced"):
+        factor = f"{reduced['factor']:.4g}"
         words = (
             f"holds means over {factor} × {factor} samples of the render, {image.pitch_um:.4g} µm"
             " wide: what is finer is lost, and results differ; pixsim run --irradiance full"
@@ -330,8 +330,10 @@ def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
         )
         raise invalid(f"band width in '{path}'", "none, for a single band", "a width in nm", hint)
 
-    middle = (nm[1:] + nm[:-1]) / 2
-    return nm, np.diff(np.concatenate([[2 * nm[0] - middle[0]], middle, [2 * nm[-1] - middle[-1]]]))
+    edges_nm = (nm[1:] + nm[:-1]) / 2
+    return nm, np.diff(
+        np.concatenate([[2 * nm[0] - edges_nm[0]], edges_nm, [2 * nm[-1] - edges_nm[-1]]])
+    )
 
 
 def _agreed_unit(
@@ -412,16 +414,16 @@ def _agreed_pitch(
     return values[0]
 
 
-def _positive(path: Path, what: str, value: object) -> float:
+def _positive(path: Path, name: str, value: object) -> float:
     try:
         number = float(np.asarray(value).item())
     except (TypeError, ValueError):
         number = np.nan
 
-    low, high = PICTURE_BOUNDS[what]
+    low, high = PICTURE_BOUNDS[name]
     if not low <= number <= high:
         got = "no number" if np.isnan(number) else f"{number:g}"
-        raise invalid(f"{what} of '{path}'", got, f"a positive number, {low:g} to {high:g}")
+        raise invalid(f"{name} of '{path}'", got, f"a positive number, {low:g} to {high:g}")
     return number
 
 

@@ -361,16 +361,16 @@ def find_glass(
 
     Raises PixsimError if the name is not known, or in several catalogues; nothing is substituted.
     """
-    wanted = name.strip().upper()
-    if user_glasses and (user_names := _user_names(wanted, user_glasses, makers)):
+    upper_name = name.strip().upper()
+    if user_glasses and (user_names := _user_names(upper_name, user_glasses, makers)):
         return user_glasses[user_names[0]]
 
     glasses = catalogue()
-    names = _full_names(wanted, glasses)
-    has_maker = ":" in wanted
+    names = _full_names(upper_name, glasses)
+    has_maker = ":" in upper_name
     if makers and not has_maker:
         names = _listed_names(name, where, makers, hint, names, numbers)
-    elif not has_maker and len(names) == 1 and _is_shared(wanted, names[0]):
+    elif not has_maker and len(names) == 1 and _is_shared(upper_name, names[0]):
         raise invalid(
             where,
             f"{named(name)}, a name that several makers gave",
@@ -468,15 +468,15 @@ def _has_numbers(glass: Glass, numbers: tuple[float, float]) -> bool:
 # ----------------------------------------------------------------------------------------------
 
 
-def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
+def text_of_file(path: Path, name: str, expected: str, max_bytes: int) -> str:
     """Return the text of a file of Zemax, in UTF-16 or UTF-8, or in the code page of old versions
     (for comments only).
 
-    what, expected : for messages, such as "lens" and "a Zemax prescription, which is text"
+    name, expected : for messages, such as "lens" and "a Zemax prescription, which is text"
 
     Raises PixsimError if it is not readable, too large or binary.
     """
-    content = read_bytes(path, what, expected, max_bytes)
+    content = read_bytes(path, name, expected, max_bytes)
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         encodings = ["utf-16"]
     elif content[1:2] == b"\0":
@@ -498,10 +498,10 @@ def text_of(path: Path, what: str, expected: str, max_bytes: int) -> str:
         if not re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
             return text
 
-    raise invalid(what, f"'{path}', a binary file", f"{expected} in UTF-8 or UTF-16")
+    raise invalid(name, f"'{path}', a binary file", f"{expected} in UTF-8 or UTF-16")
 
 
-def lines_of(text: str) -> list[str]:
+def text_lines(text: str) -> list[str]:
     """Return the lines of a text; a character of an old code page that Unicode takes for the end of
     a line is none.
     """
@@ -578,7 +578,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
 
         glasses[full] = glass
 
-    lines = lines_of(text_of(path, "lens.glass_catalogues", expected, MAX_BYTES))
+    lines = text_lines(text_of_file(path, "lens.glass_catalogues", expected, MAX_BYTES))
     for number, line in enumerate(lines, 1):
         keyword, *words = line.split() or [""]
         try:

@@ -45,11 +45,11 @@ from pixsim.optics.glass import (
     constant_glass,
     dispersive_coefficients,
     find_glass,
-    lines_of,
     named,
     read_catalogue,
     shifted,
-    text_of,
+    text_lines,
+    text_of_file,
 )
 from pixsim.optics.lens_options import PrescriptionOptions
 
@@ -220,11 +220,11 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     path = packaged_lenses.get(file) or Path(file)
     suffix = path.suffix.lower()
     if suffix not in READERS:
-        what = f"'{file}'" if suffix or not file else f"the unknown lens '{file}'"
+        got = f"'{file}'" if suffix or not file else f"the unknown lens '{file}'"
         hint = _HOW_TO_EXPORT.get(suffix) or did_you_mean(file, packaged_lenses)
         raise invalid(
             "lens",
-            what,
+            got,
             f"{', '.join(packaged_lenses)}; or the path of a {' or '.join(READERS)} file",
             hint,
         )
@@ -413,16 +413,16 @@ class _GlassTable(Record):
             "n_d and v_d": (self.n_d, self.v_d),
             "n": (self.n,),
         }
-        whole = [what for what, values in descriptions.items() if None not in values]
-        begun = [
-            what
-            for what, values in descriptions.items()
+        complete = [form for form, values in descriptions.items() if None not in values]
+        stated = [
+            form
+            for form, values in descriptions.items()
             if any(value is not None for value in values)
         ]
-        if len(whole) != 1 or begun != whole:
+        if len(complete) != 1 or stated != complete:
             raise invalid(
                 f"{where}: glass {quoted(name)}",
-                " and ".join(begun) or "neither",
+                " and ".join(stated) or "neither",
                 f"exactly one of: {'; '.join(descriptions)}",
             )
 
@@ -584,9 +584,9 @@ def _read_toml(
     try:
         file: _PrescriptionFile = checked(_PrescriptionFile, [Layer(table, str(path), named=True)])
     except PixsimError as error:  # pydantic counts surfaces from 0
-        before = re.escape(f"{path}: ")
+        file_prefix = re.escape(f"{path}: ")
         located = re.sub(
-            rf"(?:{before})?surface\.(\d+)\.?",
+            rf"(?:{file_prefix})?surface\.(\d+)\.?",
             lambda match: f"{surface_name(int(match[1]))}: ",
             str(error),
         )
@@ -738,10 +738,12 @@ def _toml_glass(
 
     if six_digit_glass := code_glass(value):
         return six_digit_glass
-    near = did_you_mean(value, [*filter(_is_plain, user_glasses), *catalogue()])
-    other = f"{near} It is another glass, so nothing is substituted. " if near else ""
+    suggestion = did_you_mean(value, [*filter(_is_plain, user_glasses), *catalogue()])
+    near_miss = (
+        f"{suggestion} It is another glass, so nothing is substituted. " if suggestion else ""
+    )
     return find_glass(
-        value, f"{where}: glass", hint=other + _HOW_TO_GIVE_TOML, user_glasses=user_glasses
+        value, f"{where}: glass", hint=near_miss + _HOW_TO_GIVE_TOML, user_glasses=user_glasses
     )
 
 
@@ -838,13 +840,13 @@ class _Block:
     def place(self, path: Path) -> str:
         return f"'{path}', surface {self.number} (line {self.line})"
 
-    def put(self, keyword: str, value: str, place: int = 0) -> None:
+    def put(self, keyword: str, value: str, position: int = 0) -> None:
         """Set a word of the first line of a keyword, which is added if it is not there."""
         if self.first(keyword) is None:
             self.lines.append(_Line(self.line, keyword, []))
         line = next(self.all(keyword))
-        line.words += ["0"] * (place + 1 - len(line.words))
-        line.words[place] = value
+        line.words += ["0"] * (position + 1 - len(line.words))
+        line.words[position] = value
 
 
 def _read_zmx(
@@ -979,7 +981,7 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     A keyword of the head belongs there wherever it stands; another one to the surface above, if it
     is indented or no line is.
     """
-    text = lines_of(text_of(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
+    text = text_lines(text_of_file(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
     if len(text) > _MAX_LINES:
         raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {_MAX_LINES}")
     words_of_lines = [line.split() for line in text]
@@ -1148,19 +1150,21 @@ def _set_operand(path: Path, head: _Block, blocks: list[_Block], line: _Line, va
     """Set the number of an operand. Raises PixsimError if there is no such surface or field."""
     where = f"'{path}', line {line.number}"
     keyword = line.keyword
-    at = int(line.words[0])
+    target = int(line.words[0])
     is_infinite = keyword == "THIC" and value == "INFINITY"
     if not is_infinite:
         _zmx_number(where, replace(line, words=[value]))
     if keyword == "THIC":
-        if not at < len(blocks):
-            raise invalid(f"{where}: {keyword}", f"surface {at}", f"0 to {len(blocks) - 1}")
-        blocks[at].put("DISZ", value)
+        if not target < len(blocks):
+            raise invalid(f"{where}: {keyword}", f"surface {target}", f"0 to {len(blocks) - 1}")
+        blocks[target].put("DISZ", value)
     elif keyword in _FIELD_OPERANDS:
-        if not 1 <= at <= MAX_FIELDS:
-            raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MAX_FIELDS}")
+        if not 1 <= target <= MAX_FIELDS:
+            raise invalid(f"{where}: {keyword}", f"field {target}", f"1 to {MAX_FIELDS}")
         name, older = _FIELD_OPERANDS[keyword]
-        head.put(older if head.first(name) is None and head.first(older) else name, value, at - 1)
+        head.put(
+            older if head.first(name) is None and head.first(older) else name, value, target - 1
+        )
     else:
         stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
         if stated is None:
@@ -1181,19 +1185,19 @@ def _paraxial_focus(
     for number, surface in enumerate(surfaces):
         if number:
             height += surfaces[number - 1].thickness_mm / index * angle
-        behind = float(surface.glass.index(primary_nm))
-        angle -= height * surface.paraxial_curvature_per_mm * (behind - index)
-        index = behind
+        index_behind = float(surface.glass.index(primary_nm))
+        angle -= height * surface.paraxial_curvature_per_mm * (index_behind - index)
+        index = index_behind
     return -height / angle * index if angle else math.inf
 
 
-def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None = None) -> float:
+def _zmx_number(where: str, line: _Line, position: int = 0, default: float | None = None) -> float:
     """Return a number of a line, by its place behind the keyword. Raises PixsimError if it is no
     finite number.
     """
-    if place >= len(line.words) and default is not None:
+    if position >= len(line.words) and default is not None:
         return default
-    text = line.words[place] if place < len(line.words) else ""
+    text = line.words[position] if position < len(line.words) else ""
     try:
         value = float(text)
     except ValueError:
@@ -1213,10 +1217,10 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
     """Return the distance of the object from the first surface, in the unit of the file."""
     where = block.place(path)
     if (glass := block.first("GLAS")) and glass.words and glass.words[0].upper() != "AIR":
-        at = f"{where}, line {glass.number}: GLAS"
-        got = f"an object in the medium {_medium_words(at, glass)}"
+        glass_where = f"{where}, line {glass.number}: GLAS"
+        got = f"an object in the medium {_medium_words(glass_where, glass)}"
         raise invalid(
-            at,
+            glass_where,
             got,
             "an object in air",
             "Delete the line to have the lens in air, which is another lens.",
@@ -1331,8 +1335,10 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 _HOW_TRACED,
             )
     elif kind not in STEP:
-        what = ", a gradient index" if kind.startswith(_GRADIENTS) else ""
-        yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, _HOW_TRACED)
+        gradient_words = ", a gradient index" if kind.startswith(_GRADIENTS) else ""
+        yield invalid(
+            where, f"the surface type {names_in([kind])[0]}{gradient_words}", TRACED, _HOW_TRACED
+        )
 
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
@@ -1558,16 +1564,16 @@ def _how_to_use_numbers(line: _Line) -> str:
 
 
 def _zmx_glass(
-    line: _Line, at: str, makers: Sequence[str], user_glasses: Mapping[str, Glass]
+    line: _Line, where: str, makers: Sequence[str], user_glasses: Mapping[str, Glass]
 ) -> Glass:
     name = one_line(line.words[0])
     mode = line.words[1] if len(line.words) > 1 else "0"
     if name == "___BLANK" or mode == str(MODEL_GLASS):
-        n_d, v_d = _zmx_number(at, line, 3), _zmx_number(at, line, 4)
+        n_d, v_d = _zmx_number(where, line, 3), _zmx_number(where, line, 4)
         low, high = ABBE_NUMBERS
         if not 1 <= n_d <= 10 or not (v_d == 0 or low <= v_d <= high):
             raise invalid(
-                at,
+                where,
                 f"n_d = {n_d:g}, V_d = {v_d:g}",
                 f"n_d from 1 to 10 and V_d 0, or from {low:g} to {high:g}",
             )
@@ -1578,9 +1584,11 @@ def _zmx_glass(
 
     if glass := code_glass(name):
         return glass
-    glass = find_glass(name, at, makers, user_glasses=user_glasses, numbers=_stated_numbers(line))
+    glass = find_glass(
+        name, where, makers, user_glasses=user_glasses, numbers=_stated_numbers(line)
+    )
     if mode == str(SHIFTED_GLASS):
-        return shifted(glass, _zmx_number(at, line, 9, 0.0), _zmx_number(at, line, 10, 0.0))
+        return shifted(glass, _zmx_number(where, line, 9, 0.0), _zmx_number(where, line, 10, 0.0))
     return glass
 
 
@@ -1720,19 +1728,19 @@ def _zmx_wavelengths(path: Path, head: _Block) -> tuple[tuple[float, ...], float
     lines = list(head.all("WAVM"))
     if all(line.words and _is_count(line.words[0]) for line in lines):
         lines.sort(key=lambda line: int(line.words[0]))
-    values = [1e3 * _zmx_number(where, line, 1) for line in lines]
-    if not values and (older := head.first("WAVL")):
-        values = [1e3 * _zmx_number(where, older, place) for place in range(len(older.words))]
-    if not values:
+    values_nm = [1e3 * _zmx_number(where, line, 1) for line in lines]
+    if not values_nm and (older := head.first("WAVL")):
+        values_nm = [1e3 * _zmx_number(where, older, place) for place in range(len(older.words))]
+    if not values_nm:
         raise invalid(f"wavelengths of {where}", "none (lines WAVM or WAVL)", "at least one, in µm")
     fields = head.first("FTYP")
     count = int(_zmx_number(where, fields, 3, 0.0)) if fields else 0
-    used = values[:count] if 0 < count <= len(values) else values
+    used_nm = values_nm[:count] if 0 < count <= len(values_nm) else values_nm
     primary_line = head.first("PWAV")
     primary = int(_zmx_number(where, primary_line, 0, 1.0)) if primary_line else 1
-    if not 1 <= primary <= len(used):
-        raise invalid(f"{where}: PWAV", primary, f"1 to {len(used)}, one of the wavelengths")
-    return tuple(used), used[primary - 1]
+    if not 1 <= primary <= len(used_nm):
+        raise invalid(f"{where}: PWAV", primary, f"1 to {len(used_nm)}, one of the wavelengths")
+    return tuple(used_nm), used_nm[primary - 1]
 
 
 Reader = Callable[[Path, PrescriptionOptions, Mapping[str, Glass]], Prescription]

@@ -51,7 +51,7 @@ MIN_LENS_HEIGHT = 1 / math.sqrt(math.pi)
 MIN_SEMI_AXIS = 1e-8
 _BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 _TABLE_STEPS = 64  # of the width of a spot
-MAX_TURN = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
+MAX_PHASE_RAD = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
 _FAR_SPOTS = 2000.0  # widths of a spot from all photodiodes, where they collect 1e-7 of it at most
 _MAX_RAYS = 1 << 12  # at a time, so that their shares fit into a core's cache
 
@@ -535,10 +535,13 @@ def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slo
         return np.asarray(low + (high - low) * share)
 
     middle = false_position()
-    at = _coordinate(stack, pupil, axis, middle)[1]
-    later = at * before > 0
-    low, high = np.where(later, middle, low), np.where(later, high, middle)
-    before, after = np.where(later, at, before), np.where(later, after, at)
+    middle_slope = _coordinate(stack, pupil, axis, middle)[1]
+    is_later = middle_slope * before > 0
+    low, high = np.where(is_later, middle, low), np.where(is_later, high, middle)
+    before, after = (
+        np.where(is_later, middle_slope, before),
+        np.where(is_later, after, middle_slope),
+    )
     turning &= before != after
     return np.where(turning, false_position(), middle)
 
@@ -559,13 +562,15 @@ def _crossings(
     angle = (low + high) / 2
     for _ in range(NEWTON_STEPS if angle.size else 0):
         at, slope = (part[:, 0] for part in _coordinate(stack, pupil, axis, angle[:, None]))
-        later = (at <= edge) == rises
-        low, high = np.where(later, angle, low), np.where(later, high, angle)
+        is_later = (at <= edge) == rises
+        low, high = np.where(is_later, angle, low), np.where(is_later, high, angle)
         with np.errstate(divide="ignore", invalid="ignore"):
-            better = angle - (at - edge) / slope
-        better = np.where((better >= low) & (better <= high), better, (low + high) / 2)
-        converged = np.abs(better - angle) <= _CONVERGED_RAD
-        angle = better
+            next_angle = angle - (at - edge) / slope
+        next_angle = np.where(
+            (next_angle >= low) & (next_angle <= high), next_angle, (low + high) / 2
+        )
+        converged = np.abs(next_angle - angle) <= _CONVERGED_RAD
+        angle = next_angle
         if converged.all():
             break
     return angle
@@ -661,13 +666,17 @@ def _interpolated_shares(landing: Array, value: Array, slope: Array) -> Array:
 
     It is interpolated by cubic Hermite polynomials, with an error of 2e-8.
     """
-    part = landing * _TABLE_STEPS
-    below = part.astype(np.intp)
-    part = (part - below)[..., None]
-    rest = 1 - part
-    result = value[below] * (rest**2 * (1 + 2 * part)) + slope[below] * (rest**2 * part)
+    fraction = landing * _TABLE_STEPS
+    below = fraction.astype(np.intp)
+    fraction = (fraction - below)[..., None]
+    remainder = 1 - fraction
+    result = value[below] * (remainder**2 * (1 + 2 * fraction)) + slope[below] * (
+        remainder**2 * fraction
+    )
     below += 1
-    result += value[below] * (part**2 * (1 + 2 * rest)) - slope[below] * (part**2 * rest)
+    result += value[below] * (fraction**2 * (1 + 2 * remainder)) - slope[below] * (
+        fraction**2 * remainder
+    )
     return np.asarray(result)
 
 
@@ -675,11 +684,11 @@ def nodes_for(stack: Stack, widest: float, wavelength_nm: float) -> tuple[int, i
     """Return the rings and spokes of a pupil that resolve the spot, for an error below 1e-7.
 
     A share is band-limited: over the pupil's radius its phase turns by at most 2π NA p/λ along x
-    and as much along y. Where it turns more than `MAX_TURN` the spot is so narrow that most rays
-    are wholly in or out; the error is 1e-6 for pixels of 100 µm.
+    and as much along y. Where it turns more than `MAX_PHASE_RAD` the spot is so narrow that most
+    rays are wholly in or out; the error is 1e-6 for pixels of 100 µm.
     """
-    turn = min(2 * math.pi * widest * stack.pitch_um / (1e-3 * wavelength_nm), MAX_TURN)
-    return math.ceil(0.3 * turn) + 4, math.ceil(1.4 * turn) + 8
+    phase = min(2 * math.pi * widest * stack.pitch_um / (1e-3 * wavelength_nm), MAX_PHASE_RAD)
+    return math.ceil(0.3 * phase) + 4, math.ceil(1.4 * phase) + 8
 
 
 def spot_integral(v: Array) -> Array:

@@ -64,7 +64,7 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
 
 def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
     nm, share = np.array(glare).T
-    return irradiance.band_mean(lambda at: np.interp(at, nm, share))
+    return irradiance.band_mean(lambda wavelength_nm: np.interp(wavelength_nm, nm, share))
 
 
 def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:

@@ -86,7 +86,9 @@ def test_a_nearly_afocal_lens_is_shown_by_its_rays(tmp_path: Path) -> None:
     of samples a side.
     """
     data = lens_data(lens(tmp_path, curvature="2e-4"))
-    assert all(len(psf) <= MAX_FINE_WAVES and np.isclose(psf.sum(), 1, atol=0.05) for psf in data.psfs)
+    assert all(
+        len(psf) <= MAX_FINE_WAVES and np.isclose(psf.sum(), 1, atol=0.05) for psf in data.psfs
+    )
     assert data.geometric
 
 

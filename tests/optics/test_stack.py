@@ -558,7 +558,7 @@ def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> Non
         numerical_aperture(1.0), 3.0, 30.0
     )  # its disc is cut by the photodiode's edge
     limited = collected_shares(wide, pupil, [550.0])
-    monkeypatch.setattr(stacks, "MAX_TURN", math.inf)
+    monkeypatch.setattr(stacks, "MAX_PHASE_RAD", math.inf)
     np.testing.assert_allclose(limited, collected_shares(wide, pupil, [550.0]), atol=1e-6)
     monkeypatch.undo()
     giant = collected_shares(
