@@ -25,13 +25,13 @@ from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, emva_illumination
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import (
-    MAX_BLACK,
+    MAX_BLACK_SHARE,
     Sensor,
     dark_spread_e,
     least_black_level_dn,
@@ -215,7 +215,7 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
     min_level_dn = least_black_level_dn(readout, integration_s)
     if adc.black_level_dn >= min_level_dn:
         return readout
-    if min_level_dn > MAX_BLACK * adc.top_code_dn:
+    if min_level_dn > MAX_BLACK_SHARE * adc.top_code_dn:
         room = (
             f"for a black level of 6 σ of the dark noise ({min_level_dn} DN) in the lower half of"
             " the codes"

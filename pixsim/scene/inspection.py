@@ -42,8 +42,8 @@ from pixsim.scene.contents import (
 )
 from pixsim.scene.scene import Scene, sensor_node
 from pixsim.scene.tree import Node, Tree, nodes_of
-from pixsim.sensor.outside import CENTRES_NM, SHOWN_SHARE, inside, span_of
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.spectral_range import CENTRES_NM, NOTED_SHARE, cells_in, span_of
 
 _ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
 _LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
@@ -204,12 +204,12 @@ def _light_that_ends(inspection: Inspection) -> list[str]:
             continue
 
         min_value = _ENDS_LIT * values.max()
-        held_light = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
+        held_light = np.where(cells_in(span), np.interp(CENTRES_NM, nodes, values), 0.0)
         for word, end_nm, value, beyond in (
             ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
             ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
         ):
-            if value > min_value and (part := share(held_light, beyond)) > SHOWN_SHARE:
+            if value > min_value and (part := share(held_light, beyond)) > NOTED_SHARE:
                 warnings.append(
                     f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken"
                     f" as 0 beyond; if it stayed so, {percent(part)} of the electrons would come"
@@ -232,7 +232,7 @@ def _light_that_ends(inspection: Inspection) -> list[str]:
     if any(node.plugin == "sunsky" for node in pictures):
         # Air lets little of the sun through below 320 nm.
         part = share(planck(CENTRES_NM, _SUN_K), _SKY_NM[1] < CENTRES_NM)
-        if part > SHOWN_SHARE:
+        if part > NOTED_SHARE:
             warnings.append(
                 f"a sunsky has data from {_SKY_NM[0]:g} to {_SKY_NM[1]:g} nm, and is 0 beyond: of"
                 f" sunlight (a black body of {_SUN_K:g} K), {percent(part, 1)} of the electrons come"

@@ -44,18 +44,18 @@ from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.outside import (
-    SHOWN_SHARE,
-    outside_header,
-    outside_hint,
-    outside_share,
-    outside_words,
-)
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.reading import Readout
+from pixsim.sensor.spectral_range import (
+    NOTED_SHARE,
+    outside_header,
+    outside_hint,
+    outside_share,
+    outside_words,
+)
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display
 
@@ -543,7 +543,7 @@ def _outside_notes(
 ) -> list[Note]:
     """Return a note on light outside the range that is computed, if a pixel sees enough of it."""
     share = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
-    if share <= SHOWN_SHARE:
+    if share <= NOTED_SHARE:
         return []
     return [Note("light_left_out", words=outside_words(share, span), hint=outside_hint())]
 

@@ -51,7 +51,7 @@ _POINTS_OF_TABLE = 10
 # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as
 # a large one
 NEGLIGIBLE = 1e-5
-FINE = 64  # steps across the field, between which shares are linear
+FIELD_STEPS = 64  # steps across the field, between which shares are linear
 # Where a quantum efficiency is checked against the shares of its measurement.
 _CHECKED_NM = np.arange(400.0, 701.0, 50.0)
 
@@ -197,7 +197,7 @@ def scale_error(
     """
     if physics.stack is None or not allowed > 0:
         return None
-    seen_nm = tuple(sorted(_seen_nm(physics, _CHECKED_NM).tolist(), reverse=True))
+    seen_nm = tuple(sorted(_responsive_nm(physics, _CHECKED_NM).tolist(), reverse=True))
     error = 0.0
     # Diffraction is largest at the longest wavelength, and seen on the axis already: most stacks
     # need no more.
@@ -312,10 +312,10 @@ def min_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | N
     """
     if physics.stack is None or not physics.stack.microlens:
         return None
-    return float(physics.stack.fresnel_number(_seen_nm(physics, wavelength_nm).max()))
+    return float(physics.stack.fresnel_number(_responsive_nm(physics, wavelength_nm).max()))
 
 
-def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
+def _responsive_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
     nm = wavelength_nm[physics.quantum_efficiency(wavelength_nm) > 0]
     return nm if nm.size else wavelength_nm
 
@@ -330,9 +330,9 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
         return []
     y_um, x_um = camera.die_um
     # From the centre to the corner, since a table's largest angle need not be there.
-    radius = np.linspace(0.0, 0.5, FINE + 1)
+    radius = np.linspace(0.0, 0.5, FIELD_STEPS + 1)
     pupil = camera_pupil(camera).at(x_um * radius, y_um * radius)
-    limits = model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm))
+    limits = model_limits(physics.stack, pupil, _responsive_nm(physics, wavelength_nm))
     return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]
 
 
@@ -425,8 +425,8 @@ def _scale_error(
 
 @lru_cache(maxsize=4)
 def _resampling_matrix(nodes: tuple[float, ...]) -> Array:
-    """Return `_interpolation_matrix` at `FINE` equal steps from -1 to 1, (FINE + 1, n)."""
-    return _interpolation_matrix(np.array(nodes), np.linspace(-1.0, 1.0, FINE + 1))
+    """Return `_interpolation_matrix` at `FIELD_STEPS` equal steps from -1 to 1, (FINE + 1, n)."""
+    return _interpolation_matrix(np.array(nodes), np.linspace(-1.0, 1.0, FIELD_STEPS + 1))
 
 
 def _interpolation_matrix(nodes: Array, positions: Array) -> Array:
@@ -460,7 +460,7 @@ def _shares_at(
     directions = pupil.at(x_um, y_um, rings, spokes + -spokes % 4)
 
     if stack.microlens:
-        spread = _spread(stack, charge, pupil.numerical_aperture, nm)
+        spread = _charge_shares(stack, charge, pupil.numerical_aperture, nm)
         shares = collected_shares(stack, directions, nm)
         if spread is not None:
             shares = spread_shares(shares, spread)
@@ -470,7 +470,7 @@ def _shares_at(
     # the light.
     shares = collected_shares(stack, directions) * weight.sum()
     if charge and charge.crosstalk:
-        shares = spread_shares(shares, _neighbours(charge.crosstalk))
+        shares = spread_shares(shares, _crosstalk_shares(charge.crosstalk))
     return shares
 
 
@@ -491,20 +491,20 @@ def _measured_share_at(
     nm = np.array(wavelength_nm)
     sine = numerical_aperture(f_number)
     shares = collected_shares(stack, disc_pupil(sine), nm)
-    spread = _spread(stack, charge, sine, nm)
+    spread = _charge_shares(stack, charge, sine, nm)
     if spread is not None:
         shares = spread_shares(shares, spread)
     return np.asarray(shares.sum(axis=(-2, -1)))
 
 
-def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Array | None:
+def _charge_shares(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Array | None:
     """Return the shares of the charge of one photodiode under a microlens that pixels around
     collect, (K, 5, 5) or (5, 5).
     """
     if charge is None:
         return None
     if charge.crosstalk:
-        return _neighbours(charge.crosstalk)
+        return _crosstalk_shares(charge.crosstalk)
     if charge.diffusion_um is None:
         return None
     # A square with the variance of the lens's spot of light.
@@ -514,7 +514,7 @@ def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Arra
     )
 
 
-def _neighbours(crosstalk: float) -> Array:
+def _crosstalk_shares(crosstalk: float) -> Array:
     """Return the shares of a published crosstalk: the four neighbours have it together, (5, 5)."""
     shares = np.zeros((5, 5))
     shares[2, 2] = 1 - crosstalk

@@ -87,8 +87,8 @@ def _collected(
     # Shares of each channel at the rows of the grid and at all columns, (y, columns).
     count, width = signal_e_per_s.shape
     grid_rows, grid_columns = nodes[0].shape[:2]
-    above, down = _between(count, grid_rows)
-    before, right = _between(width, grid_columns)
+    above, down = _grid_positions(count, grid_rows)
+    before, right = _grid_positions(width, grid_columns)
     across = [
         {
             offset: _interpolated(shares[:, :, *offset].T, before, right[:, None]).T
@@ -140,7 +140,7 @@ def shares_sum(shares: Array, shape: tuple[int, int]) -> Array:
     return share_with_neighbours(np.ones(shape), shares)
 
 
-def _between(count: int, points: int) -> tuple[NDArray[np.intp], Array]:
+def _grid_positions(count: int, points: int) -> tuple[NDArray[np.intp], Array]:
     """Return the point of a line before each of `count` pixels, and how far each is towards the
     next point, (count,) each.
     """

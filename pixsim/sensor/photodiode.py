@@ -152,7 +152,7 @@ def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
 
 
-def _other_side(x: Array) -> Array:
+def _p_from_x(x: Array) -> Array:
     """Return p = -ln(e^x - 1) for x > 0 without overflow; the inverse is ln(1 + e^-p)."""
     return -x - np.log(-np.expm1(-x))
 
@@ -164,11 +164,11 @@ def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
     regular = np.linspace(-_BUMP, _BUMP, round(2 * _BUMP / _PANEL) + 1)
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
-    knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), _BUMP)
+    knees = np.where(reached, _p_from_x(np.where(reached, knees, 1.0)), _BUMP)
     borders = np.hstack(
         [np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -_BUMP, _BUMP)]
     )
-    reset = _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None]
+    reset = _p_from_x(_reset_to_equilibrium(log_ratio, diode))[:, None]
     return np.maximum(np.sort(borders, axis=1), reset)
 
 
@@ -192,7 +192,7 @@ def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) 
     v_oc = -v_t * log_ratio
     scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
     x_0 = _reset_to_equilibrium(log_ratio, diode)
-    p_0 = _other_side(x_0)
+    p_0 = _p_from_x(x_0)
 
     # Charge that is collected, and that the diode conducts, up to each border. The drop at the
     # reset is exactly 0, so that the smallest charges keep their precision.
@@ -314,7 +314,7 @@ class _LevelTable:
         )
 
 
-def refined(
+def _tabulate(
     function: Callable[[Array], Array], entries: Array, within: float
 ) -> tuple[Array, Array]:
     """Tabulate an increasing function: intervals are cut into thirds until linear interpolation is
@@ -374,7 +374,7 @@ def level_table(
     if last_e > full_well_e:
         beyond = np.linspace(entries[-1], np.log(last_e), _FIRST_ENTRIES)[1:]
         entries = np.concatenate([entries, beyond])
-    log_generated, level_e = refined(level, entries, _TABLE_WITHIN * full_well_e)
+    log_generated, level_e = _tabulate(level, entries, _TABLE_WITHIN * full_well_e)
     return _LevelTable(log_generated, level_e, first_e)
 
 

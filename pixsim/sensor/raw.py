@@ -578,7 +578,7 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         ):
             # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is
             # the lower one.
-            image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
+            image.tile = [tile._replace(args=_swapped_bytes(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
     if has_pages:
         warn(Note("file_as_read", words=_pages_text(path)))
@@ -650,12 +650,12 @@ def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
 _Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
 
 
-def _other_order(arguments: _Decoding) -> _Decoding:
+def _swapped_bytes(arguments: _Decoding) -> _Decoding:
     """Return the arguments of Pillow's decoder with the other order of bytes in a sample of 16
     bits.
     """
     if isinstance(arguments, tuple):
-        return (_other_order(arguments[0]), *arguments[1:])
+        return (_swapped_bytes(arguments[0]), *arguments[1:])
     assert arguments is not None  # of raw samples of 16 bits
     order = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
     return arguments[:-1] + order[arguments[-1]]

@@ -26,7 +26,6 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.flicker import row_gains
-from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.integration import (
     array_signal,
     array_size_um,
@@ -46,6 +45,7 @@ from pixsim.sensor.photodiode import (
     stored_signal_e,
 )
 from pixsim.sensor.pixel import CENTRED, Registration, derive
+from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import (
     MAX_CODE_BITS,
@@ -66,16 +66,16 @@ BLACK_SIGMAS = 6.0
 # A level that is farther from both ends of the codes is clipped in 1e-12 of normal signals; few
 # Poisson counts need some electrons more.
 CLIP_SIGMAS = 7.0
-FEW_E = 10.0
+POISSON_MARGIN_E = 10.0
 MIN_DITHER_DN = 0.6  # noise from which rounding is a noise, too
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
-MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
+MAX_BLACK_SHARE = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure
 
 
-def lasting(exposure: Exposure, total_s: float) -> Exposure:
+def with_shared_time(exposure: Exposure, total_s: float) -> Exposure:
     """Return the exposure with another time, which its subexposures share."""
     return exposure.model_copy(update={"integration_s": total_s, "frame_time": "shared"})
 
@@ -109,7 +109,7 @@ def metered_motion(
     um_per_s : velocity [x, y] of the image on the sensor
     """
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
-    return moving_in(um_per_s, time_s, exposure), lasting(exposure, time_s)
+    return moving_in(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
 
 
 # --- fixed pattern
@@ -560,7 +560,7 @@ def _never_clips(
 
     def extreme_dn(charge_e: Array, row_e: Array, sign: int) -> Array:
         """Level that a subexposure exceeds by chance as good as never, down (-1) or up (1)."""
-        spread_e = CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + FEW_E
+        spread_e = CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E
         return np.asarray(
             p.dn_per_e * (charge_e + offset_e + row_e + sign * spread_e) + p.adc.black_level_dn
         )
@@ -570,7 +570,7 @@ def _never_clips(
     is_dithered = p.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= MIN_DITHER_DN
 
     limit_e = saturation_level_e(time_s, p) if responds_linearly(p.physics) else 0.0
-    below_full = brightest_e + CLIP_SIGMAS * np.sqrt(brightest_e) + FEW_E < limit_e
+    below_full = brightest_e + CLIP_SIGMAS * np.sqrt(brightest_e) + POISSON_MARGIN_E < limit_e
     return np.asarray(above_zero & below_top & is_dithered & below_full)
 
 

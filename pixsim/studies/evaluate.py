@@ -27,7 +27,7 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
+from pixsim.sensor.readout import Frame, Sensor, make_frame, with_shared_time
 from pixsim.studies.design import (
     COMPUTED_BY,
     MAX_REPEATS,
@@ -553,7 +553,7 @@ def _chain_of_cached_frame(
     cached = _cached_frame(frames, repeat, shape, imaging)
     if cached is None:
         return None
-    exposure = lasting(imaging.exposure, float(cached[_TIME]))
+    exposure = with_shared_time(imaging.exposure, float(cached[_TIME]))
     return chain_of_frames(imaging, light, exposure, shape)
 
 

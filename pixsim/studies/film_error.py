@@ -41,7 +41,7 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import STILL
-from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, lasting
+from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_shared_time
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
@@ -975,7 +975,9 @@ def chains_of_film(
 
     chains = _mapped_in_threads(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
-    exposure = lasting(steady, integration_time_s(steady, imaging.readout, brightest_e_per_s))
+    exposure = with_shared_time(
+        steady, integration_time_s(steady, imaging.readout, brightest_e_per_s)
+    )
     return [replace(chain, exposure=exposure) for chain in chains]
 
 

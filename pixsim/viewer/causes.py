@@ -20,8 +20,8 @@ from pixsim.base.digits import percent
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
 from pixsim.sensor.reading import Readout
+from pixsim.sensor.spectral_range import NOTED_SHARE, outside_hint, outside_share, outside_words
 from pixsim.viewer.display import setting_of_white
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import xyz_to_lab
@@ -233,7 +233,7 @@ def _full(
 
 
 def _light(share: float) -> Cause | None:
-    if share <= SHOWN_SHARE:
+    if share <= NOTED_SHARE:
         return None
     return Cause(
         outside_words(share), ALL - float(_lightness_of(np.array(1 - share))), outside_hint()

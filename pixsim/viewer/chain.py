@@ -28,9 +28,9 @@ from pixsim.sensor.readout import (
     Sensor,
     capture_from_rates,
     integration_time_s,
-    lasting,
     metered_motion,
     sample_sensor,
+    with_shared_time,
 )
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.development import Development
@@ -261,7 +261,7 @@ def make_chain(
         metered, _ = array_signal(
             scene.metering_light, scene.sample_pitch_um, physics, scene.array_um
         )
-        exposure = lasting(
+        exposure = with_shared_time(
             exposure, integration_time_s(exposure, imaging.readout, float(metered.max()))
         )
     still = _standing(imaging, scene, exposure, signal, collections)

@@ -14,14 +14,14 @@ from pixsim.base.notes import Note
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
+from pixsim.sensor.readout import MAX_BLACK_SHARE, dark_spread_e, least_black_level_dn
 from pixsim.viewer.scielab import xyz_to_lab
 
 _DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
 # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing
 # by itself
-FEW_E = 100.0
-_POISSON_TERMS = 200  # 10 σ above `FEW_E`
+POISSON_MARGIN_E = 100.0
+_POISSON_TERMS = 200  # 10 σ above `POISSON_MARGIN_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
@@ -111,7 +111,7 @@ def _clipped_codes(readout: Readout, dark_e: Array, share: Array) -> tuple[float
     dark_e, share : (n,) mean dark charges, and the share of pixels with each
     """
     # A small charge is a Poisson number, a large one is normal.
-    is_faint = dark_e <= FEW_E
+    is_faint = dark_e <= POISSON_MARGIN_E
     faint_e = np.maximum(dark_e[is_faint, None], np.finfo(float).tiny)
     bright_e = dark_e[~is_faint]
     counts = np.arange(_POISSON_TERMS)
@@ -153,7 +153,7 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     where : further words after the black level
     """
     black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
-    fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
+    fits = needed <= MAX_BLACK_SHARE * (2 ** pixel["bits"] - 1)
     remedy = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
     hint = (
         f"set pixel.black_level_dn = {needed} to avoid this"

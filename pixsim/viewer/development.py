@@ -17,7 +17,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.sensor.collection import Collection, ColourCollection, shading_of
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, integration_time_s, lasting, make_frame
+from pixsim.sensor.readout import Frame, integration_time_s, make_frame, with_shared_time
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition
@@ -120,7 +120,11 @@ class Development:
         assert self.rendition is not None
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
         frame = make_frame(
-            empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s)
+            empty,
+            0.0,
+            self.signal_e_per_s,
+            self.readout,
+            with_shared_time(self.exposure, integration_s),
         )
         return noise_covariance(
             self.undeveloped(frame, matrix=None), self.rendition.responses, self.screen.dot_um

@@ -46,7 +46,7 @@ from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.quantities import MAX_CODE_BITS
 from pixsim.sensor.reading import Adc, Readout
-from pixsim.sensor.readout import Frame, lasting, make_frame
+from pixsim.sensor.readout import Frame, make_frame, with_shared_time
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import white_y, xyz_weights
 from pixsim.viewer.develop_steps import developed
@@ -164,7 +164,7 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     """Return the frame of the mean electrons, without noise, fixed pattern and rounding, and of a
     well without end.
     """
-    exposure = lasting(chain.exposure, integration_s)
+    exposure = with_shared_time(chain.exposure, integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
     frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.readout, exposure)
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))
@@ -229,7 +229,7 @@ def _noise_steps(
     """Yield each cause of noise, in their order, and noise reduction, with the mean ΔE that is
     left.
     """
-    exposure = lasting(chain.exposure, noiseless.integration_s)
+    exposure = with_shared_time(chain.exposure, noiseless.integration_s)
     readout = chain.readout
     for cause in causes:
         if cause == SHOT:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pixsim.base.notes import Note, first_notes, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.infrared import pixel_notes
+from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scene_light import SceneLight
 

@@ -12,7 +12,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.sensor.correction import correct
-from pixsim.sensor.readout import Frame, capture_from_rates, lasting, sample_sensor
+from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor, with_shared_time
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.develop_steps import noise_of_expected_e2
 from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
@@ -100,7 +100,7 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     key = (*under_test.stream, "visual noise")
     rows, columns = uniform.shape
     sensor = sample_sensor(development.readout, (rows, columns), stream(*key, "sensor"))
-    exposure = lasting(development.exposure.steady, time_s)
+    exposure = with_shared_time(development.exposure.steady, time_s)
     frame = capture_from_rates(uniform, sensor, exposure, stream(*key, "frame"))
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)

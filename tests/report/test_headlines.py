@@ -20,7 +20,7 @@ from pixsim.report.run import run_answer, run_document, run_page, shown_mean_of
 from pixsim.report.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.wording import weighted_answer
-from pixsim.sensor.outside import outside_words
+from pixsim.sensor.spectral_range import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
 from pixsim.show.render import html, text
 from pixsim.studies.curve import CaseLabels, CurveErrors

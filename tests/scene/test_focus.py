@@ -30,7 +30,7 @@ from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.sensor.infrared import focus_notes
+from pixsim.sensor.pixel_notes import focus_notes
 from pixsim.sensor.pixel_options import Pixel
 
 # A plane 0.3 m away, a part of the picture wide, turned about the vertical axis.

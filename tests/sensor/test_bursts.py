@@ -28,9 +28,9 @@ from pixsim.sensor.readout import (
     frame_mean_dn,
     frame_variance_dn2,
     integration_time_s,
-    lasting,
     least_black_level_dn,
     sample_sensor,
+    with_shared_time,
 )
 from pixsim.viewer.dark_clip import dark_clip
 
@@ -183,8 +183,8 @@ def test_exposure_time_is_shared_or_of_each(frame_time: Any, times: int) -> None
     full_s = COUNT * 0.95 * min(8000, 2 * 3995) / 1e6
     assert integration_time_s(automatic, readout, 1e6) == pytest.approx(full_s, rel=1e-12)
     assert integration_time_s(automatic, readout, 1e3) == times * 0.1
-    assert lasting(automatic, 0.3).frames == COUNT
-    assert integration_time_s(lasting(automatic, 0.3), readout, 1e3) == 0.3
+    assert with_shared_time(automatic, 0.3).frames == COUNT
+    assert integration_time_s(with_shared_time(automatic, 0.3), readout, 1e3) == 0.3
 
 
 def test_dark_level_is_clipped_in_each_exposure() -> None:

@@ -22,9 +22,9 @@ from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
 from pixsim.sensor.reading import Readout

@@ -32,10 +32,10 @@ from pixsim.report.study_facts import study_notes
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
+from pixsim.sensor.spectral_range import OUTSIDE, outside_header, outside_share
 from pixsim.show.render import text
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display

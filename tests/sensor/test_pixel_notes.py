@@ -10,10 +10,10 @@ import pytest
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.infrared import pixel_notes, share_beyond, tables_of
-from pixsim.sensor.outside import CENTRES_NM, OUTSIDE
 from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_notes import pixel_notes, share_beyond, tables_of
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.spectral_range import CENTRES_NM, OUTSIDE
 
 NM = np.arange(365.0, 1100.0, 10.0)
 CAMERA = Camera(die_mm=0.04)

@@ -34,11 +34,11 @@ CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
 _COMPUTED = "computed_nm"
 # Of a lamp's electrons: with less of them outside 360-830 nm, the range does not grow.
 _MIN_SHARE_BEYOND = 1e-4
-SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
+NOTED_SHARE = 0.01  # of a lamp's light in the sensor's response
 DIGITS = 6
 
 
-def inside(span: Span) -> NDArray[np.bool_]:
+def cells_in(span: Span) -> NDArray[np.bool_]:
     """Return which cells lie in a range, (cells,)."""
     return np.asarray((span.low_nm < CENTRES_NM) & (span.high_nm > CENTRES_NM))
 
@@ -52,7 +52,7 @@ def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
     channels = [channel for physics in pixels for channel in physics.channels]
     for lamp in lamps:
         power = lamp.cell_means(EDGES_NM)
-        if not power[~inside(VISIBLE)].any():
+        if not power[~cells_in(VISIBLE)].any():
             continue
 
         for channel in channels:
@@ -76,7 +76,7 @@ def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str,
     outside: list[list[float]] = []
     for lamp in lamps:
         power = lamp.cell_means(EDGES_NM)
-        if power[~inside(span)].any():
+        if power[~cells_in(span)].any():
             outside.append([float(f"{value:.{DIGITS}g}") for value in power])
     if outside:
         header[OUTSIDE] = outside
@@ -107,7 +107,7 @@ def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
         return 0.0
     electrons = np.array(lamps, float).reshape(-1, cells) * _response(physics)
     total = electrons.sum(axis=1)
-    outside = electrons[:, ~inside(_computed_span(header))].sum(axis=1)
+    outside = electrons[:, ~cells_in(_computed_span(header))].sum(axis=1)
     shares = outside / np.where(total > 0, total, 1.0)
     return float(shares.max(initial=0.0))
 

@@ -18,8 +18,8 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS, signed_disc_um
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.collection import stack_notes
-from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.spectral_range import CENTRES_NM, EDGES_NM, NOTED_SHARE, OUTSIDE
 from pixsim.sensor.unit_slips import unit_slips
 
 _BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
@@ -49,7 +49,7 @@ def pixel_notes(
     notes += focus_notes(physics.read_pitch_um, camera, irradiance)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
-        if share > SHOWN_SHARE:
+        if share > NOTED_SHARE:
             end_nm, last = curve[-1]
             filter_nm = setting("pixel.infrared_cut_nm", end_nm)
             words = (
