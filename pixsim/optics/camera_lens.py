@@ -3,9 +3,9 @@ distortion and blur over the die.
 
 The camera's thin lens has the real one's paraxial image distance for the object's plane and its
 numerical aperture on the axis; `Camera.chief_ray_angle` has the directions of its chief rays and
-its fall-off. So whatever knows cameras knows the light of a real lens. Distortion and blur follow
-from the trace: the scene is rendered from the middle of the entrance pupil without distortion, on a
-film as large as the die and its distortion need, and then seen where the chief rays of the primary
+its fall-off. So code for cameras serves real lenses too. Distortion and blur follow from the
+trace: the scene is rendered from the middle of the entrance pupil without distortion, on a film as
+large as the die and its distortion need, and then seen where the chief rays of the primary
 wavelength arrive. Lateral colour is part of the blur.
 """
 
@@ -115,8 +115,8 @@ def camera_with_lens(
     veil and fall-off of the options.
 
     camera : with the die and the object's distance
-    camera_options : a focal length and chief rays are those of the lens, and `f_number` stops it
-        down
+    camera_options : without focal length and chief rays, which the lens has; `f_number` stops the
+        lens down
 
     Raises PixsimError for options that contradict the lens, for a lens that cannot be read, and for
     a plane without real image.
@@ -485,7 +485,7 @@ def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.f
 
 @lru_cache(maxsize=16)
 def distortion_of(camera: Camera) -> Distortion | None:
-    """Return the distortion of a camera's real lens over its die; None for a thin lens."""
+    """Return the distortion of a camera's real lens over its die, or None for a thin lens."""
     if camera.lens is None:
         return None
     corner_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
@@ -527,7 +527,7 @@ def rendered_camera(camera: Camera) -> Camera:
 class Tiling:
     """How the blur of a lens is computed.
 
-    spacing_um : from the middle of a tile to that of the next
+    spacing_um : from the middle of a tile to the middle of the next
     psf_um : side of the PSFs; 0 on a film that is too coarse to show the blur
     error : bound for the rms error of a blurred picture, relative to its rms about the mean, for
         pictures of `picture_error`, and for the distortion of details up to half of the film's
@@ -627,9 +627,9 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     """Return a few wavelengths, (G,), and their shares, for the mean of a smooth function over
     bands of these weights.
 
-    They are those of Gauss's quadrature, exact for polynomials of degree 2G - 1: eigenvalues of the
-    matrix of the polynomials that are orthogonal under the weights (Golub and Welsch, Math. Comp.
-    23, 221, 1969), by Lanczos's steps.
+    They are the nodes of Gauss's quadrature, exact for polynomials of degree 2G - 1: eigenvalues of
+    the matrix of the polynomials that are orthogonal under the weights (Golub and Welsch, Math.
+    Comp. 23, 221, 1969), by Lanczos's steps.
     """
     is_seen = weight > 0
     nm, which = np.unique(wavelength_nm[is_seen], return_inverse=True)
@@ -851,7 +851,7 @@ def blur_of(
 
 
 def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
-    """Return how the blur of a picture is computed: as its header has it; None for a thin lens.
+    """Return how the blur of a picture is computed, as its header has it, or None for a thin lens.
 
     A picture from elsewhere has what `choose_tiling` chooses for uniform light and
     `_USUAL_TOLERANCE`.

@@ -51,7 +51,7 @@ def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -
 def _as_rows(value: Iterable[Iterable[object]]) -> ChiefRayAngles:
     """Return rows of numbers, without texts among the rows.
 
-    Raises TypeError or ValueError for what is no number.
+    Raises TypeError or ValueError for a cell that is no number.
     """
     return tuple(
         tuple(as_float(number) for number in row) for row in value if not isinstance(row, str)

@@ -244,8 +244,8 @@ def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=_MAX_CACHED_TABLES)
 def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
-    """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of
-    their wavelengths.
+    """Return `diffraction_otf` at the frequencies of a table; the spectra and the parts of a
+    picture share it.
     """
     return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
@@ -276,7 +276,7 @@ def _filter(
     """Add a spectrum (H, W) times radial tables, interpolated linearly, to totals; frequencies are
     in steps of the table.
 
-    new : channels whose totals begin with this spectrum; that of the last one may be the spectrum
+    new : channels whose totals begin with this spectrum; the last one's total may be the spectrum
         itself
     """
     rises = {channel: np.append(np.diff(otf), 0.0) for channel, otf in otfs.items()}

@@ -7,7 +7,7 @@ direction cosines at the image point, so its optical transfer function ends at t
 pupil over λ. PSFs are computed along a radius; all others are in between, and turned. Pictures are
 blurred tile by tile: windows divide the light, each share is convolved with the PSF of the middle
 of its tile, and the sum preserves all light. The windows are cubic, so that the PSF of a point is
-interpolated between those of 4 × 4 tiles.
+interpolated between the PSFs of 4 × 4 tiles.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ _PADDING = 1.5
 _SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
 _GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
 _VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
-_RAYS = 200  # by which the share of light is judged that leaves a film cell
-ROUNDING = 1e-9  # of lengths that are equal
-_POINTS_PER_CALL = 8  # whose PSFs are computed in calls of NumPy that are long enough for threads
+_RAYS = 200  # for the share of light that leaves a film cell
+_ROUNDING = 1e-9  # of lengths that are equal
+_POINTS_PER_CALL = 8  # so that calls of NumPy are long enough for threads
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
@@ -75,7 +75,7 @@ class PupilRays:
     cosines : (rays, 2) direction cosines over the stop, up to its rim, also of rays that an
         aperture clips; half of it will do, since the other half is mirrored
     opd_waves : (rays,) against the reference sphere around the chief ray's image point, in waves:
-        the PSF is that of the pupil function exp(-2πi W), and light is deflected by λ
+        the pupil function is exp(-2πi W), and light is deflected by λ
         ∂W/∂(direction cosine)
     outline : (points, 2) direction cosines around the rays that pass, in the order of their angle
     height_um : of the chief ray's image point, from the axis
@@ -130,8 +130,7 @@ class FittedWavefronts:
         """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step
         between two of them.
 
-        Where an image circle ends the pupil shrinks: beyond the last wavefront it is that of the
-        last, then.
+        Where an image circle ends the pupil shrinks: there, the last wavefront holds beyond it.
         """
         end_um = float(self.height_um[-1])
         step_um = end_um - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
@@ -376,7 +375,8 @@ def _antialias_edge(
     distance = inside[cut] / (steepest * step)
     share[cut] = _share_inside(distance, np.minimum(steep_x, steep_y) / steepest)
 
-    # The part of a sample that is inside has its middle (1 - share)/2 away from that of the sample.
+    # The part of a sample that is inside has its middle (1 - share)/2 away from the middle of the
+    # sample.
     rise_x, rise_y = rises
     rise_inwards = np.where(
         steep_x > steep_y, rise_x[cut] * np.sign(gradient_x), rise_y[cut] * np.sign(gradient_y)
@@ -610,8 +610,8 @@ def _sampled_on_film(
 
 
 def veil_mtf(frequency_cy_per_mm: Array, _psf_radius_um: float) -> Array:
-    """Return the transform of light that falls as 1/r³ beyond a radius, as that of a pupil with an
-    edge does; 1 at frequency 0.
+    """Return the transform of light that falls as 1/r³ beyond a radius, as the diffraction at the
+    edge of a pupil does; 1 at frequency 0.
 
     With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
@@ -660,9 +660,8 @@ class RadialPsfs:
 
     With all frequencies that the lens passes they serve for every film: `pitch_um` is 0.
 
-    A lens is round: the PSF of any image point is that of its distance from the axis, turned. It is
-    turned in the frequencies of the film, where this needs no samples that are finer than the
-    film's.
+    A lens is round: image points at one distance from the axis have one PSF, turned. It is turned
+    in the frequencies of the film, where this needs no samples that are finer than the film's.
 
     step_um : from point to point; the first is on the axis
     period_um : side of the window whose PSFs have OTFs at the frequencies of the splines
@@ -722,7 +721,7 @@ class RadialPsfs:
         """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W)
         of cells, in which they repeat.
 
-        Light beyond the window folds back: they are those of whole PSFs. Raises PixsimError as `at`
+        They belong to whole PSFs: light beyond the window folds back. Raises PixsimError as `at`
         does.
         """
         ends = self._last_frequencies(pitch_um, shape)
@@ -749,7 +748,7 @@ class RadialPsfs:
         """Return the OTFs of image points up to the last frequencies of a window, (n, 2 down + 1,
         across + 1).
         """
-        if not pitch_um >= self.pitch_um * (1 - ROUNDING):
+        if not pitch_um >= self.pitch_um * (1 - _ROUNDING):
             raise invalid(
                 "film cell of a PSF",
                 f"{pitch_um:.6g} µm",
@@ -780,7 +779,7 @@ class RadialPsfs:
 
     def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
         """Return the first coefficients (side, side) for a distance from the axis."""
-        if not height_um <= self.max_height_um * (1 + ROUNDING):
+        if not height_um <= self.max_height_um * (1 + _ROUNDING):
             raise invalid(
                 "distance of a PSF from the axis",
                 f"{height_um:.6g} µm",
@@ -892,8 +891,7 @@ def radial_psfs(
     band_corner = (1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um
     last = min(math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2, padded // 2 - 1)
 
-    # The coefficients of a spline through an OTF are those of the PSF over the transform of a
-    # B-spline.
+    # A spline through an OTF has the coefficients of the PSF over the transform of a B-spline.
     b_spline = (2 + np.cos(2 * np.pi / padded * np.fft.fftfreq(window, 1 / window))) / 3
 
     def compute_spline(index: int) -> NDArray[np.complex64]:
@@ -908,7 +906,7 @@ def radial_psfs(
 
     return RadialPsfs(
         step_um=step_um,
-        pitch_um=cell_um if cell_um > resolving * (1 + ROUNDING) else 0.0,
+        pitch_um=cell_um if cell_um > resolving * (1 + _ROUNDING) else 0.0,
         period_um=padded * fine_um,
         point_count=point_count,
         last_frequency=last,
@@ -917,9 +915,7 @@ def radial_psfs(
 
 
 def _zero_padded(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Return rows of a window (2n, m) in which a PSF repeats as those of a larger one, (count,
-    m).
-    """
+    """Return rows of a window (2n, m) in which a PSF repeats, in a larger window, (count, m)."""
     half = len(values) // 2
     wide = np.zeros((count, values.shape[1]), np.float32)
     wide[:half] = values[:half]
@@ -949,12 +945,12 @@ def distinct_tiles(shape: tuple[int, ...], spacing: int) -> list[tuple[int, int]
     """
     (down, _), (across, _) = (_tiles_along(n, spacing) for n in shape)
     tiles = product(range(down + 1), range(across + 1))
-    return list(dict.fromkeys(equivalent_tile(x, y, shape) for y, x in tiles))
+    return list(dict.fromkeys(_equivalent_tile(x, y, shape) for y, x in tiles))
 
 
-def equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return the place (x, y) whose PSF a tile has but for mirrors: that of x ≥ y ≥ 0 if rows and
-    columns may change places.
+def _equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return the place (x, y) whose PSF a tile has but for mirrors: x ≥ y ≥ 0 if rows and columns
+    may change places.
     """
     x, y = abs(x), abs(y)
     return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
@@ -971,10 +967,10 @@ def _window_slices(top: int, left: int, rows: int, columns: int) -> tuple[slice,
 class FieldBlur:
     """PSFs of the middles of tiles, for a picture that is centred on the axis.
 
-    shape : (H, W) of the picture, with what is added at its sides
-    spacing : film cells from the middle of a tile to that of the next; one lies on the axis
-    psfs : by the place (x, y) of `equivalent_tile`
-    cached_flat_field : `flat_field` from a cache; None to compute it
+    shape : (H, W) of the picture, extended by half a PSF at its sides
+    spacing : film cells from the middle of a tile to the next; one lies on the axis
+    psfs : by the place (x, y) of `_equivalent_tile`
+    cached_flat_field : `flat_field` from a cache; computed by default
     """
 
     shape: tuple[int, int]
@@ -1068,7 +1064,7 @@ class FieldBlur:
         (down, across), _ = self._tiles
         shares = np.empty((2 * down + 1, 2 * across + 1))
         for y, x in product(range(-down, down + 1), range(-across, across + 1)):
-            place = equivalent_tile(x, y, self.shape)
+            place = _equivalent_tile(x, y, self.shape)
             shares[down + y, across + x] = self.psfs[place].tail_share
         return shares
 
@@ -1169,7 +1165,7 @@ class FieldBlur:
 
         totals = {place: np.zeros((height, centring.shape[1]), np.complex64) for place in places}
         for y in range(down + 1):
-            tile = equivalent_tile(x, y, self.shape)
+            tile = _equivalent_tile(x, y, self.shape)
             kernel = self.psfs[tile].kernel
             if tile != (x, y):
                 kernel = kernel.T
@@ -1220,13 +1216,12 @@ class FieldBlur:
         """What becomes of a uniform picture: where the mean shift of PSFs grows along the field,
         they move apart.
 
-        All windows have the same light: what is beyond the picture does not reach it.
+        All windows have the same light: none from beyond the picture reaches it.
         """
         if self.cached_flat_field is not None:
             return self.cached_flat_field
 
-        # The other half of an even number of rows or columns is its mirror image, as that of a veil
-        # is.
+        # The other half of an even number of rows or columns is its mirror image, also in a veil.
         radius = self.cells // 2
         cuts = [n // 2 - radius if n % 2 == 0 else 0 for n in self.shape]
         first = tuple(
@@ -1332,7 +1327,7 @@ def blur_from_arrays(
     spacing: int,
     cells: int,
 ) -> FieldBlur | None:
-    """Return the blur that `FieldBlur.as_arrays` stored; None if the arrays are not those of these
+    """Return the blur that `FieldBlur.as_arrays` stored, or None if the arrays belong to other
     tiles.
     """
     extended = shape[0] + cells - 1, shape[1] + cells - 1

@@ -1,11 +1,11 @@
 """A real lens: what its prescription does to light, by paraxial and by real rays.
 
-Conventions: lengths in mm; the field angle is that of the chief ray in object space to the axis, in
-the y-z plane, light going to +y, where the image lies too. Points of the stop are (x, y) over the
-height that the real axial ray from the edge of the paraxial entrance pupil has there, at the
-primary wavelength: the stop is a real disc, and it is filled at every field. An object at a finite
-distance is a plane; its distance counts from the paraxial entrance pupil, in which the camera
-stands.
+Conventions: lengths in mm; the field angle is the angle of the chief ray in object space to the
+axis, in the y-z plane, light going to +y, where the image lies too. Points of the stop are (x, y)
+over the height that the real axial ray from the edge of the paraxial entrance pupil has there, at
+the primary wavelength: the stop is a real disc, and it is filled at every field. An object at a
+finite distance is a plane; its distance counts from the paraxial entrance pupil, in which the
+camera stands.
 
 The optical path difference is W = (path of the chief ray - path of the ray)/λ, from the incident
 wave to the reference sphere around the chief ray's image point, whose radius reaches to the
@@ -58,8 +58,8 @@ _MM_PER_NM = 1e-6
 
 # Degree of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a
 # Cooke triplet at 20°; and the rays on half of the stop to which it is fitted.
-DEGREE = 11
-RINGS, SPOKES = 8, 13
+_DEGREE = 11
+_RINGS, _SPOKES = 8, 13
 # Distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
 # tilt.
 _AIM_TOLERANCE = 1e-9
@@ -68,7 +68,7 @@ _FIELD_STEPS = 12  # to a field whose chief ray cannot be aimed from the axis
 _MAX_CACHED_INDICES = 256  # sets of wavelengths
 # Rays at a time: with fewer, threads take longer to take turns than to trace; with more, memory
 # runs short.
-BLOCK = 1 << 15
+_BLOCK = 1 << 15
 
 # Spokes of light at an image point: 1e-5 of the area if clear apertures cut corners, 1e-6 of it
 # where only the stop cuts.
@@ -76,22 +76,25 @@ _SPOKES_OF_OUTLINE = 256
 _SMOOTH_SPOKES = 64
 _MAX_SPOKES = 4096
 _OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
-OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance to the foretold edge
+_OUTLINE_STEPS, _OUTLINE_REACH = (
+    (0.7, 0.85, 1.0, 1.15),
+    10.0,
+)  # of the distance to the foretold edge
 _MIDDLE_STEPS = 3  # each is a 20th of the one before: slivers of 1e-4 of a pupil
 # Of edges in direction cosines, and of field angles in degrees.
-ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11
-INSIDE = 1 + 1e-12  # of the stop's edge
+_ROOT_STEPS, _ROOT_WIDTH, _ROOT_VALUE = 60, 1e-12, 1e-11
+_INSIDE = 1 + 1e-12  # of the stop's edge
 
-STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
+_STEEPEST_DEG, _FIELD_COUNT = 89.0, 179
 # Of the search for the largest field that can be traced, in tenths of a degree.
-LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10
-WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
+_LIMIT_FIELDS, _LIMIT_PER_DEG = 33, 10
+_WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 _FOCUS_STEP_MM = 1e-3
 # With an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding.
 _FAINTEST_F_NUMBER = 1000.0
 # Of the focal length: the image may lie as far in front of the last surface, as within a cover
 # glass.
-VIRTUAL = 0.01
+_VIRTUAL = 0.01
 
 
 @dataclass(frozen=True)
@@ -261,7 +264,7 @@ def _without_fields(prescription: Prescription) -> Lens:
 
     lens = Lens(prescription, pupil_mm, 0.0, object_mm)
     back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
-    if not -VIRTUAL * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
+    if not -_VIRTUAL * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
         raise invalid(
             lens_name,
             f"no real image: a back focal length of {back_mm:.5g} mm",
@@ -344,10 +347,10 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
         wanted_deg = float(lens._fields_with_chief_rays(lens.primary_nm)[0][-1])
         reason = "no chief ray has such an image height"
     else:
-        if wanted_deg > STEEPEST_DEG:
-            reason = f"fields are traced below {STEEPEST_DEG:g}°"
+        if wanted_deg > _STEEPEST_DEG:
+            reason = f"fields are traced below {_STEEPEST_DEG:g}°"
 
-    limit_deg = min(wanted_deg, STEEPEST_DEG)
+    limit_deg = min(wanted_deg, _STEEPEST_DEG)
     while limit_deg:
         traced_deg, step_deg = _last_traced_field(lens, limit_deg)
         if traced_deg == limit_deg:
@@ -359,7 +362,7 @@ def _largest_field(lens: Lens) -> tuple[float, str]:
         pupil_y_mm = lens._nearest_chief_height_mm(lost_deg, lens.primary_nm)
         where = lens._where_ray_ends(lost_deg, lens.primary_nm, 0.0, pupil_y_mm)
         reason = f"beyond, the chief ray {where}"
-        limit_deg = math.floor(traced_deg * LIMIT_PER_DEG) / LIMIT_PER_DEG or traced_deg
+        limit_deg = math.floor(traced_deg * _LIMIT_PER_DEG) / _LIMIT_PER_DEG or traced_deg
 
     if not reason:
         return wanted_deg, ""
@@ -372,9 +375,9 @@ def _last_traced_field(lens: Lens, limit_deg: float) -> tuple[float, float]:
     """
     nm = np.unique(lens.prescription.wavelengths_nm)
     traced_deg, step_deg = 0.0, limit_deg
-    while step_deg > 1 / LIMIT_PER_DEG and traced_deg < limit_deg:
+    while step_deg > 1 / _LIMIT_PER_DEG and traced_deg < limit_deg:
         # Finer and finer, behind the last field that is traced.
-        fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), LIMIT_FIELDS)
+        fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), _LIMIT_FIELDS)
         rays, _ = lens._trace_chief_rays(np.repeat(fields, nm.size), np.tile(nm, fields.size))
         is_finite = np.isfinite(rays.path_mm[:, 0]).reshape(fields.size, nm.size)
         is_traced = is_finite.all(axis=1)
@@ -383,7 +386,7 @@ def _last_traced_field(lens: Lens, limit_deg: float) -> tuple[float, float]:
         if not is_traced.all():
             last = max(int(np.argmin(is_traced)) - 1, 0)
         traced_deg = float(fields[last])
-        step_deg /= LIMIT_FIELDS - 1
+        step_deg /= _LIMIT_FIELDS - 1
     return traced_deg, step_deg
 
 
@@ -451,12 +454,12 @@ class Lens:
     entrance_pupil_diameter_mm: Positive
     max_field_deg: float
     object_distance_mm: AnyDistance = math.inf
-    # Not shown, so that the text of a lens without it, and what is derived from it, stays.
+    # Not in the text of a lens, which is hashed: lenses without vignetting keep their hash.
     vignetting: tuple[tuple[float, float, float, float], ...] = field(default=(), repr=False)
 
     def with_same_rays(self, **changes: Any) -> Lens:
-        """Return the lens with other fields or other light stopped, which keeps what is known of
-        the way of its rays.
+        """Return the lens with other fields or other light stopped, which keeps the aimed rays in
+        its caches.
 
         changes : fields of the lens: `max_field_deg`, `vignetting`, or a `prescription` whose
             surfaces stop other rays
@@ -723,7 +726,7 @@ class Lens:
         """
         keys = list(zip(field_deg.tolist(), wavelength_nm.tolist(), strict=True))
         new = sorted(set(keys) - self._cached_pupil_polynomials.keys())
-        batch_size = max(1, BLOCK // (RINGS * SPOKES))
+        batch_size = max(1, _BLOCK // (_RINGS * _SPOKES))
         for first in range(0, len(new), batch_size):
             batch = new[first : first + batch_size]
             fields = np.array([key[0] for key in batch])
@@ -974,7 +977,7 @@ class Lens:
         images are traced once.
         """
         opd = np.full((field_deg.size, stop_x.size), np.nan)
-        is_inside = np.hypot(stop_x, stop_y) <= INSIDE
+        is_inside = np.hypot(stop_x, stop_y) <= _INSIDE
         half_stop = np.abs(stop_x[is_inside]) + 1j * stop_y[is_inside]
         points, which = np.unique(half_stop, return_inverse=True)
         if not points.size:
@@ -1032,7 +1035,7 @@ class Lens:
         coefficients = self._pupil_polynomials(fields, wavelengths)
         bases = _monomials(x, y)
 
-        block_size = max(1, BLOCK // max(x.size, 1))
+        block_size = max(1, _BLOCK // max(x.size, 1))
         starts = range(0, max(fields.size, 1), block_size)
         blocks = [slice(first, first + block_size) for first in starts]
         wavefronts: dict[int, Wavefront] = {}
@@ -1168,7 +1171,7 @@ class Lens:
         passed = rays.passed
         if self.vignetting:
             height = self._relative_height_at_stop(field_deg, stop_x_mm, stop_y_mm)
-            passed = passed & (height <= INSIDE)
+            passed = passed & (height <= _INSIDE)
         return Wavefront(
             opd_waves=path_difference_mm / (_MM_PER_NM * wavelength_nm[:, None]),
             passed=passed,
@@ -1307,11 +1310,11 @@ class Lens:
             edge = -near * below / (excess(near) - below)
         edge = np.where((edge > near) & (edge < horizon), edge, near)
 
-        high = OUTLINE_STEPS[0] * edge
+        high = _OUTLINE_STEPS[0] * edge
         above = excess(high)
-        further = OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2]
-        far_steps = np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]
-        for share in (*OUTLINE_STEPS[1:], *far_steps):
+        further = _OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]
+        far_steps = np.arange(_OUTLINE_STEPS[-1], _OUTLINE_REACH, further)[1:]
+        for share in (*_OUTLINE_STEPS[1:], *far_steps):
             is_inside = (above <= 0) & (high < horizon)
             if not is_inside.any():
                 break
@@ -1525,8 +1528,8 @@ class Lens:
         The reference is the image of a very small field in the same plane, so that defocus is no
         distortion.
 
-        wavelength_nm : of the chief ray, the primary one by default; the reference is that of the
-            primary
+        wavelength_nm : of the chief ray, the primary one by default; the reference always has the
+            primary one
 
         Raises PixsimError as `chief_ray` does.
         """
@@ -1602,7 +1605,7 @@ class Lens:
         """Return fields in degrees from the axis on that have a chief ray, and their image heights,
         which grow, in mm.
         """
-        fields = np.linspace(0.0, STEEPEST_DEG, FIELDS_TRIED)
+        fields = np.linspace(0.0, _STEEPEST_DEG, _FIELD_COUNT)
         rays, _ = self._trace_chief_rays(fields, np.full(fields.size, wavelength_nm))
         growing = np.concatenate([[True], np.diff(rays.y[:, 0]) > 0])
         count = fields.size if growing.all() else int(np.argmin(growing))
@@ -1629,7 +1632,7 @@ class Lens:
         """Return the light on the axis that each pair of surfaces reflects twice, the largest share
         first.
 
-        reflectance : share of the light that coated surfaces in air reflect; None for bare glass
+        reflectance : share of the light that coated surfaces in air reflect; bare glass by default
         """
         indices, half_mm = self._plain_indices(wavelength_nm), self.entrance_pupil_diameter_mm / 2
         height_mm, slope = half_mm, 0.0
@@ -1666,7 +1669,7 @@ class Lens:
         for a larger one.
         """
         first = self.first_order(self.primary_nm)
-        if not first.f_number * (1 - WIDEST) <= f_number < math.inf:
+        if not first.f_number * (1 - _WIDEST) <= f_number < math.inf:
             expected = (
                 f"at least {first.f_number:.6g}, the widest of '{self.prescription.name}', and"
                 " finite"
@@ -1693,7 +1696,7 @@ class Lens:
             without the tilts, which move details and do not blur them
         object_distance_mm : of the object plane from the entrance pupil
         field_deg : half the diagonal of the picture; the lens's largest field by default
-        wavelength_nm : of the focus; None means the primary one, or those of the file
+        wavelength_nm : of the focus; by default the primary one, or all of the file
 
         Raises PixsimError if there is no real image, if rays do not reach it, or if a glass is not
         known at the wavelength.
@@ -1833,8 +1836,8 @@ def _root(
     """
     side = np.zeros(low.shape)
     root, value = low, below
-    for _ in range(ROOT_STEPS):
-        is_open = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
+    for _ in range(_ROOT_STEPS):
+        is_open = (high - low > _ROOT_WIDTH) & (np.abs(value) > _ROOT_VALUE)
         if not is_open.any():
             break
 
@@ -1893,7 +1896,7 @@ def _flattened(**parts: ArrayLike) -> tuple[Any, ...]:
 
 
 _EXPONENTS = tuple(
-    np.array([(i, j) for i in range(start, DEGREE + 1, 2) for j in range(DEGREE + 1 - i)]).T
+    np.array([(i, j) for i in range(start, _DEGREE + 1, 2) for j in range(_DEGREE + 1 - i)]).T
     for start in (1, 0)
 )  # of the monomials x^i y^j odd in x and even in x
 
@@ -1901,7 +1904,7 @@ _EXPONENTS = tuple(
 def _monomials(x: Array, y: Array) -> _Bases:
     """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
     powers_x, powers_y = (
-        np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
+        np.cumprod([np.ones_like(part), *[part] * _DEGREE], axis=0) for part in (x, y)
     )
     odd_terms, even_terms = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
     return odd_terms, even_terms
@@ -1920,7 +1923,7 @@ def _polynomial_values(terms: Array, basis: Array) -> Array:
 def _monomial_slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
     """Return the derivatives of the monomials of `_monomials`, by x and by y."""
     powers_x, powers_y = (
-        np.cumprod([np.ones_like(part), *[part] * DEGREE], axis=0) for part in (x, y)
+        np.cumprod([np.ones_like(part), *[part] * _DEGREE], axis=0) for part in (x, y)
     )
     by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in _EXPONENTS]
     by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in _EXPONENTS]
@@ -1932,8 +1935,8 @@ def _stop_samples() -> tuple[Array, Array, _Bases, _Bases]:
     """Return points of half of the stop, the monomials there, and the matrices (terms, points) that
     fit polynomials to values.
     """
-    radius = np.sin(np.pi / 2 * (np.arange(RINGS) + 1) / RINGS)[:, None]
-    angle = np.pi * (np.arange(SPOKES) / (SPOKES - 1) - 0.5)
+    radius = np.sin(np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS)[:, None]
+    angle = np.pi * (np.arange(_SPOKES) / (_SPOKES - 1) - 0.5)
     x = np.asarray((radius * np.cos(angle)).ravel())
     y = np.asarray((radius * np.sin(angle)).ravel())
     odd_terms, even_terms = _monomials(x, y)

@@ -1,5 +1,6 @@
-"""Depths, and the diameters of a thin lens's discs for points there. A real lens has those of its
-image distance and aperture.
+"""Depths, and the diameters of a thin lens's discs for points there.
+
+A real lens has the discs of a thin lens of its image distance and aperture.
 """
 
 from __future__ import annotations

@@ -11,24 +11,24 @@ from pixsim.base.arrays import Array
 from pixsim.optics.field_blur import PupilRays
 from pixsim.optics.lens import Lens, Outline, Wavefront
 
-RINGS, SPOKES = 14, 21  # of rays through half of the stop for each wavefront
+_RINGS, _SPOKES = 14, 21  # of rays through half of the stop for each wavefront
 _OUTLINE_SPOKES = 180
 # of the outline's radius: what lies further is blocked, and near the end of an image circle goes
 # anywhere
-NEAR = 1.5
+_MAX_OUTLINE_RATIO = 1.5
 
 
 def pupil_rays(lens: Lens, field_deg: Array, wavelength_nm: Array) -> list[list[PupilRays]]:
     """Return the rays of fields (F,) through half of the stop, for each wavelength (W,).
 
-    Their directions are those of points of the reference sphere from its centre, the chief ray's
-    image point. Light outside of the wavelengths at which all glasses are known takes the paths of
+    Their directions point from the centre of the reference sphere, the chief ray's image point, to
+    points on it. Light outside of the wavelengths at which all glasses are known takes the paths of
     the nearest one of these.
 
     Raises PixsimError if a chief ray does not reach the image.
     """
-    radius = np.sqrt((np.arange(RINGS) + 1) / RINGS)[:, None]  # the last ring is the rim
-    turn = np.linspace(0, np.pi, SPOKES)
+    radius = np.sqrt((np.arange(_RINGS) + 1) / _RINGS)[:, None]  # the last ring is the rim
+    turn = np.linspace(0, np.pi, _SPOKES)
     stop_x = (radius * np.sin(turn)).ravel()
     stop_y = (radius * np.cos(turn)).ravel()
 
@@ -84,4 +84,4 @@ def _near(outline: Outline, index: int, cosines: Array) -> NDArray[np.bool_]:
     away = cosines - outline.centre[index]
     turn = np.arctan2(away[:, 1], away[:, 0])
     radius = np.interp(turn, outline.angle, outline.radius[index], period=2 * np.pi)
-    return np.asarray(np.hypot(*away.T) <= NEAR * radius)
+    return np.asarray(np.hypot(*away.T) <= _MAX_OUTLINE_RATIO * radius)
