@@ -43,7 +43,7 @@ from pixsim.studies.files import tables_of_python
 from pixsim.studies.film_error import cached_film_steps
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import Pairs
-from pixsim.studies.prepare import Types
+from pixsim.studies.prepare import SensorTypes
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_supported
 from pixsim.studies.table import (
@@ -662,7 +662,7 @@ def _compared_sensor(
 
 
 def _differences_of_types(
-    types: Types,
+    types: SensorTypes,
     result: Comparison,
     rendered_sensors: Sequence[RenderedCase],
     file: Path | None,

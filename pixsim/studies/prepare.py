@@ -107,63 +107,65 @@ from pixsim.viewer.without_effect import (
 
 
 def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
-    """Return the numbers of cases in which settings are tried: those that differ from the first in
-    one axis, and the last.
+    """Return the numbers of cases in which settings are tried: the cases that differ from the first
+    in one axis, and the last case.
 
     A product of axes may have thousands; each of its values is in one of these.
     """
     first = cases[0]
-    chosen = [
-        number
-        for number, case in enumerate(cases)
-        if sum(case.at[name] != value for name, value in first.at.items())
-        + (case.condition != first.condition)
-        <= 1
-    ]
-    return list(dict.fromkeys([*chosen, len(cases) - 1]))
+    numbers = []
+    for number, case in enumerate(cases):
+        differences = sum(case.at[name] != value for name, value in first.at.items())
+        differences += case.condition != first.condition
+        if differences <= 1:
+            numbers.append(number)
+    return list(dict.fromkeys([*numbers, len(cases) - 1]))
 
 
 @dataclass(frozen=True)
-class _GivenSizes(UserSettings):
-    """Settings of one technology of a study, at one of its pixel sizes; what changes the list of
-    sizes has an effect, too.
+class _SizeSettings(UserSettings):
+    """Settings of one technology of a study at one of its pixel sizes. A setting that changes the
+    list of sizes has an effect, too.
 
-    study : as the user set it
+    study : as the user states it
     """
 
     study: Study | None = None
     technology: str = ""
 
     def _acts(self, name: str) -> bool:
-        return (not name.startswith("pitch.") and super()._acts(name)) or self._moves_sizes(name)
+        if not name.startswith("pitch.") and super()._acts(name):
+            return True
+        return self._changes_sizes(name)
 
-    def _moves_sizes(self, name: str) -> bool:
+    def _changes_sizes(self, name: str) -> bool:
         assert self.study is not None
         try:
             sizes_um = study_pitches_um(self.study, self.technology)
             other = record_with(self.study, name.split("."), Default)
             return study_pitches_um(other, self.technology).tolist() != sizes_um.tolist()
-        except PixsimError:  # without it the settings are refused
+        except PixsimError:  # without this setting the others are refused
             return True
 
 
-# A study of a data sheet takes it from the sheet's pitch; the range and the display that follow
-# from it are stated in `complete`.
-_OF_THE_SHEET = "pitch.own_um"
+# A study of a data sheet takes this pitch from the sheet; the complete settings state the range
+# and the display that follow from it.
+_SHEET_PITCH = "pitch.own_um"
 
 
 def settings_of_technology(
     stated: Case[Study], complete: Case[Study], technology: str
-) -> list[_GivenSizes]:
+) -> list[_SizeSettings]:
     """Return the settings of one technology in one case, at its largest and its smallest pixel
     size.
 
-    stated : as the user set it
+    stated : as the user states it
     complete : the same, with what the user left open
     """
     study = stated.settings
     tables: dict[str, Record] = {table: getattr(study, table) for table in TABLES}
     tables |= {"pixel": study.options_of(technology), "pitch": study.pitch}
+
     states_sizes = study.pitch.values_um is not None
     not_taken = [SOLVE_FOR]
     if not study.target_ci_um and (states_sizes or not study.refine):
@@ -175,15 +177,16 @@ def settings_of_technology(
         "picture": complete.picture,
         "not_taken": tuple(not_taken),
     }
+
     settings = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
         at_size = UserSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
-        names = tuple(
-            name for name in at_size.names if technology != NO_TECHNOLOGY or name != _OF_THE_SHEET
-        )
+        names = at_size.names
+        if technology == NO_TECHNOLOGY:
+            names = tuple(name for name in names if name != _SHEET_PITCH)
         settings.append(
-            _GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology)
+            _SizeSettings(at_size.imaging, names, **facts, study=study, technology=technology)
         )
     return settings
 
@@ -191,17 +194,17 @@ def settings_of_technology(
 # --- sensor types
 # --------------------------------------------------------------------------------------------------
 
-_MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
+_MAX_AXIS_VALUES = 5  # of the axis of a study whose sensor types are drawn
 
 
 @dataclass(frozen=True)
 class UncertaintyRequest:
-    """What is asked about the unknown numbers.
+    """A user's questions about the unknown numbers of sensors.
 
     draws : sensor types; rounded up to a power of two
-    total : whether the draws are those of total indices, draws × (inputs + 2)
-    smaller_than_um : pixel sizes; the probability that the optimum is smaller is reported
-    uncertainty : of the study's own [pixel] and data sheets, as its files state it
+    total : whether total indices are estimated, from draws × (inputs + 2) types
+    smaller_than_um : pixel sizes; the probability of a smaller optimum is reported for each
+    uncertainty : of [pixel] and of the data sheets of a study, as its files state it
     """
 
     draws: int
@@ -229,9 +232,9 @@ def uncertainty_request(
     smaller_than_um: Sequence[float],
     spreads: Uncertainty,
 ) -> UncertaintyRequest | None:
-    """Return what is asked about the unknown numbers; None if nothing is.
+    """Return the request about the unknown numbers that options make; None without such options.
 
-    uncertainty, sobol : sensor types to draw, or those of total indices
+    uncertainty, sobol : sensor types to draw: at random, or for total indices
     smaller_than_um : as in `UncertaintyRequest`
     spreads : `UncertaintyRequest.uncertainty`
 
@@ -255,14 +258,14 @@ def uncertainty_request(
 def unknowns_of_study(
     study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None
 ) -> list[Unknown]:
-    """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and
-    its technologies.
+    """Return all unknown numbers of a study's sensors: of [pixel], its data sheets, and its
+    technologies.
 
-    uncertainty : of the study's own [pixel] by the name '', and of data sheets; that of others
-        stands in their files
+    uncertainty : of the study's [pixel] by the name '', and of data sheets by theirs; other sheets
+        state it in their files
 
-    Numbers that the study or a data sheet gives in place of a technology's are known, unless their
-    own uncertainty is given.
+    A number that the study or a data sheet states in place of the technology's is known, unless
+    its uncertainty is stated, too.
 
     Raises PixsimError for a file that is damaged, and as `unknowns_of_sheet`.
     """
@@ -279,27 +282,26 @@ def unknowns_of_study(
 
 def check_axes(study: Study) -> None:
     """Raise PixsimError for axes with which sensor types cannot be drawn."""
-    if (
-        any(axis.alone for axis in study.axis)
-        or len(study.axis) > 1
-        or any(len(axis.points) > _MOST_VALUES for axis in study.axis)
-    ):
-        got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
-        raise invalid(
-            setting("uncertainty"),
-            f"a study with the axes {got}",
-            f"at most one axis of at most {_MOST_VALUES} values",
-        )
+    has_few_values = all(len(axis.points) <= _MAX_AXIS_VALUES for axis in study.axis)
+    is_alone = any(axis.alone for axis in study.axis)
+    if len(study.axis) <= 1 and has_few_values and not is_alone:
+        return
+    got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
+    raise invalid(
+        setting("uncertainty"),
+        f"a study with the axes {got}",
+        f"at most one axis of at most {_MAX_AXIS_VALUES} values",
+    )
 
 
 def check_types(
     study: Study, cases: Sequence[Study], request: UncertaintyRequest, agreed: bool
 ) -> tuple[int, int]:
-    """Return the number of sensor types of a study and of their evaluations at most, for all
-    metrics.
+    """Return the number of sensor types of a study, and the largest number of their evaluations for
+    all metrics.
 
     cases : of the study
-    agreed : whether they may be very many
+    agreed : whether the user agrees to very many evaluations
 
     Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too
     many evaluations.
@@ -316,7 +318,7 @@ def check_types(
 
 
 @dataclass(frozen=True)
-class Types:
+class SensorTypes:
     """The sensor types of a comparison.
 
     requested_draws : number of sensor types that the user asks for; the sample has a power of two
@@ -331,7 +333,7 @@ class Types:
     total: bool = False
 
     @classmethod
-    def of(cls, request: UncertaintyRequest, sensors: Sequence[Case[Run]]) -> Types:
+    def of(cls, request: UncertaintyRequest, sensors: Sequence[Case[Run]]) -> SensorTypes:
         """Draw sensor types. Raises PixsimError if nothing is unknown."""
         spreads = tuple(
             sheet_uncertainty(Path(case.file)) if Path(case.file).is_file() else {}
@@ -339,58 +341,49 @@ class Types:
         )
         files = list(dict.fromkeys(whole_path(case.settings.pixel.technology) for case in sensors))
         processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
+
         unknowns: list[Unknown] = []
         for case, sheet_spreads in zip(sensors, spreads, strict=True):
             name, pixel = case.sensor, case.settings.pixel
             unknowns += unknowns_of_sheet(pixel, sheet_spreads, name)
             if pixel.technology != NO_TECHNOLOGY:
+                technology = load_technology(pixel.technology)
                 process = processes[whole_path(pixel.technology)]
-                process_unknowns = unknowns_of_process(
-                    pixel, load_technology(pixel.technology), name
-                )
-                unknowns += [replace(unknown, process=process) for unknown in process_unknowns]
-        make = sobol_points if request.total else sample_types
-        return cls(
-            request.draws,
-            spreads,
-            make(unknowns, request.draws, sensors[0].settings.seed),
-            request.total,
-        )
+                for unknown in unknowns_of_process(pixel, technology, name):
+                    unknowns.append(replace(unknown, process=process))
+
+        draw = sobol_points if request.total else sample_types
+        sample = draw(unknowns, request.draws, sensors[0].settings.seed)
+        return cls(request.draws, spreads, sample, request.total)
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
         """Yield what lies between light and score of each type of a sensor.
 
-        name, imaging : of the sensor as it is; numbers that a condition sets are known in it
+        name, imaging : of the sensor as it is; a number that a condition sets is known
         """
         pixel = imaging.pixel
-        unknowns = [
-            unknown
-            for members in self.sample.inputs.values()
-            for unknown in members
-            if unknown.technology == name
-        ]
-        sheet_unknowns = [
-            unknown
-            for unknown in unknowns
-            if unknown.is_data_sheet and getattr(pixel, unknown.quantity) == unknown.value
-        ]
-        process_unknowns = [
-            unknown
-            for unknown in unknowns
-            if not unknown.is_data_sheet and getattr(pixel, unknown.quantity, None) is None
-        ]
-        technology = load_technology(pixel.technology)
+        sheet_unknowns: list[Unknown] = []
+        process_unknowns: list[Unknown] = []
+        for members in self.sample.inputs.values():
+            for unknown in members:
+                if unknown.technology != name:
+                    continue
+                stated = getattr(pixel, unknown.quantity, None)
+                if unknown.is_data_sheet and stated == unknown.value:
+                    sheet_unknowns.append(unknown)
+                elif not unknown.is_data_sheet and stated is None:
+                    process_unknowns.append(unknown)
+
+        process = load_technology(pixel.technology)
         for draw in self.sample.draws:
-            numbers = {unknown.quantity: draw[unknown.name] for unknown in sheet_unknowns}
-            process = {unknown.quantity: draw[unknown.name] for unknown in process_unknowns}
-            drawn = Pixel(**pixel.model_dump() | numbers) if numbers else pixel
-            yield replace(
-                imaging,
-                pixel=drawn,
-                technology=(
-                    technology.with_numbers(process, name) if process else imaging.technology
-                ),
-            )
+            drawn_pixel, technology = pixel, imaging.technology
+            if sheet_unknowns:
+                numbers = {unknown.quantity: draw[unknown.name] for unknown in sheet_unknowns}
+                drawn_pixel = Pixel(**pixel.model_dump() | numbers)
+            if process_unknowns:
+                numbers = {unknown.quantity: draw[unknown.name] for unknown in process_unknowns}
+                technology = process.with_numbers(numbers, name)
+            yield replace(imaging, pixel=drawn_pixel, technology=technology)
 
 
 # --- the job
@@ -398,7 +391,7 @@ class Types:
 
 _ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 _MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
-_Chosen = TypeVar("_Chosen", bound=Setting)
+ChosenSettings = TypeVar("ChosenSettings", bound=Setting)
 
 
 def choose_view(
@@ -417,32 +410,33 @@ def choose_view(
 
     Raises PixsimError if not one pixel fits on the die.
     """
-    fixed = display.raster == "fixed_size"
+    has_fixed_size = display.raster == "fixed_size"
     columns = pixels_along(camera.die_um[1], pitch_um)
     dots = min(max(columns, _ALLOWED_DOTS[0]), _ALLOWED_DOTS[1])
-    free = fixed and "dots" not in display.model_fields_set
-    chosen: dict[str, Any] = {"dots": dots} if free else {}
+    view: dict[str, Any] = {}
+    if has_fixed_size and "dots" not in display.model_fields_set:
+        view["dots"] = dots
+    else:
+        dots = display.dots
     if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
-        return chosen
+        return view
+
     limits = {
         "the sensor's Nyquist frequency": 1e3 / (2 * pitch_um),
         "the lens's cut-off": float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)),
     }
-    if fixed:
-        limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (
-            2 * camera.die_mm
-        )
+    if has_fixed_size:
+        limits["the display's Nyquist frequency"] = dots / (2 * camera.die_mm)
     limited_by = min(limits, key=lambda name: limits[name])
     lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
-    return chosen | {
-        MAX_LP_PER_MM: max(limits[limited_by], 2**_MIN_OCTAVES * lowest),
-        "limited_by": limited_by,
-    }
+    view[MAX_LP_PER_MM] = max(limits[limited_by], 2**_MIN_OCTAVES * lowest)
+    view["limited_by"] = limited_by
+    return view
 
 
-def with_view(settings: _Chosen, view: Mapping[str, Any]) -> _Chosen:
-    """Return settings with the display and the chart of `choose_view`, except for what they state
-    of them.
+def with_view(settings: ChosenSettings, view: Mapping[str, Any]) -> ChosenSettings:
+    """Return settings with the display and the chart of `choose_view`, where they do not state
+    them.
     """
     display, scene = settings.display, settings.scene
     if "dots" in view and "dots" not in display.model_fields_set:
@@ -458,17 +452,15 @@ def with_view(settings: _Chosen, view: Mapping[str, Any]) -> _Chosen:
 
 def scene_with_view(scene: Scene, view: Mapping[str, Any]) -> Scene:
     """Return a scene with the chart of `choose_view`."""
-    return (
-        scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])})
-        if MAX_LP_PER_MM in view
-        else scene
-    )
+    if MAX_LP_PER_MM not in view:
+        return scene
+    return scene.with_parameters(**{MAX_LP_PER_MM: repr(view[MAX_LP_PER_MM])})
 
 
 def _source_with_view(
     source: Scene | SpectralImage, view: Mapping[str, Any]
 ) -> Scene | SpectralImage:
-    """Return `scene_with_view` of a scene; light that is given as it is."""
+    """Return a scene with the chart of `choose_view`; light without a scene as it is."""
     return source if isinstance(source, SpectralImage) else scene_with_view(source, view)
 
 
@@ -487,21 +479,22 @@ MAX_FRAME_BYTES = 1.0 * (1 << 30)
 PITCH_DIGITS = 4
 
 
-def _most_pixels(camera: Camera, own_um: float | None) -> float:
-    """Return the number of pixels that a study chooses by itself at most.
+def _max_pixel_count(camera: Camera, sheet_pitch_um: float | None) -> float:
+    """Return the largest number of pixels that a study chooses by itself.
 
-    That of a data sheet takes 1 GiB while a frame is simulated, or as many pixels as its sensor
-    has; of a technology, any number that pixsim simulates.
+    For a data sheet they take 1 GiB while a frame is simulated, or are as many as its sensor has;
+    for a technology they are as many as pixsim simulates.
+
+    sheet_pitch_um : pitch of the data sheet; None for a technology
     """
-    if own_um is None:
+    if sheet_pitch_um is None:
         return MAX_PIXELS
-    sensor_pixels = math.prod(pixels_on(camera.die_um, own_um))
+    sensor_pixels = math.prod(pixels_on(camera.die_um, sheet_pitch_um))
     return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, sensor_pixels), MAX_PIXELS)
 
 
 def fitted_range(study: Study, camera: Camera) -> Study:
-    """Return the study with the range of its pixel sizes: that of the data sheet, and within what a
-    frame may hold.
+    """Return a study with a range of pixel sizes that a frame can hold.
 
     A range that is left open begins at a quarter of the data sheet's pitch, or where the fill
     factor is `min_fill_factor`, and ends at four times the pitch. It is shortened, with a warning,
@@ -509,69 +502,92 @@ def fitted_range(study: Study, camera: Camera) -> Study:
 
     Raises PixsimError if a pixel size that was set makes too many pixels.
     """
-    pitch, own_um = study.pitch, study.own_um
-    height_um, width_um = camera.die_um
+    pitch = study.pitch
     if pitch.values_um is not None:
         _check_smallest(min(pitch.values_um), camera, "pitch.values_um")
         return study
-    low, high = study.open_range_um
-    if own_um is not None and "max_um" not in pitch.model_fields_set:
-        wished, high = high, min(high, max(min(height_um, width_um) / _MIN_ACROSS, own_um))
-        if high < wished:
+
+    low_um, high_um = study.open_range_um
+    high_um = _largest_size_um(study, camera, high_um)
+    if pitch.min_um is None:
+        low_um = _smallest_size_um(study, camera, low_um)
+    else:
+        _check_smallest(pitch.min_um, camera, "pitch.min_um")
+
+    if study.own_um is None and low_um == pitch.min_um:
+        return study
+    ends = {} if low_um is None else {"min_um": low_um}
+    fields = pitch.model_dump(exclude_unset=True) | ends | {"max_um": high_um}
+    return study.model_copy(update={"pitch": PitchRange.model_validate(fields)})
+
+
+def _largest_size_um(study: Study, camera: Camera, high_um: float) -> float:
+    """Return the largest pixel size of a range, with a warning if it is smaller than stated, or if
+    a stack allows no microlens there.
+
+    high_um : of `Study.open_range_um`
+    """
+    if study.own_um is not None and "max_um" not in study.pitch.model_fields_set:
+        stated_um = high_um
+        high_um = min(high_um, max(min(camera.die_um) / _MIN_ACROSS, study.own_um))
+        if high_um < stated_um:
             reason = f"a larger one leaves fewer than {_MIN_ACROSS} on the die"
-            warn(_range_note("largest pixel size", high, wished, reason))
+            warn(_range_note("largest pixel size", high_um, stated_um, reason))
+
     for name in study.technologies:
-        if (lens_um := largest_lens_um(study, name)) < high:
+        lens_um = largest_lens_um(study, name)
+        if lens_um < high_um:
             reason = (
                 "its stack is too low for a wider ideal microlens (h < p/√π); larger ones:"
-                " pixel.stack.height_um, or "
+                " pixel.stack.height_um, or pixel.stack.microlens = 'none'"
             )
-            reason += "pixel.stack.microlens = 'none'"
-            warn(_range_note(f"largest pixel size of {label_of(name)}", lens_um, high, reason))
-    if pitch.min_um is not None:
-        _check_smallest(pitch.min_um, camera, "pitch.min_um")
+            size = f"largest pixel size of {label_of(name)}"
+            warn(_range_note(size, lens_um, high_um, reason))
+    return high_um
+
+
+def _smallest_size_um(study: Study, camera: Camera, low_um: float | None) -> float | None:
+    """Return the smallest pixel size of a range that is left open, with a warning if a frame cannot
+    hold smaller ones; None where it follows from the fill factor.
+
+    low_um : of `Study.open_range_um`
+
+    Raises PixsimError if one of several technologies would have too many pixels.
+    """
+    if low_um is None:
+        sizes_um = [float(study_pitches_um(study, name).min()) for name in study.technologies]
     else:
-        lows = (
-            [low]
-            if low is not None
-            else [float(study_pitches_um(study, name).min()) for name in study.technologies]
+        sizes_um = [low_um]
+        low_um = _up_to_pitch_digits(low_um)
+
+    die_um2 = math.prod(camera.die_um)
+    max_pixels = _max_pixel_count(camera, study.own_um)
+    min_um = _up_to_pitch_digits(math.sqrt(die_um2 / max_pixels))
+    smallest_um = min(sizes_um)
+    if smallest_um >= min_um - 10**-PITCH_DIGITS:
+        return low_um
+
+    if len(sizes_um) > 1:
+        name = study.technologies[sizes_um.index(smallest_um)]
+        pixels = amount(die_um2 / smallest_um**2)
+        raise invalid(
+            "pitch.min_fill_factor",
+            f"{smallest_um:.4g} µm of {name}: {pixels} pixels",
+            f"at most {amount(max_pixels)} pixels",
+            f"Set --pitch.min-um {min_um:g}, or --window.",
         )
-        low = low if low is None else _up_to_pitch_digits(low)
-        max_pixels = _most_pixels(camera, own_um)
-        smallest_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / max_pixels))
-        if min(lows) < smallest_um - 10**-PITCH_DIGITS:
-            if len(lows) > 1:
-                which = study.technologies[lows.index(min(lows))]
-                got = (
-                    f"{min(lows):.4g} µm of {which}:"
-                    f" {amount(height_um * width_um / min(lows) ** 2)} pixels"
-                )
-                raise invalid(
-                    "pitch.min_fill_factor",
-                    got,
-                    f"at most {amount(max_pixels)} pixels",
-                    f"Set --pitch.min-um {smallest_um:g}, or --window.",
-                )
-            low = smallest_um
-            reason = (
-                f"it has {amount(max_pixels)} pixels on the die; smaller ones: --pitch.min-um, or a part"
-                " of the die by --window"
-            )
-            warn(_range_note("smallest pixel size", low, min(lows), reason))
-    if own_um is None and low == pitch.min_um:
-        return study
-    chosen = {
-        name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None
-    }
-    return study.model_copy(
-        update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)}
+    reason = (
+        f"it has {amount(max_pixels)} pixels on the die; smaller ones: --pitch.min-um, or a part"
+        " of the die by --window"
     )
+    warn(_range_note("smallest pixel size", min_um, smallest_um, reason))
+    return min_um
 
 
-def _range_note(size: str, pitch_um: float, asked_um: float, reason: str) -> Note:
-    return Note(
-        "left_out", words=f"the {size} is {pitch_um:.4g} µm in place of {asked_um:.4g} µm: {reason}"
-    )
+def _range_note(size: str, pitch_um: float, stated_um: float, reason: str) -> Note:
+    """Return a note that a pixel size of a range is not as stated."""
+    words = f"the {size} is {pitch_um:.4g} µm in place of {stated_um:.4g} µm: {reason}"
+    return Note("left_out", words=words)
 
 
 def _check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
@@ -623,31 +639,29 @@ def check_technologies(study: Study) -> None:
 def check_pitches(study: Study) -> None:
     """Raise PixsimError for an impossible pitch or limit, before anything is computed.
 
-    Of a study without axes.
+    study : without axes
     """
     for technology in study.technologies:
-        pitches_um, process = (
-            study_pitches_um(study, technology).tolist(),
-            technology_of(study, technology),
-        )
-        # what a pixel is derived from grows or falls with its pitch: sizes between two possible
-        # ones are possible
+        pitches_um = study_pitches_um(study, technology).tolist()
+        process = technology_of(study, technology)
+        # The quantities of a pixel grow or fall with its pitch: sizes between two possible ones
+        # are possible.
         try:
-            smallest, _ = (
-                physics_of(study, technology, pitches_um[end], process) for end in (0, -1)
-            )
+            smallest = physics_of(study, technology, pitches_um[0], process)
+            physics_of(study, technology, pitches_um[-1], process)
         except PixsimError:
-            for pitch_um in pitches_um:  # the message is that of the first impossible one
+            # The message is about the first impossible size.
+            for pitch_um in pitches_um:
                 physics_of(study, technology, pitch_um, process)
             raise
         Readout.of(smallest, study.exposure)  # raises for a burst whose sum has too many bits
+
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
-        expected = f"at least {first}, with which the study starts"
         raise invalid(
             "max_evaluations",
             study.max_evaluations,
-            expected,
+            f"at least {first}, with which the study starts",
             "Raise it, or lower repeats or pitch.count.",
         )
 
@@ -681,7 +695,7 @@ def loaded_scene(
 
 _GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 # What light of a scene is rendered by, and given light is not.
-_OF_SCENE = (
+_SCENE_SETTINGS = (
     "scene",
     "camera",
     "lens",
@@ -719,51 +733,64 @@ def with_given_light(study: Study, variant: str | None) -> Study:
     where = "a study whose light is given"
     varied = [path for axis in study.axis for path in axis.paths]
     varied += [path for condition in study.condition for path in paths_of(condition.set)]
-    if moved := [".".join(path) for path in varied if path[0] in _OF_SCENE]:
+    scene_paths = [".".join(path) for path in varied if path[0] in _SCENE_SETTINGS]
+    if scene_paths:
         raise invalid(
             "axis",
-            f"{moved[0]} in {where}",
+            f"{scene_paths[0]} in {where}",
             "settings of pixel, exposure, display, correction and development",
         )
+
     stated = {
         "window_mm": study.window_mm,
         "tolerance_delta_e": study.tolerance_delta_e,
         "variant": variant,
+        "paper": study.paper or None,
     }
-    if (
-        names := [name for name, value in stated.items() if value is not None]
-        + ["paper"] * study.paper
-    ):
+    names = [name for name, value in stated.items() if value is not None]
+    if names:
         raise invalid(names[0], f"a value in {where}", "a study of a scene, or no value")
     return study.model_copy(update={"scene": StudyScene(file=_GIVEN_LIGHT), "resolution": None})
 
 
-def _scene_for(
-    study: Study, variant: str | None = None, scenes: dict[str, Scene] | None = None
-) -> tuple[Scene, Camera]:
-    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
+@dataclass(frozen=True)
+class _Sources:
+    """Sources of the light of a study's cases: scenes, each loaded once, or light that is given.
 
-    scenes : scenes by their settings, to which this one is added
+    variant : of Mitsuba
+    light : in place of a scene's
+    scenes : hash of the settings of a scene -> the scene
     """
-    if study.scene.file == _GIVEN_LIGHT:
-        raise invalid(
-            "scene.file", "light that was given in Python", "a scene, or pixsim.study(…, light=…)"
-        )
-    if is_picture(study.scene.file):
-        hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{study.scene.file}'))."
-        raise invalid("scene.file", f"'{study.scene.file}', a picture", "a Mitsuba scene", hint)
-    scenes = {} if scenes is None else scenes
-    key = content_hash([study.scene.model_dump(mode="json"), study.resolution, study.display.white])
-    if key not in scenes:
-        scenes[key] = loaded_scene(
-            study.scene.file,
-            study.scene.parameters,
-            study.resolution,
-            study.display,
-            variant=variant,
-        )
-    scene = scenes[key]
-    return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
+
+    variant: str | None
+    light: SpectralImage | None
+    scenes: dict[str, Scene] = field(default_factory=dict)
+
+    def of(self, study: Study) -> tuple[Scene | SpectralImage, Camera]:
+        """Return the scene or the light of a study, and its camera. Raises PixsimError for invalid
+        input.
+        """
+        if self.light is not None:
+            return self.light, camera_of_light(self.light, study.camera, study.lens)
+        scene = self._scene(study)
+        return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
+
+    def _scene(self, study: Study) -> Scene:
+        file = study.scene.file
+        if file == _GIVEN_LIGHT:
+            allowed = "a scene, or pixsim.study(…, light=…)"
+            raise invalid("scene.file", "light that was given in Python", allowed)
+        if is_picture(file):
+            hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{file}'))."
+            raise invalid("scene.file", f"'{file}', a picture", "a Mitsuba scene", hint)
+
+        scene = study.scene.model_dump(mode="json")
+        key = content_hash([scene, study.resolution, study.display.white])
+        if key not in self.scenes:
+            self.scenes[key] = loaded_scene(
+                file, study.scene.parameters, study.resolution, study.display, variant=self.variant
+            )
+        return self.scenes[key]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -817,16 +844,16 @@ class Job(Generic[Settings]):
     @property
     def combinations(self) -> tuple[Case[Settings], ...]:
         """The first case of each group."""
-        firsts: dict[object, Case[Settings]] = {}
+        first_cases: dict[object, Case[Settings]] = {}
         for case in self.cases:
-            firsts.setdefault(case.group, case)
-        return tuple(firsts.values())
+            first_cases.setdefault(case.group, case)
+        return tuple(first_cases.values())
 
     @property
     def evaluations(self) -> int:
         """Number of evaluations that the cases start with."""
         return sum(
-            point_count(count, 1 + len(case.further_displays))
+            point_count(count, displays=1 + len(case.further_displays))
             for case in self.cases
             for count in case.sizes.values()
         )
@@ -847,66 +874,74 @@ def prepare(
     """
     stated = study
     study = with_range_ends(stated)
-    scenes: dict[str, Scene] = {}
-    light = None if light is None else light.identified
-    study = study if light is None else with_given_light(study, variant)
-
-    def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
-        return (
-            _scene_for(study, variant, scenes)
-            if light is None
-            else (light, camera_of_light(light, study.camera, study.lens))
-        )
-
+    if light is not None:
+        light = light.identified
+        study = with_given_light(study, variant)
     check_axis_names(study, (DELTA_E, *metrics_of(study).chosen))
-    # Display and chart are those of the study itself, so that all of its cases are comparable.
+
+    # Display and chart are chosen for the study without its axes, so that all of its cases are
+    # comparable.
+    sources = _Sources(variant, light)
     base_study = _without_axes(study) if study.has_cases else study
-    scene, camera = source_for(base_study)
-    view = _chosen_view(base_study, scene, camera)
-    complete_cases: list[Case[Study]] = []
+    source, camera = sources.of(base_study)
+    view = _chosen_view(base_study, source, camera)
+
     cases = cases_of(study)
+    complete: list[Case[Study]] = []
     for case in cases:
         with named((case.words or BASE) if study.has_cases else ""):
-            shares_chart = _same_chart(case.settings, base_study) or shows_csf(
-                source_for(case.settings)[0]
-            )
-            complete = with_view(case.settings, view if shares_chart else _without_chart(view))
-            check_technologies(complete)
-            scene_of_case, its_camera = source_for(complete)
-            sized_case = replace(case, settings=fitted_range(complete, its_camera))
-            complete_cases.append(_checked(sized_case, scene_of_case, its_camera, background))
-    _warn_of_settings_without_effect(cases, complete_cases)
-    _warn_of_other_parts(complete_cases)
-    # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of
-    # them.
-    common_view = (
-        view
-        if all(_same_chart(case.settings, base_study) for case in complete_cases)
-        else _without_chart(view)
-    )
-    asked_displays = [case.settings.display for case in cases]
-    sensors = tuple(
-        replace(case, further_displays=_further_displays(case, display))
-        for combination, display in zip(complete_cases, asked_displays, strict=True)
-        for case in cases_of_sensors(combination)
-    )
+            complete.append(_complete_case(case, base_study, view, sources, background))
+    _warn_of_settings_without_effect(cases, complete)
+    _warn_of_other_parts(complete)
+
+    sensors: list[Case[Study]] = []
+    for case, complete_case in zip(cases, complete, strict=True):
+        for sensor in cases_of_sensors(complete_case):
+            displays = _further_displays(sensor, case.settings.display)
+            sensors.append(replace(sensor, further_displays=displays))
     warn_of_reviews((label_of(case.sensor), case, None) for case in sensors)
+
+    settings = complete[0].settings
+    if study.has_cases:
+        # settings.toml cannot state the end of a chart that not all cases have: it is chosen again.
+        has_one_chart = all(_same_chart(case.settings, base_study) for case in complete)
+        settings = with_view(study, view if has_one_chart else _without_chart(view))
     return Job(
-        cases=sensors,
+        cases=tuple(sensors),
         stated=stated,
-        complete=with_view(study, common_view) if study.has_cases else complete_cases[0].settings,
+        complete=settings,
         file=study.scene.file,
-        source=_source_with_view(scene, view),
+        source=_source_with_view(source, view),
         view=view,
         variant=variant,
     )
 
 
-def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]:
-    """Return further displays on which frames of a data sheet's sensor are shown: nobody knows its
-    display.
+def _complete_case(
+    case: Case[Study],
+    base_study: Study,
+    view: Mapping[str, Any],
+    sources: _Sources,
+    background: SpectralImage | None,
+) -> Case[Study]:
+    """Return a case with complete settings, its source and its camera, after all checks.
 
-    stated : the display, as the user stated it
+    base_study : the study without its axes
+    view : display and chart that are chosen for it
+    """
+    settings = case.settings
+    shows_chart = _same_chart(settings, base_study) or shows_csf(sources.of(settings)[0])
+    complete = with_view(settings, view if shows_chart else _without_chart(view))
+    check_technologies(complete)
+    source, camera = sources.of(complete)
+    complete = fitted_range(complete, camera)
+    return _checked(replace(case, settings=complete), source, camera, background)
+
+
+def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]:
+    """Return further displays for the frames of a data sheet's sensor, whose display is unknown.
+
+    stated : the display, as the user states it
     """
     study, imaging = case.settings, case.imaging
     if study.own_um is None or imaging is None or imaging.border_um is None:
@@ -949,26 +984,32 @@ def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
 def _warn_of_settings_without_effect(
     stated: Sequence[Case[Study]], complete: Sequence[Case[Study]]
 ) -> None:
-    """Warn of the settings that have no effect in any case of a study, and of those that have none
-    in one of its technologies.
+    """Warn of the settings that have no effect in any case of a study, or in any case of one of its
+    technologies.
 
-    stated : the cases as the user set them
+    stated : the cases as the user states them
     complete : the same, with what the user left open
     """
-    tried = [(stated[number], complete[number]) for number in cases_to_try(stated)]
     technologies = list(
         dict.fromkeys(name for case in stated for name in case.settings.technologies)
     )
-    sensors = {
-        label: (
-            settings
-            for pair in tried
-            if name in pair[0].settings.technologies
-            for settings in settings_of_technology(*pair, name)
-        )
-        for name, label in zip(technologies, labels_of(technologies), strict=True)
-    }
-    warn_of_settings_without_effect(sensors)
+    tried = [(stated[number], complete[number]) for number in cases_to_try(stated)]
+    labels = labels_of(technologies)
+    warn_of_settings_without_effect(
+        {
+            label: _tried_settings(tried, name)
+            for name, label in zip(technologies, labels, strict=True)
+        }
+    )
+
+
+def _tried_settings(
+    cases: Sequence[tuple[Case[Study], Case[Study]]], technology: str
+) -> Iterator[_SizeSettings]:
+    """Yield the settings of one technology in the cases that have it, each stated and complete."""
+    for stated, complete in cases:
+        if technology in stated.settings.technologies:
+            yield from settings_of_technology(stated, complete, technology)
 
 
 def _same_chart(first: Study, second: Study) -> bool:
@@ -1001,8 +1042,8 @@ def check_metrics(
     units: str | None = None,
     names: Sequence[str] = (),
 ) -> SpectralImage | None:
-    """Return the light without the target beside light that is given: `background`, or that of a file
-    that the settings name.
+    """Return the light without the target beside light that is given: `background`, or the light of
+    a file that the settings name.
 
     source : scene, or light that is given
     units : of light in files that do not state them
@@ -1011,50 +1052,63 @@ def check_metrics(
     Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or
     for the source.
     """
-    request, stated, name = (
-        metrics_of(settings),
-        settings.metric.detectability.without,
-        setting("metric.detectability.without"),
-    )
+    request = metrics_of(settings)
     if isinstance(source, SpectralImage):
-        if (
-            background is None
-            and has_target(settings.metrics)
-            and isinstance(stated, str)
-            and is_picture(stated)
-        ):
-            with named(name):
-                background, _ = read_with_camera(stated, settings.camera, units, settings.lens)
-        elif background is not None and "without" in settings.metric.detectability.model_fields_set:
-            warn(
-                Note(
-                    "not_used",
-                    setting=name,
-                    reason="the light without the target is given beside the light",
-                )
-            )
-        if background is not None:
-            check_background(background, source)
-        has_without = background is not None
-        distances = (
-            settings.camera.object_distance_m,
-            settings.metric.niirs.ground_distance_m,
-            source.header.get("camera"),
-        )
-        has_distance = any(distance is not None for distance in distances)
+        background = _background_of_light(settings, source, background, units)
+        has_background = background is not None
+        has_distance = _states_distance(settings, source)
     else:
-        if isinstance(stated, str) and has_target(settings.metrics):
-            from pixsim.scene.scene import scene_path
+        has_background = _scene_has_background(settings, source)
+        has_distance = True
 
-            with named(name):
-                scene_path(stated)
-        has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
     for number, pixel in enumerate(pixels):
         with named(names[number] if names else ""):
             request.check(
-                MetricContext(pixel.colour is not None, has_without, has_distance=has_distance)
+                MetricContext(pixel.colour is not None, has_background, has_distance=has_distance)
             )
     return None if background is None else background.identified
+
+
+def _background_of_light(
+    settings: Setting, light: SpectralImage, background: SpectralImage | None, units: str | None
+) -> SpectralImage | None:
+    """Return the light without the target for light that is given, read from a file if the settings
+    name one.
+    """
+    options = settings.metric.detectability
+    name = setting("metric.detectability.without")
+    if background is not None and "without" in options.model_fields_set:
+        reason = "the light without the target is given beside the light"
+        warn(Note("not_used", setting=name, reason=reason))
+    file = options.without
+    is_file = isinstance(file, str) and is_picture(file)
+    if background is None and is_file and has_target(settings.metrics):
+        with named(name):
+            background, _ = read_with_camera(file, settings.camera, units, settings.lens)
+    if background is not None:
+        check_background(background, light)
+    return background
+
+
+def _states_distance(settings: Setting, light: SpectralImage) -> bool:
+    """Return whether the distance of what given light shows is stated."""
+    distances = settings.camera.object_distance_m, settings.metric.niirs.ground_distance_m
+    return any(distance is not None for distance in (*distances, light.header.get("camera")))
+
+
+def _scene_has_background(settings: Setting, scene: Scene) -> bool:
+    """Return whether the settings state a scene without its target. Raises PixsimError if a metric
+    needs its file, and there is none.
+    """
+    stated = settings.metric.detectability.without
+    if not isinstance(stated, str):
+        return stated.keys() <= scene.names
+    if has_target(settings.metrics):
+        from pixsim.scene.scene import scene_path
+
+        with named(setting("metric.detectability.without")):
+            scene_path(stated)
+    return True
 
 
 def sensor_case(
@@ -1066,12 +1120,12 @@ def sensor_case(
     request: MetricRequest | None = None,
     **imaging_fields: bool,
 ) -> Case[Run]:
-    """Return the case of one sensor with its imaging and sizes, after the checks that hold for
-    every command.
+    """Return the case of one sensor with its imaging and sizes, after the checks that all commands
+    share.
 
     case : with its complete settings, its source and its camera
     repeats : number of sensors of the kind
-    border_um : width that is not scored; None takes that of its own pixels, with room for what
+    border_um : width that is not scored; None takes the border of its pixels, with room for what
         moves
     units : of light in files that do not state them
     request : metrics; None takes ΔE and those of the settings
@@ -1080,7 +1134,8 @@ def sensor_case(
     Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many
     pixels, or too few dots.
     """
-    run, die_um, pitch_um = case.settings, case.camera.die_um, case.settings.pixel.pitch_um
+    run, die_um = case.settings, case.camera.die_um
+    pitch_um = run.pixel.pitch_um
     background = check_metrics(run, [run.pixel], case.source, case.background, units)
     check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)
     imaging = Imaging.of(run, case.camera)
@@ -1109,15 +1164,15 @@ def _checked(
     camera: Camera,
     background: SpectralImage | None = None,
 ) -> Case[Study]:
-    """Return a case whose settings are complete. Raises PixsimError for pixel sizes that are not
+    """Return a case with its source and camera. Raises PixsimError for pixel sizes that are not
     possible.
 
+    case : with complete settings
     background : light without the target, beside light that is given
     """
     study = case.settings
-    background = check_metrics(
-        study, [study.options_of(name) for name in study.technologies], source, background
-    )
+    pixels = [study.options_of(name) for name in study.technologies]
+    background = check_metrics(study, pixels, source, background)
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())

@@ -45,7 +45,7 @@ from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import MIN_PAIRS
 from pixsim.studies.prepare import (
     Job,
-    Types,
+    SensorTypes,
     choose_view,
     is_picture,
     loaded_scene,
@@ -697,7 +697,7 @@ class ComparisonJob(Job[Run]):
     match: Match
     base: tuple[Run, ...]
     study: Study | None = None
-    types: Types | None = field(default=None, repr=False)
+    types: SensorTypes | None = field(default=None, repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -834,7 +834,7 @@ def prepare(
         match=chosen_match,
         base=tuple(case.settings for case in base),
         study=shared.plan,
-        types=None if type_request is None else Types.of(type_request, base),
+        types=None if type_request is None else SensorTypes.of(type_request, base),
     )
 
 

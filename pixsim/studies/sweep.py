@@ -40,7 +40,7 @@ from pixsim.studies.evaluate import RenderedCase, check_ideals, evaluate_points,
 from pixsim.studies.files import checked_study, config_layers, tables_of_python
 from pixsim.studies.lights import Light
 from pixsim.studies.prepare import (
-    Types,
+    SensorTypes,
     UncertaintyRequest,
     check_axis_names,
     check_given_light,
@@ -397,7 +397,7 @@ def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) ->
         for case in cases
         if case.group == cases[0].group
     ]
-    types = Types.of(type_request, first)
+    types = SensorTypes.of(type_request, first)
     unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
     as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
     typed = [replace(case, labels=case.labels | as_is) for case in cases]
