@@ -210,15 +210,15 @@ class ImagingChain:
         make_correction_rng : makes the second one; it is called only if the camera corrects its
             frames
         """
-        frame, correction = self._taken(sensor, frame_rng), self.imaging.correction
+        frame = self._taken(sensor, frame_rng)
+        correction = self.imaging.correction
         if not correction.is_on:
             return frame
-        layout, whites = self.readout.physics.layout, np.array(self.whites_e_per_s)
-        levels = (
-            None
-            if layout is None
-            else channel_map(whites / whites.max(), layout, self.signal_e_per_s.shape)
-        )
+        layout = self.readout.physics.layout
+        levels = None
+        if layout is not None:
+            whites = np.array(self.whites_e_per_s)
+            levels = channel_map(whites / whites.max(), layout, self.signal_e_per_s.shape)
         return correct(
             frame, sensor, correction, make_correction_rng(), self.development.flat_field, levels
         )

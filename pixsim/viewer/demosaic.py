@@ -625,7 +625,7 @@ def _fill_green_pixels(
     has_channel : which pixels sample it
     """
     difference = plane - green
-    in_row = has_channel.any(axis=1)[:, None]
+    in_row = np.asarray(has_channel.any(axis=1))[:, None]
     along_x = _correlate(difference, _TWO_NEIGHBOURS, axis=1)
     along_y = _correlate(difference, _TWO_NEIGHBOURS, axis=0)
     mean = np.where(in_row, along_x, along_y)

@@ -75,19 +75,19 @@ def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = Fal
     Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the
     scene.
     """
-    imaging, irradiance = reviewed(imaging, light), light.irradiance
-    key = (
-        _key_of_chain(imaging, irradiance)
-        if is_recent and not imaging.metrics.needs_light
-        else None
-    )
+    imaging = reviewed(imaging, light)
+    irradiance = light.irradiance
+    key = None
+    if is_recent and not imaging.metrics.needs_light:
+        key = _key_of_chain(imaging, irradiance)
     if key is not None and key in _recent_chains:
         chain, beyond_white = _recent_chains.pop(key)
         if chain.imaging.metrics != imaging.metrics:  # which decide nothing of the chain
             chain = replace(chain, imaging=imaging)
     else:
         scene = prepare_scene(imaging, light)
-        chain, beyond_white = make_chain(imaging, scene), scene.beyond_white
+        chain = make_chain(imaging, scene)
+        beyond_white = scene.beyond_white
         if key is not None:
             chain = replace(chain, scene=None)
     if key is not None:
@@ -142,10 +142,8 @@ def _evaluate_frame(
 
     Raises NoNumberError if no metric has a number.
     """
-    under_test, metrics = (
-        FrameUnderTest.of(chain, chain.capture(*key), stream=key),
-        chain.imaging.metrics.chosen,
-    )
+    metrics = chain.imaging.metrics.chosen
+    under_test = FrameUnderTest.of(chain, chain.capture(*key), stream=key)
     score = with_numbers(under_test.score, metrics, under_test, missing)
     if missing and len(missing) == len(metrics):
         raise NoNumberError(next(iter(missing.values())))
@@ -165,9 +163,9 @@ def with_numbers(
     """
     others = [metric for metric in metrics if not metric.is_delta_e]  # a score has ΔE
     numbers = numbers_of(others, under_test, missing)
-    numbers = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
-    first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
-    return replace(score, metrics=first, further=numbers)
+    further = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
+    first = {metric.name: further.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
+    return replace(score, metrics=first, further=further)
 
 
 def evaluate(

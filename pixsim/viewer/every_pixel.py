@@ -4,6 +4,8 @@ mosaic.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pixsim.base.arrays import Array
@@ -87,25 +89,24 @@ def mixed_at_every_pixel(
     ]
     flat_fields = [np.full(means[0].shape, rate) for rate in collection.rates]
     side = physics.pixel.bin_side
+
+    def recorded(pictures: Sequence[Array], weights: Array) -> Array:
+        """Return what one channel records of the pictures of all channels.
+
+        weights : (C, 5, 5), how often the pixels around have each channel
+        """
+        total: Array | int = 0
+        for picture, channel, weight in zip(pictures, collection.collections, weights, strict=True):
+            if weight.any():
+                total = total + share_with_neighbours(picture, channel.shares * weight)
+        return bin_pixels(np.asarray(total), side)
+
     planes = []
     for weights in neighbours(collection.layout):
-        recorded, white = (
-            sum(
-                share_with_neighbours(values, channel.shares * weight)
-                for values, channel, weight in zip(
-                    channel_values, collection.collections, weights, strict=True
-                )
-                if weight.any()
-            )
-            for channel_values in (means, flat_fields)
-        )
-        recorded, white = (
-            bin_pixels(np.asarray(recorded), side),
-            bin_pixels(np.asarray(white), side),
-        )
-        planes.append(
-            recorded / (white if is_shaded else white[white.shape[0] // 2, white.shape[1] // 2])
-        )
+        white = recorded(flat_fields, weights)
+        if not is_shaded:
+            white = white[white.shape[0] // 2, white.shape[1] // 2]
+        planes.append(recorded(means, weights) / white)
     return planes
 
 

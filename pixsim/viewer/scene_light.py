@@ -67,14 +67,18 @@ class SceneLight:
 
 
 def check_background(background: SpectralImage, irradiance: SpectralImage) -> None:
-    """Raise PixsimError if light without a target cannot be compared with that with it, sample by
+    """Raise PixsimError if light without a target cannot be compared with light with it, sample by
     sample.
     """
     background.validate()
-    got, wanted = ([*image.shape[:2], image.pitch_um] for image in (background, irradiance))
-    if got[:2] != wanted[:2] or not math.isclose(got[2], wanted[2], rel_tol=ROUNDING):
-        samples, allowed = ("{} × {} samples of {:g} µm".format(*sides) for sides in (got, wanted))
-        raise invalid("without", samples, f"the samples of the light with the target, {allowed}")
+    rows, columns = irradiance.shape
+    is_same_pitch = math.isclose(background.pitch_um, irradiance.pitch_um, rel_tol=ROUNDING)
+    if background.shape != (rows, columns) or not is_same_pitch:
+        got, allowed = (
+            f"{image.shape[0]} × {image.shape[1]} samples of {image.pitch_um:g} µm"
+            for image in (background, irradiance)
+        )
+        raise invalid("without", got, f"the samples of the light with the target, {allowed}")
 
 
 @dataclass(frozen=True)
@@ -181,12 +185,13 @@ class PreparedScene:
         """Return the electrons per second of the scene's white in a value of each channel on axis,
         without crosstalk of colours.
         """
-        whites = zip(self.whites_e_per_s_um2, self.lights, physics.channels, strict=True)
         count = physics.pixel.bin_side**2
-        return tuple(
-            white * collected_area_um2(channel, light.illumination) * count
-            for white, light, channel in whites
-        )
+        whites = []
+        for white, light, channel in zip(
+            self.whites_e_per_s_um2, self.lights, physics.channels, strict=True
+        ):
+            whites.append(white * collected_area_um2(channel, light.illumination) * count)
+        return tuple(whites)
 
     def collection(
         self, physics: PixelPhysics, collections: Sequence[Collection]
@@ -194,28 +199,30 @@ class PreparedScene:
         """Return the collection of the pixels of a colour sensor with a stack."""
         layout = Layout.unbinned(physics.pixel)
         assert layout is not None
-        last = self._collections[-1] if self._collections else None
-        if last is None or any(
-            cached is not collection
-            for cached, collection in zip(last.collections, collections, strict=True)
-        ):
-            side = physics.pixel.bin_side
+        cached = self._collections[-1] if self._collections else None
+        is_same = cached is not None and all(
+            previous is collection
+            for previous, collection in zip(cached.collections, collections, strict=True)
+        )
+        if not is_same:
             # The registrations of a pitch, which follow one another, share what is expensive of it.
             self._collections[:] = [
                 ColourCollection(
-                    layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side
+                    layout,
+                    tuple(collections),
+                    self.whites_e_per_s_um2,
+                    physics.pitch_um,
+                    physics.pixel.bin_side,
                 )
             ]
         return self._collections[-1]
 
     def store_integrals(self) -> None:
         """Compute what all pitches share, for workers that would each compute it."""
-        background = (
-            self.facts.background
-            if self.facts is not None and self.facts.background is not None
-            else ()
-        )
-        for light in (*self.lights, *background):
+        lights = list(self.lights)
+        if self.facts is not None and self.facts.background is not None:
+            lights += self.facts.background
+        for light in lights:
             light.running_integral  # noqa: B018 – it stays in the light
 
 
@@ -254,26 +261,28 @@ def prepare_scene(
 
     # Displays that differ in their viewer alone share the ideal picture.
     screen, beyond_white = make_screen(imaging, irradiance, rendition)
-    by_dots, screens = {imaging.display.dots: screen}, [screen]
-    for other in others:
-        if other.dots not in by_dots:
-            by_dots[other.dots], _ = make_screen(
-                imaging.changed(display=other), irradiance, rendition
-            )
-        screens.append(by_dots[other.dots].seen_at(other.samples_per_deg))
+    screen_by_dots = {imaging.display.dots: screen}
+    screens = [screen]
+    for display in others:
+        if display.dots not in screen_by_dots:
+            other = imaging.changed(display=display)
+            screen_by_dots[display.dots], _ = make_screen(other, irradiance, rendition)
+        screens.append(screen_by_dots[display.dots].seen_at(display.samples_per_deg))
 
     if lights is None:
         lights = lights_of(irradiance, camera, physics)
     if imaging.full:  # nothing of the pixels' stack is left out
-        whole = [replace(channel.illumination, spare_e=0.0) for channel in lights]
         lights = tuple(
-            replace(channel, illumination=part) for channel, part in zip(lights, whole, strict=True)
+            replace(channel, illumination=replace(channel.illumination, spare_e=0.0))
+            for channel in lights
         )
     whites = tuple(
         displays.white_rate(imaging, irradiance, channel) for channel in physics.channels
     )
     metering = without_outliers(irradiance)
-    needs_facts = imaging.metrics.needs_light
+    facts = None
+    if imaging.metrics.needs_light:
+        facts = LightFacts.of(imaging, light, lights[0].rate_e_per_s_um2)
     return PreparedScene(
         lights,
         irradiance.pitch_um,
@@ -283,7 +292,7 @@ def prepare_scene(
         beyond_white,
         rendition,
         metering_light=None if metering is None else lights_of(metering, camera, physics),
-        facts=LightFacts.of(imaging, light, lights[0].rate_e_per_s_um2) if needs_facts else None,
+        facts=facts,
     )
 
 
@@ -300,12 +309,10 @@ class SceneCache:
     def __init__(
         self, imaging: Imaging, light: SceneLight, channels: int = 1, others: Sequence[Display] = ()
     ) -> None:
-        self.imaging, self.light, self.channels, self.others = (
-            imaging,
-            light,
-            channels,
-            tuple(others),
-        )
+        self.imaging = imaging
+        self.light = light
+        self.channels = channels
+        self.others = tuple(others)
         self._scenes: dict[object, PreparedScene] = {}
         self._facts: dict[object, IdealFacts] = {}
 
@@ -334,10 +341,8 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             scene = prepare_scene(imaging, self.light, others=self.others)
-            self._scenes[key], self._facts[key] = (
-                scene,
-                IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal)),
-            )
+            self._scenes[key] = scene
+            self._facts[key] = IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
     def ideal_facts(self, key: object, imaging: Imaging) -> IdealFacts:
@@ -364,12 +369,10 @@ class SceneCache:
     def capacity(self) -> int:
         """Number of prepared scenes that are stored at once."""
         # For each channel light and spline; ideal image, its CIELAB.
+        samples = 2 * self.channels * math.prod(self.irradiance.shape)
         dots = sum(display.dots**2 for display in (self.display, *self.others))
-        planes = (
-            2 * self.channels * math.prod(self.irradiance.shape)
-            + (4 if self.channels == 1 else 6) * dots
-        )
-        return max(1, SCENE_CACHE_BYTES // (8 * planes))
+        planes_a_dot = 4 if self.channels == 1 else 6
+        return max(1, SCENE_CACHE_BYTES // (8 * (samples + planes_a_dot * dots)))
 
 
 class RecentScenes:
@@ -384,48 +387,44 @@ class RecentScenes:
     def __call__(self, imaging: Imaging, light: SceneLight) -> PreparedScene:
         """Return the prepared scene, from before where nothing differs that it depends on."""
         irradiance, pixel, physics = light.irradiance, imaging.pixel, imaging.physics
+
+        # What the light behind the lens depends on.
         electrons = tuple(
             electrons_per_joule(channel, irradiance).tobytes() for channel in physics.channels
         )
-        stack = pixel.stack and pixel.stack.model_dump(mode="json")
-        charge = physics.charge.content_hash if physics.charge else ""
         records = [
             imaging.camera.model_dump(mode="json"),
-            stack,
+            pixel.stack and pixel.stack.model_dump(mode="json"),
             str(Layout.unbinned(pixel)),
-            charge,
+            physics.charge.content_hash if physics.charge else "",
         ]
-        key_of_light = id(irradiance), content_hash(records), electrons
+        light_key = id(irradiance), content_hash(records), electrons
 
-        white = tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values())
+        # What the screen depends on besides.
         geometry = physics.read_pitch_um, imaging.scored_border_um, physics.registration
         screen = (
             imaging.display.content_hash,
             imaging.develop.content_hash,
             imaging.full,
             imaging.single,
-            white,
+            tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values()),
         )
-        key = key_of_light, geometry, screen, imaging.metrics.needs_light, id(light.background)
+        key = light_key, geometry, screen, imaging.metrics.needs_light, id(light.background)
         if key not in self._scenes:
-            if key_of_light not in self._lights:
+            if light_key not in self._lights:
                 lights = lights_of(irradiance, imaging.camera, physics)
-                _add_recent(self._lights, key_of_light, (irradiance, lights))
-            _, lights = self._lights[key_of_light]
-            _add_recent(
-                self._scenes, key, (irradiance, prepare_scene(imaging, light, lights=lights))
-            )
+                _add_recent(self._lights, light_key, (irradiance, lights))
+            _, lights = self._lights[light_key]
+            scene = prepare_scene(imaging, light, lights=lights)
+            _add_recent(self._scenes, key, (irradiance, scene))
         return self._scenes[key][1]
 
     def drop_all_but(self, images: list[SpectralImage]) -> None:
         """Forget what was made from other light than these images."""
         for recent in (self._lights, self._scenes):
-            for key in [
-                key
-                for key, (image, _) in recent.items()
-                if not any(image is other for other in images)
-            ]:
-                del recent[key]
+            for key, (image, _) in list(recent.items()):
+                if not any(image is other for other in images):
+                    del recent[key]
 
 
 def _add_recent(recent: dict[Hashable, T], key: Hashable, value: T) -> None:

@@ -188,8 +188,8 @@ def _row_offsets(
         # The quadratic form along the direction, with the columns fitted to it.
         moved = _through(direction[..., None], gains)
         fitted = _column_offsets(moved, weighted, gains, column_precision)
-        of_columns = (weighted * _through(fitted[:, None], gains)).sum(axis=2)
-        image = (normal * direction).sum(axis=1) - of_columns
+        column_term = (weighted * _through(fitted[:, None], gains)).sum(axis=2)
+        image = (normal * direction).sum(axis=1) - column_term
         length = size / float((direction * image).sum())
 
         row_offsets += length * direction
