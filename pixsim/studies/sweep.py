@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 from pixsim.base.bounds import Count, Jobs, Whole
@@ -71,24 +72,13 @@ from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settin
 
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
-_RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
-NOT_TAKEN = (
-    *STUDY_ALONE,
-    "detail",
-    "noise_budget",
-    "quick",
-    "resolution",
-)  # settings of a study that change nothing in a sweep
-_ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
-RECORDS = (
-    "exposure",
-    "display",
-    "correction",
-    "motion",
-    "develop",
-    "metric",
-    "camera",
-)  # arguments that may be tables
+# Settings of a render, which change nothing in light that is given.
+_RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")
+# Settings of a study that change nothing in a sweep.
+NOT_TAKEN = (*STUDY_ALONE, "detail", "noise_budget", "quick", "resolution")
+_SCENE_SETTINGS = ("window_mm", "tolerance_delta_e")
+# Arguments that may be tables.
+RECORDS = ("exposure", "display", "correction", "motion", "develop", "metric", "camera")
 
 
 def sweep(
@@ -166,22 +156,17 @@ def sweep(
     Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
 
     >>> import numpy as np
-    >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
+    >>> header = {"diffraction": False}
+    >>> light = SpectralImage(
+    ...     [550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header=header
+    ... )
     >>> pixels = [Pixel(pitch_um=pitch_um, prnu=0) for pitch_um in (60.0, 84.8)]
-    >>> table = sweep(light, pixels, camera=Camera(), display=Display(white_cd_per_m2=1000, dots=32), jobs=1)
+    >>> display = Display(white_cd_per_m2=1000, dots=32)
+    >>> table = sweep(light, pixels, camera=Camera(), display=display, jobs=1)
     >>> [(row["pixel"], row["pitch_um"]) for row in table], table[0]["mean_delta_e"] < 1
     ([(0, 60.0), (1, 84.8)], True)
     """
-    by_name: Mapping[Any, Pixel] = (
-        pixels if isinstance(pixels, Mapping) else dict(enumerate(pixels))
-    )
-    if not by_name:
-        raise invalid("pixels", "none", "at least one Pixel")
-    for name in by_name:
-        if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
-            raise invalid(
-                "pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table"
-            )
+    pixels_by_name = _pixels_by_name(pixels)
     check_supported(
         "sweep",
         smaller_than_um=smaller_than_um,
@@ -189,36 +174,37 @@ def sweep(
         noise_budget=settings.get("noise_budget"),
     )
     check_given_light(scene=scene, parameters=parameters)
-    records = dict(
-        zip(RECORDS, (exposure, display, correction, motion, develop, metric, camera), strict=True)
-    )
-    tables = (
-        records
-        | {"pixel": pixel, "seed": seed, "axis": list(axis), "condition": list(condition)}
-        | settings
-    )
+    records = (exposure, display, correction, motion, develop, metric, camera)
+    tables = dict(zip(RECORDS, records, strict=True)) | {
+        "pixel": pixel,
+        "seed": seed,
+        "axis": list(axis),
+        "condition": list(condition),
+    }
+    tables |= settings
     stated = {name: value for name, value in tables.items() if value is not None and value != []}
     layers = [*config_layers(config), Layer(tables_of_python(stated, metrics))]
-    light, without = (
-        light.identified,
-        None if without is None else without.identified,
-    )  # once for all cases
+
+    # All cases share the identity of the light, which is computed once.
+    light = light.identified
+    background = None if without is None else without.identified
 
     with collected_notes(), ExitStack() as stack:
         plan, sensor_layers = _sweep_plan(layers, variant)
         unused = unused_settings(layers, NOT_TAKEN) + ["quick"] * quick
+        cases = _prepare_cases(
+            light, pixels_by_name, camera, plan, sensor_layers, background, unused
+        )
         cases = [
             replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
-            for case in _prepare_cases(light, by_name, camera, plan, sensor_layers, without, unused)
+            for case in cases
         ]
         type_request = uncertainty_request(uncertainty, sobol, (), {})
         if type_request is not None:
             cases = _with_types(cases, type_request)
-        check_number(
-            len({case.group for case in cases}),
-            sum(sum(case.sizes.values()) for case in cases),
-            agreed,
-        )
+        groups = {case.group for case in cases}
+        evaluations = sum(sum(case.sizes.values()) for case in cases)
+        check_number(len(groups), evaluations, agreed)
 
         results = None
         if out is not None:
@@ -237,6 +223,24 @@ def sweep(
     return table
 
 
+def _pixels_by_name(pixels: Mapping[str, Pixel] | Sequence[Pixel]) -> Mapping[Any, Pixel]:
+    """Return pixels by their names, or by their places in a list.
+
+    Raises PixsimError without a pixel, and for a name that a table cannot hold.
+    """
+    by_name = pixels if isinstance(pixels, Mapping) else dict(enumerate(pixels))
+    if not by_name:
+        raise invalid("pixels", "none", "at least one Pixel")
+    for name in by_name:
+        if isinstance(name, int):
+            continue
+        fault = name_fault(name) if name else "is empty"
+        if fault:
+            got = f"a name that {fault}: {name!r:.80}"
+            raise invalid("pixels", got, "names for a column of a table")
+    return by_name
+
+
 def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, list[Layer]]:
     """Return a study with the axes and conditions of a sweep, and the settings of all of its
     sensors as tables of `Run`.
@@ -251,11 +255,10 @@ def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, li
         name: value
         for layer in sensor_layers
         for name, value in layer.table.items()
-        if name in _ONLY_OF_SCENE
+        if name in _SCENE_SETTINGS
     }
-    plan = checked_study(
-        [Layer({"name": "sweep"} | scene_settings), *(study_layer for _, study_layer in parts)]
-    )
+    study_layers = [study_layer for _, study_layer in parts]
+    plan = checked_study([Layer({"name": "sweep"} | scene_settings), *study_layers])
     return with_range_ends(with_given_light(plan, variant)), sensor_layers
 
 
@@ -279,29 +282,30 @@ def _prepare_cases(
     """
     cases: list[Case[Run]] = []
     stated_settings: list[UserSettings] = []
-    for place in (place for under in circumstances(plan) for place in under):
-        labels = {name: ", ".join(filter(None, (f"pixel {name}", place.words))) for name in pixels}
+    has_background = given_background is not None
+    for stated in chain.from_iterable(circumstances(plan)):
+        labels = {name: ", ".join(filter(None, (f"pixel {name}", stated.words))) for name in pixels}
+        overrides = [stated.layer] if stated.layer else []
         group: list[Case[Run]] = []
         for name, pixel in pixels.items():
             with named(labels[name]):
                 table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
-                run: Run = checked(
-                    Run, [table, *sensor_layers, *([place.layer] if place.layer else [])]
-                )
-                group.append(place.labelled(_prepared_case(run, light, camera), **{PIXEL: name}))
+                run: Run = checked(Run, [table, *sensor_layers, *overrides])
+                case = _prepared_case(run, light, camera)
+                group.append(stated.labelled(case, **{PIXEL: name}))
             stated_settings.append(
-                _given_settings(
-                    group[-1], light, unused, has_background=given_background is not None
-                )
+                _user_settings(group[-1], light, unused, has_background=has_background)
             )
-        records = [case.settings.pixel for case in group]
+
         background = check_metrics(
-            group[0].settings, records, light, given_background, names=list(labels.values())
+            group[0].settings,
+            [case.settings.pixel for case in group],
+            light,
+            given_background,
+            names=list(labels.values()),
         )
-        cases += (
-            replace(case, background=background)
-            for case in _with_one_screen(group, light, len(cases))
-        )
+        for case in _with_one_screen(group, light, len(cases)):
+            cases.append(replace(case, background=background))
     check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
     warn_of_reviews(
         (f"pixel {case.labels[PIXEL]}", case, SceneLight(light, given_background)) for case in cases
@@ -310,7 +314,7 @@ def _prepare_cases(
     return cases
 
 
-def _given_settings(
+def _user_settings(
     case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool
 ) -> UserSettings:
     """Return the settings of a sensor, of which some may have no effect.
@@ -320,42 +324,38 @@ def _given_settings(
     """
     run = case.settings
     settings = UserSettings.from_records(_imaging_of_case(case), light)
-    names = (
-        *settings.names,
-        *unused,
-        *(name for name in _RENDER_SETTINGS if name in run.model_fields_set),
-    )
-    names = tuple(dict.fromkeys(names))
-    not_taken = *NOT_TAKEN, SOLVE_FOR
+    render_settings = [name for name in _RENDER_SETTINGS if name in run.model_fields_set]
     return replace(
         settings,
-        names=names,
+        names=tuple(dict.fromkeys((*settings.names, *unused, *render_settings))),
         settings=None if has_background else run,
         picture=light,
-        not_taken=not_taken,
+        not_taken=(*NOT_TAKEN, SOLVE_FOR),
     )
 
 
 def _prepared_case(
     run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None
 ) -> Case[Run]:
-    """Return a sensor in light that is given. Raises PixsimError for one that the dots of the
-    display do not allow.
+    """Return a sensor in light that is given. Raises PixsimError if the display has too few dots
+    for it.
     """
-    if isinstance(camera, Camera):
-        lens = run.lens if run.lens.model_fields_set else None
-        whole = camera if lens is None else camera_with_lens(camera, run.camera, lens)
-    else:
+    if not isinstance(camera, Camera):
         whole = camera_of_light(light, run.camera, run.lens)
+    elif run.lens.model_fields_set:
+        whole = camera_with_lens(camera, run.camera, run.lens)
+    else:
+        whole = camera
     imaging = Imaging.of(run, whole).changed(metrics=metrics_of(run), is_run=True)
+
+    # Raises an error if not one dot is left within the border.
     physics = imaging.physics
-    size_um, array_um = picture_size_um(light), array_size_um(light, whole)
     dot_edges_um(
-        size_um,
+        picture_size_um(light),
         physics.read_pitch_um,
         imaging.display,
         imaging.scored_border_um,
-        array_um,
+        array_size_um(light, whole),
         physics.registration,
     )
     return Case(
@@ -389,8 +389,9 @@ def _with_one_screen(
 
 
 def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) -> list[Case[Run]]:
-    """Return cases and their sensor types, whose labels say the draw and its numbers. Raises
-    PixsimError if nothing is unknown.
+    """Return cases and their sensor types, with labels of the draw and its numbers.
+
+    Raises PixsimError if nothing is unknown.
     """
     first = [
         replace(case, sensor=str(case.labels[PIXEL]))
@@ -413,23 +414,20 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
     """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
     display clips.
     """
-    ideal_facts: dict[object, IdealFacts] = {}
-    for rendered, rows in zip(cases, table.by_case(), strict=True):
-        where = ", ".join(
-            filter(None, (f"pixel {rendered.case.labels[PIXEL]}", rendered.case.words))
-        )
+    facts_by_light: dict[object, IdealFacts] = {}
+    for sensor, rows in zip(cases, table.by_case(), strict=True):
+        words = ", ".join(filter(None, (f"pixel {sensor.case.labels[PIXEL]}", sensor.case.words)))
         for reason in dict.fromkeys(rows.reasons.values()):
-            warn(Note("undefined_metric", words=reason).of([where]))
+            warn(Note("undefined_metric", words=reason).of([words]))
         if not len(rows.possible):
             continue
-        if rendered.light_id not in ideal_facts:
-            ideal_facts[rendered.light_id] = rendered.scenes.ideal_facts(
-                rendered.light_key, rendered.imaging
-            )
-        for cause in causes_of_frames(
-            light, rendered.imaging, ideal_facts[rendered.light_id].lightness, rows.possible
-        ):
+
+        if sensor.light_id not in facts_by_light:
+            facts = sensor.scenes.ideal_facts(sensor.light_key, sensor.imaging)
+            facts_by_light[sensor.light_id] = facts
+        lightness = facts_by_light[sensor.light_id].lightness
+        for cause in causes_of_frames(light, sensor.imaging, lightness, rows.possible):
             if cause.leaves_nothing:
-                warn(cause.note.of([where]))
-    brightest = max((facts.beyond_white for facts in ideal_facts.values()), default=0.0)
+                warn(cause.note.of([words]))
+    brightest = max((facts.beyond_white for facts in facts_by_light.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

@@ -401,10 +401,11 @@ def _bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float, f
     high = schema.get("maximum", math.inf)
 
     # Silicon of finite depth cannot absorb more light of a wavelength.
-    is_efficiency = number == "quantum_efficiency" and isinstance(record, PixelOptions)
-    if is_efficiency and record.quantum_efficiency_nm is not None:
-        depth_um = record.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
-        high = float(absorbed_share(record.quantum_efficiency_nm, depth_um))
+    if number == "quantum_efficiency" and isinstance(record, PixelOptions):
+        nm = record.quantum_efficiency_nm
+        if nm is not None:
+            depth_um = record.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
+            high = float(absorbed_share(nm, depth_um))
     return low, high
 
 
