@@ -82,7 +82,8 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
         raise invalid("EXR file", f"'{path}' of another type", "scanlineimage or tiledimage")
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-    width, height = right - left + 1, bottom - top + 1
+    width = right - left + 1
+    height = bottom - top + 1
     count = _channel_count(attributes["channels"])
     if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE):
         raise invalid(

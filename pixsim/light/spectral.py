@@ -90,7 +90,8 @@ def colour_matching(wavelength_nm: Positives) -> Array:
     >>> colour_matching(555.0).tolist()
     [0.5120501, 1.0, 0.005749999]
     """
-    nm, table = np.asarray(wavelength_nm, float), _photometric_table()
+    nm = np.asarray(wavelength_nm, float)
+    table = _photometric_table()
     return np.stack(
         [np.interp(nm, table[:, 0], table[:, column], left=0.0, right=0.0) for column in (1, 2, 3)],
         axis=-1,
@@ -185,7 +186,8 @@ class SpectralImage:
             )
 
         if np.shape(band_width_nm) not in ((), (1,), self.wavelength_nm.shape):
-            got, bands = f"an array of shape {np.shape(band_width_nm)}", self.wavelength_nm.size
+            got = f"an array of shape {np.shape(band_width_nm)}"
+            bands = self.wavelength_nm.size
             raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
         self.band_width_nm = np.broadcast_to(
             np.asarray(band_width_nm, float), self.wavelength_nm.shape
@@ -302,7 +304,8 @@ class SpectralImage:
             raise invalid("index", index, f"0 to {self.wavelength_nm.size - 1}")
         if not self.factors:
             return self.data[rows, :, index]
-        spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
+        spectra = self.factors[0].astype(np.float32)
+        pictures = self.factors[1][:, rows]
         total = np.zeros(pictures.shape[1:], np.float32)
         for spectrum, picture in zip(spectra, pictures, strict=True):
             for part in strips(*pictures.shape[1:]):
@@ -670,7 +673,8 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
         return math.nan, math.nan
     if not is_mapped(planes):
         return float(planes.min()), float(planes.max())
-    low, high = math.inf, -math.inf
+    low = math.inf
+    high = -math.inf
     for plane in planes:
         for rows in strips(*plane.shape):
             part = plane[rows]

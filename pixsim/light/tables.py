@@ -136,14 +136,7 @@ def read_cells(path: Path, name: str, allowed: str, max_bytes: int) -> Cells:
     plain = [line for line in lines if line.strip() and not line.lstrip().startswith(_COMMENT)]
     separator = _separator([line for line in plain if _BEGINS_NUMBER.match(line)] or plain)
     if separator is None:
-        rows = [
-            (
-                re.sub(r"(?<=\d)\s+%", "%", line).split()
-                if _BEGINS_NUMBER.match(line)
-                else [line.strip()]
-            )
-            for line in lines
-        ]
+        rows = [_blank_separated(line) for line in lines]
     else:
         try:
             rows = [
@@ -161,15 +154,22 @@ def read_cells(path: Path, name: str, allowed: str, max_bytes: int) -> Cells:
         while not row[-1]:
             row.pop()
 
-    start = next(
-        (number for number, row in numbered_rows if _BEGINS_NUMBER.match(row[0])), len(lines) + 1
-    )
+    # The last comment above the first row of numbers may hold titles.
+    starts = [number for number, row in numbered_rows if _BEGINS_NUMBER.match(row[0])]
+    start = starts[0] if starts else len(lines) + 1
     comments = [
         line.strip().lstrip(_COMMENT).strip()
         for line in lines[: start - 1]
         if line.lstrip().startswith(_COMMENT)
     ]
     return Cells(numbered_rows, separator, comments[-1] if comments else "")
+
+
+def _blank_separated(line: str) -> list[str]:
+    """Return the cells of a line of numbers between blanks; a line of text is one cell."""
+    if not _BEGINS_NUMBER.match(line):
+        return [line.strip()]
+    return re.sub(r"(?<=\d)\s+%", "%", line).split()
 
 
 def _separator(lines: Sequence[str]) -> str | None:
@@ -180,9 +180,9 @@ def _separator(lines: Sequence[str]) -> str | None:
         return "\t"
 
     # In 400 0,3 the comma is a decimal mark; in 400, 0.3 it is not.
-    if all(
-        len(words := line.split()) > 1 and all(as_number(word, ",") is not None for word in words)
-        for line in lines
+    words = [line.split() for line in lines]
+    if all(len(cells) > 1 for cells in words) and all(
+        as_number(cell, ",") is not None for cells in words for cell in cells
     ):
         return None
     return "," if any("," in line for line in lines) else None

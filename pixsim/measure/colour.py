@@ -227,10 +227,8 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
         collection = ColourCollection(
             layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, readout.bin_side
         )
-        rendition, white = (
-            rendition.mixed_by(collection.mixing_um2, rates),
-            collection.white_e_per_s,
-        )
+        rendition = rendition.mixed_by(collection.mixing_um2, rates)
+        white = collection.white_e_per_s
 
     check_separable(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)

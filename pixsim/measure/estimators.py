@@ -43,7 +43,8 @@ def pair(first: Frames, second: Frames) -> Pair:
     """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288,
     section 6.6).
     """
-    a, b = first.astype(float), second.astype(float)
+    a = first.astype(float)
+    b = second.astype(float)
     variance = float(np.mean((a - b) ** 2)) / 2 - (a.mean() - b.mean()) ** 2 / 2
     return Pair(
         float((a.mean() + b.mean()) / 2),

@@ -179,7 +179,8 @@ class LensData(Result):
         """Return wavelengths in nm and the paraxial focus of an object at infinity in µm from the
         focus of the primary one, (m,).
         """
-        low, high = self.wavelength_nm.min(), self.wavelength_nm.max()
+        low = self.wavelength_nm.min()
+        high = self.wavelength_nm.max()
         nm = np.linspace(low, high, _CURVE_FIELDS) if high > low else np.array([low])
         foci_mm = [self.lens.first_order(float(line)).back_focal_length_mm for line in nm]
         return nm, 1e3 * (np.array(foci_mm) - self.primary.back_focal_length_mm)
@@ -418,7 +419,8 @@ def ray_spreads(
         waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)
         is_traced = waves.passed & np.isfinite(waves.opd_waves)
         off_mm = waves.chief_y_mm[:, None] - lens.chief_ray(angle, lens.primary_nm).height_mm
-        x_um, y_um = 1e3 * waves.x_mm[is_traced], 1e3 * (waves.y_mm + off_mm)[is_traced]
+        x_um = 1e3 * waves.x_mm[is_traced]
+        y_um = 1e3 * (waves.y_mm + off_mm)[is_traced]
         counts = np.histogram2d(y_um, x_um, [edges, edges])[0]
         psfs.append(counts / max(y_um.size, 1))
         lines = []

@@ -442,7 +442,8 @@ def _measured_channels(
         ]
 
     if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
-        row, column = int(place[1]), int(place[2])
+        row = int(place[1])
+        column = int(place[2])
         if row >= period[0] or column >= period[1]:
             raise invalid(
                 setting("channel"),
@@ -567,7 +568,8 @@ def _nyquist_cy_per_px(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -
     for row in range(-(period[0] // 2), period[0] // 2 + 1):
         for column in range(1, period[1] + 1):
             if strength[row % period[0], column % period[1]] > 1e-6:
-                u, v = column / period[1], row / period[0]
+                u = column / period[1]
+                v = row / period[0]
                 frequencies.append((u * u + v * v) / (2 * u))
 
     return min(frequencies)
@@ -622,7 +624,8 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     # So that squares are numbers; a black picture has no contrast, which is said later.
     largest = np.abs(data).max()
     if largest and not SMALLEST <= largest <= LARGEST:
-        got, allowed = f"a largest value of {largest:g}", f"{SMALLEST:g} to {LARGEST:g} in size"
+        got = f"a largest value of {largest:g}"
+        allowed = f"{SMALLEST:g} to {LARGEST:g} in size"
         raise invalid("edge picture", got, allowed, "Scale the picture.")
     return data
 
@@ -1219,7 +1222,9 @@ def edge_spread(
     """
     count = round(2 * half_px * bins_a_pixel)
     centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
-    indices, values, distances = [], [], []
+    indices = []
+    values = []
+    distances = []
     for grid in grids:
         distance = _distance_from_edge(grid, fit)
         index = np.floor((distance + half_px) * bins_a_pixel).astype(int)
@@ -1344,7 +1349,8 @@ def _modulus_interval(modulus: Array, sigma: Array) -> tuple[Array, Array]:
     in each of its two parts.
     """
     z = float(ndtri((1 + COVERAGE) / 2))
-    low, high = np.maximum(modulus - z * sigma, 0.0), modulus + z * sigma
+    low = np.maximum(modulus - z * sigma, 0.0)
+    high = modulus + z * sigma
     is_near_zero = (sigma > 0) & (modulus < _FAR_SIGMAS * sigma)
     square = (modulus[is_near_zero] / sigma[is_near_zero]) ** 2
     for bound, chance in ((low, (1 + COVERAGE) / 2), (high, (1 - COVERAGE) / 2)):

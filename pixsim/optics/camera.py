@@ -174,7 +174,8 @@ class Camera(Record):
         """Return the image height of the die's corner in mm. ValueError if rows against image
         height end before it.
         """
-        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, rows[-1][0]
+        corner_mm = math.hypot(self.die_mm, self.height_mm) / 2
+        farthest_mm = rows[-1][0]
         if farthest_mm < corner_mm * (1 - _CORNER_ROUNDING):
             raise ValueError(
                 f"{name} ends at an image height of {farthest_mm:g} mm; allowed: up to the corner"

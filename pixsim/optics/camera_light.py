@@ -82,7 +82,8 @@ class CameraPupil:
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
         if self.real is not None:
             return self._traced(np.hypot(x, y), np.arctan2(y, x), rings, spokes)
-        radius_um, azimuth_deg = np.hypot(x, y), np.degrees(np.arctan2(y, x))
+        radius_um = np.hypot(x, y)
+        azimuth_deg = np.degrees(np.arctan2(y, x))
         if self.chief_ray_angle is None:
             tangent = radius_um / self.image_distance_um
         else:
@@ -111,7 +112,8 @@ class CameraPupil:
         directions = lens.directions(fields, lens.primary_nm, 0.0, rings, spokes)
 
         # Rotate the directions, traced along x, to the azimuths. Rows: where +x and +y go.
-        cosine, sine = np.cos(azimuth), np.sin(azimuth)
+        cosine = np.cos(azimuth)
+        sine = np.sin(azimuth)
         rotation = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)
         chief = (directions.chief_cosines[index][..., None, :] @ rotation)[..., 0, :]
         return Directions(directions.cosines[index] @ rotation, directions.weight[index], chief)

@@ -211,7 +211,8 @@ def _from_cube(
 def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
     """Warn of bands so wide that lines and filters within them are not resolved."""
     if nm.size > 1 and width_nm.max() > _WIDE_BAND_NM:
-        low, high = nm[0] - width_nm[0] / 2, nm[-1] + width_nm[-1] / 2
+        low = nm[0] - width_nm[0] / 2
+        high = nm[-1] + width_nm[-1] / 2
         words = (
             f"has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g}"
             " nm, with the light uniform within each and none outside. Colour and quantum"

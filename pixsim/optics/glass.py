@@ -543,59 +543,71 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
     """
     expected = "a glass catalogue as Zemax has it (AGF), which is text"
     glasses: dict[str, Glass] = {}
-    parts: dict[str, list[float]] = {}
-    name, line_number, formula, n_d = "", 0, 0, 0.0
-
-    def finish() -> None:
-        if not name:
-            return
-        where = f"'{path}', glass {quoted(name)} (line {line_number})"
-        if formula not in _AGF_FORMULAS:
-            raise invalid(
-                f"{where}: formula", formula, f"{min(_AGF_FORMULAS)} to {max(_AGF_FORMULAS)}"
-            )
-
-        c = [*parts.get("CD", ()), *([0.0] * _AGF_NUMBERS)][:_AGF_NUMBERS]
-        limits = tuple(parts.get("LD", ())[:2])
-        if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
-            raise invalid(
-                f"{where}: LD", limits or "none", "two wavelengths in µm, the shorter first"
-            )
-
-        check_coefficients(c, f"{where}: CD")
-        full = f"{path.stem.upper()}:{one_line(name)}"
-        kind, coefficients = _AGF_FORMULAS[formula](c)
-        glass = Glass(full, kind, coefficients, (limits[0], limits[1]), f"file '{path.name}'")
-        if n_d and limits[0] <= LINES_UM["d"] <= limits[1]:
-            formula_n_d = float(glass.index(1e3 * LINES_UM["d"]))
-            if not abs(formula_n_d - n_d) < _AGF_AGREEMENT:
-                raise invalid(
-                    f"{where}: n_d of its formula",
-                    f"{formula_n_d:.6g}",
-                    f"{n_d:g}, as its line NM states",
-                    "Check the file.",
-                )
-
-        glasses[full] = glass
-
+    entry: _CatalogueEntry | None = None
     lines = text_lines(text_of_file(path, "lens.glass_catalogues", expected, MAX_BYTES))
     for number, line in enumerate(lines, 1):
         keyword, *words = line.split() or [""]
+        if keyword == "NM" and entry:
+            glass = _catalogue_glass(path, entry)
+            glasses[glass.name] = glass
         try:
             if keyword == "NM":
-                finish()
-                name = words[0]
-                line_number = number
-                parts = {}
-                formula = int(float(words[1]))
                 n_d = float(words[3]) if len(words) > 3 else 0.0
-            elif keyword in ("CD", "LD") and name:
-                parts[keyword] = [*map(float, words)]
+                entry = _CatalogueEntry(words[0], number, int(float(words[1])), n_d)
+            elif keyword in ("CD", "LD") and entry:
+                entry.numbers[keyword] = [*map(float, words)]
         except (ValueError, IndexError, OverflowError):
             got = f"{keyword} with {excerpt(' '.join(words))}"
             raise invalid(f"'{path}', line {number}", got, f"{keyword} as in an AGF file") from None
 
-    finish()
-    if not glasses:
+    if entry is None:
         raise invalid("lens.glass_catalogues", f"'{path}' without a glass (line NM)", expected)
+    glass = _catalogue_glass(path, entry)
+    glasses[glass.name] = glass
     return glasses
+
+
+@dataclass
+class _CatalogueEntry:
+    """The lines of a glass in a Zemax catalogue.
+
+    line : number of the line NM
+    formula, n_d : of that line; n_d is 0 if it states none
+    numbers : of the lines CD (coefficients) and LD (range in µm)
+    """
+
+    name: str
+    line: int
+    formula: int
+    n_d: float
+    numbers: dict[str, list[float]] = field(default_factory=dict)
+
+
+def _catalogue_glass(path: Path, entry: _CatalogueEntry) -> Glass:
+    """Return the glass of an entry of a catalogue. Raises PixsimError if its lines do not agree."""
+    where = f"'{path}', glass {quoted(entry.name)} (line {entry.line})"
+    if entry.formula not in _AGF_FORMULAS:
+        allowed = f"{min(_AGF_FORMULAS)} to {max(_AGF_FORMULAS)}"
+        raise invalid(f"{where}: formula", entry.formula, allowed)
+
+    limits = tuple(entry.numbers.get("LD", ())[:2])
+    if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
+        allowed = "two wavelengths in µm, the shorter first"
+        raise invalid(f"{where}: LD", limits or "none", allowed)
+
+    c = [*entry.numbers.get("CD", ()), *([0.0] * _AGF_NUMBERS)][:_AGF_NUMBERS]
+    check_coefficients(c, f"{where}: CD")
+    formula, coefficients = _AGF_FORMULAS[entry.formula](c)
+    name = f"{path.stem.upper()}:{one_line(entry.name)}"
+    glass = Glass(name, formula, coefficients, (limits[0], limits[1]), f"file '{path.name}'")
+
+    if entry.n_d and limits[0] <= LINES_UM["d"] <= limits[1]:
+        formula_n_d = float(glass.index(1e3 * LINES_UM["d"]))
+        if not abs(formula_n_d - entry.n_d) < _AGF_AGREEMENT:
+            raise invalid(
+                f"{where}: n_d of its formula",
+                f"{formula_n_d:.6g}",
+                f"{entry.n_d:g}, as its line NM states",
+                "Check the file.",
+            )
+    return glass

@@ -1443,7 +1443,8 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
         ]
     elif step:
         for term in block.all("PARM"):
-            index, value = _zmx_number(where, term), _zmx_number(where, term, 1)
+            index = _zmx_number(where, term)
+            value = _zmx_number(where, term, 1)
             if value:
                 asphere.append((step * int(index), value))
 
@@ -1569,7 +1570,8 @@ def _zmx_glass(
     name = one_line(line.words[0])
     mode = line.words[1] if len(line.words) > 1 else "0"
     if name == "___BLANK" or mode == str(MODEL_GLASS):
-        n_d, v_d = _zmx_number(where, line, 3), _zmx_number(where, line, 4)
+        n_d = _zmx_number(where, line, 3)
+        v_d = _zmx_number(where, line, 4)
         low, high = ABBE_NUMBERS
         if not 1 <= n_d <= 10 or not (v_d == 0 or low <= v_d <= high):
             raise invalid(
@@ -1625,7 +1627,8 @@ def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, fl
 
 def _zmx_fields(path: Path, head: _Block) -> tuple[int, list[tuple[float, float]], _Line | None]:
     """Return the kind of the fields, the fields in use, and the line of their kind."""
-    where, line = f"'{path}'", head.first("FTYP")
+    where = f"'{path}'"
+    line = head.first("FTYP")
     kind = int(_zmx_number(where, line, 0, 0.0)) if line else 0
     # Behind the first numbers are those of fields that are not in use.
     count = int(_zmx_number(where, line, 2, USUAL_FIELDS)) if line else USUAL_FIELDS

@@ -144,7 +144,8 @@ def _aspheric_step(
     step = np.where(np.isfinite(start), start, 0.0)
     moving: NDArray[np.bool_] | bool = True
     for _ in range(NEWTON_STEPS):
-        x_at, y_at = x + step * l, y + step * m
+        x_at = x + step * l
+        y_at = y + step * m
         sag, slope = sag_and_slope(surface, x_at * x_at + y_at * y_at)
         # A ray that has arrived stays, so that its bits do not depend on the others of its batch.
         change = np.where(moving, (step * n - sag) / (n - slope * (x_at * l + y_at * m)), 0.0)
@@ -163,10 +164,12 @@ def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
     """
     c, k = surface.curvature_per_mm, surface.conic
     root = np.sqrt(1 - (1 + k) * c * c * square)
-    sag, slope = c * square / (1 + root), c / root
+    sag = c * square / (1 + root)
+    slope = c / root
     if surface.asphere:
         value, derivative = _series(surface.asphere, square)
-        sag, slope = sag + square * value, slope + derivative
+        sag = sag + square * value
+        slope = slope + derivative
     return sag, slope
 
 
@@ -202,18 +205,23 @@ def refracted(rays: Rays, surface: Surface, before: float | Array, behind: float
         else:
             slope = c / (1 - (1 + k) * c * rays.z)
 
-        normal_x, normal_y = -slope * rays.x, -slope * rays.y
+        normal_x = -slope * rays.x
+        normal_y = -slope * rays.y
         normal = 1 / np.sqrt(1 + normal_x * normal_x + normal_y * normal_y)
         cosine = (rays.n + normal_x * rays.l + normal_y * rays.m) * normal
 
     # Γ = cos t - μ cos i; a root of a negative number is total reflection.
     gamma = np.sqrt(1 - ratio * ratio * (1 - cosine * cosine)) - ratio * cosine
-    l, m, n = ratio * rays.l, ratio * rays.m, ratio * rays.n  # noqa: E741
+    l = ratio * rays.l  # noqa: E741
+    m = ratio * rays.m
+    n = ratio * rays.n
     if normal is None:
         n = n + gamma
     else:
         gamma = gamma * normal
-        l, m, n = l + gamma * normal_x, m + gamma * normal_y, n + gamma  # noqa: E741
+        l = l + gamma * normal_x  # noqa: E741
+        m = m + gamma * normal_y
+        n = n + gamma
 
     return Rays(rays.x, rays.y, rays.z, l, m, n, rays.path_mm, rays.passed)
 
@@ -222,7 +230,8 @@ def at_plane(rays: Rays, z_mm: float, index: float | Array) -> Rays:
     """Return rays at a plane across the axis, behind the last surface, relative to it."""
     with np.errstate(all="ignore"):
         t = (z_mm - rays.z) / rays.n
-        x, y = rays.x + t * rays.l, rays.y + t * rays.m
+        x = rays.x + t * rays.l
+        y = rays.y + t * rays.m
         return Rays(
             x, y, np.zeros_like(t), rays.l, rays.m, rays.n, rays.path_mm + index * t, rays.passed
         )

@@ -329,7 +329,8 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
     longest_nm = float(np.max(wavelength_nm))
     fresnel = float(stack.fresnel_number(longest_nm))
     if stack.microlens and fresnel < 1:
-        pitch_um, height_um = stack.pitch_um / math.sqrt(fresnel), stack.height_um * fresnel
+        pitch_um = stack.pitch_um / math.sqrt(fresnel)
+        height_um = stack.height_um * fresnel
         limits.append(
             f"the microlens has a Fresnel number of {fresnel:.2f} at {longest_nm:.0f} nm, below 1,"
             " where the scalar model of its diffraction is doubtful; it is 1 at a pitch of"
@@ -442,7 +443,9 @@ def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Arra
     start, end, y = np.broadcast_arrays(start, end, y)
     result = np.zeros(start.shape)
     is_span = start != end  # few: a pupil reaches few photodiodes
-    start, end, square = start[is_span], end[is_span], 1 + y[is_span] ** 2
+    start = start[is_span]
+    end = end[is_span]
+    square = 1 + y[is_span] ** 2
     from_axis2 = (square + start**2) * (square + end**2)
     if power:
         result[is_span] = (end - start) * (end + start) / (2 * from_axis2)
@@ -537,11 +540,10 @@ def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slo
     middle = false_position()
     middle_slope = _coordinate(stack, pupil, axis, middle)[1]
     is_later = middle_slope * before > 0
-    low, high = np.where(is_later, middle, low), np.where(is_later, high, middle)
-    before, after = (
-        np.where(is_later, middle_slope, before),
-        np.where(is_later, after, middle_slope),
-    )
+    low = np.where(is_later, middle, low)
+    high = np.where(is_later, high, middle)
+    before = np.where(is_later, middle_slope, before)
+    after = np.where(is_later, after, middle_slope)
     turning &= before != after
     return np.where(turning, false_position(), middle)
 
@@ -563,7 +565,8 @@ def _crossings(
     for _ in range(NEWTON_STEPS if angle.size else 0):
         at, slope = (part[:, 0] for part in _coordinate(stack, pupil, axis, angle[:, None]))
         is_later = (at <= edge) == rises
-        low, high = np.where(is_later, angle, low), np.where(is_later, high, angle)
+        low = np.where(is_later, angle, low)
+        high = np.where(is_later, high, angle)
         with np.errstate(divide="ignore", invalid="ignore"):
             next_angle = angle - (at - edge) / slope
         next_angle = np.where(
@@ -590,7 +593,8 @@ def _shares_of_rays(stack: Stack, rays: Directions) -> Array:
         return _mean_shares(rays.shares, overlap)
 
     # A ray on an edge is half inside, and photodiodes that touch share it.
-    low, high = centre - side / 2, centre + side / 2
+    low = centre - side / 2
+    high = centre + side / 2
     behind_low = ((landing >= low) & (landing < high)) * 0.5
     before_high = ((landing > low) & (landing <= high)) * 0.5
     return _mean_shares(rays.shares, behind_low + before_high)
@@ -623,7 +627,8 @@ def _diffracted_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: A
         weight = rays.shares.reshape(points, -1)
 
         # A table takes less time than the integrals of many rays.
-        low, high = float(landing.min(initial=0.0)), float(landing.max(initial=0.0))
+        low = float(landing.min(initial=0.0))
+        high = float(landing.max(initial=0.0))
         table = None
         if (high - low) * _TABLE_STEPS < landing.size:
             table = _spot_table(low, high, pitch, side)

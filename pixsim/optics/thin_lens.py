@@ -41,7 +41,8 @@ def irradiance_factor(
     >>> round(float(irradiance_factor(4.0, 0.0)), 6)  # π/(1 + 4·4²) = π/65
     0.048332
     """
-    f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
+    f_number = np.asarray(f_number, float)
+    tan_field = np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
         raise invalid("tan_field", "nan", "a number, or infinity for light parallel to the sensor")
     check_broadcast(
