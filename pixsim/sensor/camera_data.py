@@ -74,13 +74,8 @@ class _TypicalFilters:
         """
         absorption = absorption_per_um(_TYPICAL_NM)
         silicon = np.exp(-absorption * self.dead_um) * -np.expm1(-absorption * self.depth_um)
-        filters = np.stack(
-            [
-                self.leak + (1 - self.leak) * _band_transmittance(bands)
-                for bands in self.bands.values()
-            ],
-            axis=1,
-        )
+        transmittances = [_band_transmittance(bands) for bands in self.bands.values()]
+        filters = self.leak + (1 - self.leak) * np.stack(transmittances, axis=1)
         values = filters * (silicon * _TYPICAL_NM)[:, None]
         return np.asarray(values / values.max())
 
@@ -136,7 +131,9 @@ class CameraEntry:
     @property
     def words(self) -> str:
         """The title, and whether the scale of the channels is lost."""
-        return f"{self.title}; {_SEPARATE_SCALES}" if _SEPARATE_SCALES in self.notes else self.title
+        if _SEPARATE_SCALES not in self.notes:
+            return self.title
+        return f"{self.title}; {_SEPARATE_SCALES}"
 
 
 @lru_cache
@@ -154,26 +151,25 @@ def cameras() -> tuple[CameraEntry, ...]:
     for name in (*camera_names(), *TYPICAL):
         nm, values = camera_sensitivities(name)
         if name in TYPICAL:
-            title, kind, notes = TYPICAL[name].title, "typical", _TYPICAL_ORIGIN
+            kind = "typical"
+            title = TYPICAL[name].title
+            notes = _TYPICAL_ORIGIN
         else:
             row = _index()[name]
-            title, kind = f"{row['manufacturer']} {row['model']}", "measured"
-            notes = (
-                f"rawtoaces-data, {row['licence']}, {row['creator']};"
-                f" {row['notes'].partition(';')[0]}"
-            )
-        peaks = tuple(nm[values.argmax(axis=0)].tolist())
-        entries.append(
-            CameraEntry(
-                name,
-                title,
-                camera_channels(name),
-                kind,
-                (float(nm[0]), float(nm[-1])),
-                peaks,
-                notes,
-            )
+            kind = "measured"
+            title = f"{row['manufacturer']} {row['model']}"
+            scale = row["notes"].partition(";")[0]
+            notes = f"rawtoaces-data, {row['licence']}, {row['creator']}; {scale}"
+        entry = CameraEntry(
+            name=name,
+            title=title,
+            channels=camera_channels(name),
+            kind=kind,
+            range_nm=(float(nm[0]), float(nm[-1])),
+            peak_nm=tuple(nm[values.argmax(axis=0)].tolist()),
+            notes=notes,
         )
+        entries.append(entry)
     return tuple(entries)
 
 
@@ -181,7 +177,10 @@ def camera_channels(name: str) -> str:
     """Return the letters of the channels of a packaged camera. Raises PixsimError for a name that
     is none.
     """
-    return "".join(TYPICAL[name].bands) if name in TYPICAL else "RGB" if _file(name) else ""
+    if name in TYPICAL:
+        return "".join(TYPICAL[name].bands)
+    _file(name)  # refuses an unknown name
+    return "RGB"
 
 
 def camera_names() -> tuple[str, ...]:
@@ -211,13 +210,13 @@ def camera_sensitivities(name: str) -> tuple[Array, Array]:
 def has_common_scale(name: str) -> bool:
     """Return whether the channels of a packaged camera have one scale.
 
-    Without, each channel is relative to its own maximum. White balance, and the colour matrix after
-    it, do not depend on the ratio of the channels; the noise before white balance does. Raises
-    PixsimError for a name that `camera_names` has not.
+    Without one, each channel is relative to its own maximum. White balance, and the colour matrix
+    after it, do not depend on the ratio of the channels; the noise before white balance does.
+    Raises PixsimError for a name that is not among `camera_names`.
     """
-    return name in TYPICAL or (
-        _file(name).is_file() and _SEPARATE_SCALES not in _index()[name]["notes"]
-    )
+    if name in TYPICAL:
+        return True
+    return _file(name).is_file() and _SEPARATE_SCALES not in _index()[name]["notes"]
 
 
 def _file(name: str) -> Path:

@@ -37,19 +37,23 @@ def moments_of_codes(
         square = square - beyond_square - 2 * top_dn * beyond_mean
         slope = slope - beyond_slope
 
-    fine = sigma_dn <= coarse_dn
-    if fine.any():
-        level, sigma = level_dn[fine, None], sigma_dn[fine, None]
-        last = min(top_dn, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())))
-        j = np.arange(1.0, last + 1)
-        standardised = (level - j + 0.5) / sigma
+    is_fine = sigma_dn <= coarse_dn
+    if is_fine.any():
+        level = level_dn[is_fine, None]
+        sigma = sigma_dn[is_fine, None]
+        highest = math.ceil(float((level + FARTHEST_SIGMAS * sigma).max()))
+        codes = np.arange(1.0, min(top_dn, highest) + 1)
+        standardised = (level - codes + 0.5) / sigma
         above = ndtr(standardised)
-        mean[fine], square[fine] = above.sum(axis=1), ((2 * j - 1) * above).sum(axis=1)
-        slope[fine] = (np.exp(-(standardised**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(
-            axis=1
-        )
+        density = np.exp(-(standardised**2) / 2) / (math.sqrt(2 * math.pi) * sigma)
+        mean[is_fine] = above.sum(axis=1)
+        square[is_fine] = ((2 * codes - 1) * above).sum(axis=1)
+        slope[is_fine] = density.sum(axis=1)
+
     variance = square - mean**2
-    return np.where(is_upper, top_dn - mean, mean) if is_upper.any() else mean, variance, slope
+    if is_upper.any():
+        mean = np.where(is_upper, top_dn - mean, mean)
+    return mean, variance, slope
 
 
 def _moments_above_0(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:

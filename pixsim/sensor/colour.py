@@ -163,8 +163,10 @@ def channel_efficiency(
     if colour.sensitivities is None:
         return np.asarray(value)
     assert colour.peak_quantum_efficiency is not None
-    # S/λ of a straight course between two points is monotonic: its maximum is at one of them.
-    highest = max(value / nm for curve in _curves(colour).values() for nm, value in curve)
+
+    # S/λ of a straight line between two points is monotonic: its maximum is at one of them.
+    points = [point for curve in _curves(colour).values() for point in curve]
+    highest = max(value / nm for nm, value in points)
     return np.asarray(value / wavelength_nm * (colour.peak_quantum_efficiency / highest))
 
 

@@ -302,15 +302,14 @@ def well(
     junction = technology.junction
     if junction is None:
         assert technology.full_well_e_per_um2 is not None  # the record's validator
-        for name, allowed in (
-            ("capacitance", "mosis"),
-            ("well_limit", "swing"),
-            ("conversion", "linear"),
-        ):
-            if (value := getattr(pixel, name)) != allowed:
-                allowed_value = f"'{allowed}' for a pinned photodiode, or a 3T technology"
-                raise invalid(f"pixel.{name}", f"'{value}' for {technology.name}", allowed_value)
+        required = {"capacitance": "mosis", "well_limit": "swing", "conversion": "linear"}
+        for name, value in required.items():
+            stated = getattr(pixel, name)
+            if stated != value:
+                allowed = f"'{value}' for a pinned photodiode, or a 3T technology"
+                raise invalid(f"pixel.{name}", f"'{stated}' for {technology.name}", allowed)
         return Well(technology.full_well_e_per_um2 * area_um2)
+
     diode_values = junction.model_dump(exclude={"voltage_swing_v"})
     if pixel.capacitance == "paper":
         mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
@@ -323,16 +322,22 @@ def well(
     else:
         mean_ff, reset_ff = photodiode_capacitances_ff(area_um2, junction)
         swing_v = junction.voltage_swing_v
-    diode_values |= {
-        "saturation_current_e_per_s": dark_current_e_per_s,
-        "temperature_k": pixel.temperature_k,
-    }
-    diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **diode_values)
+
+    diode = Diode(
+        area_um2=area_um2,
+        perimeter_um=4 * math.sqrt(area_um2),
+        saturation_current_e_per_s=dark_current_e_per_s,
+        temperature_k=pixel.temperature_k,
+        **diode_values,
+    )
     if pixel.well_limit == "swing":
-        return Well(mean_ff * _C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
+        full_well_e = mean_ff * _C_PER_FF_V * swing_v / ELECTRON_C
+        return Well(full_well_e, mean_ff, reset_ff, diode)
+
     drop_v = junction.reset_voltage_v - diode_full_v(diode)
     full_well_e = float(diode.charge_e(junction.reset_voltage_v, drop_v))
-    return Well(full_well_e, full_well_e * ELECTRON_C / _C_PER_FF_V / drop_v, reset_ff, diode)
+    mean_ff = full_well_e * ELECTRON_C / _C_PER_FF_V / drop_v
+    return Well(full_well_e, mean_ff, reset_ff, diode)
 
 
 _REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents

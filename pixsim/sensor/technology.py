@@ -86,21 +86,15 @@ def _declared_by_pixels() -> dict[str, Any]:
     """Return the numbers of a process that are declared in the record of pixels, with the value
     where a process has none.
     """
-    fields = PixelOptions.model_fields
-    defaults = {
-        name: number.technology_default
-        for name, number in NUMBERS.items()
-        if number.technology_default is not None
-    }
-    # A process has numbers, a pixel those or None.
-    types = {
-        name: next(kind for kind in get_args(fields[name].annotation) if kind is not type(None))
-        for name in defaults
-    }
-    return {
-        name: (types[name], Field(value, description=fields[name].description))
-        for name, value in defaults.items()
-    }
+    declared: dict[str, Any] = {}
+    for name, number in NUMBERS.items():
+        if number.technology_default is None:
+            continue
+        # A process has numbers, a pixel those or None.
+        field = PixelOptions.model_fields[name]
+        kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
+        declared[name] = kind, Field(number.technology_default, description=field.description)
+    return declared
 
 
 if TYPE_CHECKING:
@@ -325,21 +319,20 @@ class Technology(NumbersOfPixels):
     @property
     def numbers(self) -> dict[str, float]:
         """All numbers of the process and its junction by name; the names end in the units."""
-        table = self.model_dump(exclude={"junction"}) | (
-            self.junction.model_dump() if self.junction else {}
-        )
+        table = self.model_dump(exclude={"junction"})
+        if self.junction:
+            table |= self.junction.model_dump()
         return {name: value for name, value in table.items() if isinstance(value, float)}
 
     @property
     def stack(self) -> StackOptions:
         """What the process states about the stack of its pixels."""
-        return StackOptions(
-            **{
-                name: getattr(self, f"stack_{name}")
-                for name in StackOptions.model_fields
-                if hasattr(self, f"stack_{name}")
-            }
-        )
+        stated = {
+            name: getattr(self, f"stack_{name}")
+            for name in StackOptions.model_fields
+            if hasattr(self, f"stack_{name}")
+        }
+        return StackOptions(**stated)
 
     @property
     def content(self) -> dict[str, Any]:
@@ -360,25 +353,27 @@ class Technology(NumbersOfPixels):
         for name in values:
             if name not in numbers:
                 raise invalid(source, f"'{name}'", ", ".join(numbers), did_you_mean(name, numbers))
-        new_sources = {
-            name: (
-                f"set by the study; the file has {numbers[name]:g}"
-                f" ({self.sources.get(name, 'no source')})"
-            )
-            for name in values
-        }
-        process_values = {
-            name: value for name, value in values.items() if name not in Junction.model_fields
-        }
-        junction = {name: value for name, value in values.items() if name in Junction.model_fields}
-        over = process_values | ({"junction": junction} if junction else {})
+
+        new_sources: dict[str, str] = {}
+        process_values: dict[str, Any] = {}
+        junction_values: dict[str, float] = {}
+        for name, value in values.items():
+            source_text = self.sources.get(name, "no source")
+            new_sources[name] = f"set by the study; the file has {numbers[name]:g} ({source_text})"
+            if name in Junction.model_fields:
+                junction_values[name] = value
+            else:
+                process_values[name] = value
+        if junction_values:
+            process_values["junction"] = junction_values
+
         # A study may set a value outside its plausible range, so ranges are not checked.
         base = self.model_dump() | {
             "sources": self.sources | new_sources,
             "ranges": {},
             "distributions": {},
         }
-        technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
+        technology: Technology = checked(Technology, [Layer(base), Layer(process_values, source)])
         return technology.model_copy(
             update={"ranges": self.ranges, "distributions": self.distributions}
         )
@@ -389,16 +384,23 @@ class Technology(NumbersOfPixels):
 # read noise, and a fill factor of 1, since a data sheet's quantum efficiency is that of the whole
 # pixel with its microlens. The other numbers are placeholders.
 _NO_PROCESS = Technology.model_validate(
-    dict.fromkeys(("dark_current_na_per_cm2", "reset_noise_factor", "read_noise_e"), 0.0)
-    | dict.fromkeys(("prnu", "dsnu", "offset_fpn", "column_fpn"), 0.0)
-    | dict.fromkeys(("full_well_e_per_um2", "peak_quantum_efficiency", "fill_factor_limit"), 1.0)
-    | {
+    {
         "name": NO_TECHNOLOGY,
         "feature_size_um": 1e-4,
         "response_curve": "silicon",
+        "dark_current_na_per_cm2": 0.0,
         "dark_doubling_k": 8.0,
+        "reset_noise_factor": 0.0,
+        "read_noise_e": 0.0,
+        "prnu": 0.0,
+        "dsnu": 0.0,
+        "offset_fpn": 0.0,
+        "column_fpn": 0.0,
+        "full_well_e_per_um2": 1.0,
+        "peak_quantum_efficiency": 1.0,
+        "fill_factor_limit": 1.0,
+        "fill_factor_zero_pitch_features": 1e-6,
     }
-    | {"fill_factor_zero_pitch_features": 1e-6}
 )
 
 
@@ -472,14 +474,12 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     for key, entry in numbers.items():
-        if unknown := next((name for name in entry if name not in _ENTRY_KEYS), None):
+        unknown = [name for name in entry if name not in _ENTRY_KEYS]
+        if unknown:
             number = key if key in _NUMBERS_OF_FILE else "a table"
-            raise invalid(
-                f"{path}: {number}",
-                excerpt(unknown),
-                ", ".join(_ENTRY_KEYS),
-                did_you_mean(unknown, _ENTRY_KEYS),
-            )
+            hint = did_you_mean(unknown[0], _ENTRY_KEYS)
+            raise invalid(f"{path}: {number}", excerpt(unknown[0]), ", ".join(_ENTRY_KEYS), hint)
+
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
@@ -490,24 +490,24 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
         distributions = {
             key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry
         }
-        record = {
-            "name": table.get("name", path.stem),
-            "sources": sources,
-            "ranges": ranges,
-            "distributions": distributions,
-        }
-        record |= {"junction": junction} if junction else {}
-        if isinstance(record["name"], str) and (fault := name_fault(record["name"])):
-            raise invalid(f"{path}: name", f"a name that {fault}", "another name")
-        technology: Technology = checked(
-            Technology, [Layer(values | record, str(path), named=True)]
-        )
-        return technology
     except KeyError as missing:
         raise PixsimError(
             f"technology '{path}': an entry has no {missing}; each needs value, confidence and"
             " source"
         ) from None
+
+    record = values | {
+        "name": table.get("name", path.stem),
+        "sources": sources,
+        "ranges": ranges,
+        "distributions": distributions,
+    }
+    if junction:
+        record["junction"] = junction
+    if isinstance(record["name"], str) and (fault := name_fault(record["name"])):
+        raise invalid(f"{path}: name", f"a name that {fault}", "another name")
+    technology: Technology = checked(Technology, [Layer(record, str(path), named=True)])
+    return technology
 
 
 def check_name(file: str, kind: str = "technology") -> None:
