@@ -27,7 +27,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import xyz_to_lab
 from pixsim.viewer.score import NOTHING, Cause
 
-_MIN_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
+_MIN_CODES = 8.0  # between black and display white; with fewer, the ADC makes the picture
 _SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
 ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
@@ -75,7 +75,7 @@ def causes_of(
 def lightness_range(ideal: Array) -> tuple[float, float]:
     """Return the L* of the darkest and the lightest dot of an ideal image, as shown.
 
-    In colour, those of the primary that differs most: a change of colour is contrast too.
+    In colour they are of the primary that differs most: a change of colour is contrast too.
 
     ideal : (H, W) luminance, or (H, W, 3) light of the display's primaries, 1 for white
     """
@@ -152,8 +152,8 @@ def tells_nothing(
 
 
 def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
-    """Return a cause of the sensor as one that leaves nothing; without one, that of full pixels or
-    of noise.
+    """Return a cause of the sensor as one that leaves nothing; without one, full pixels or noise
+    are the cause.
     """
     if cause is None and saturated_fraction >= _ALL_FULL:
         cause = Cause("all pixels are saturated", ALL, _less_light())

@@ -44,10 +44,10 @@ from pixsim.viewer.screen import ROUNDING, Screen
 class ExpectedFrame:
     """What is expected of a frame before any noise is drawn, and what this depends on.
 
-    light : what is known of the light
+    light : facts of the light
     development : how such frames become pictures
     signal_e : mean electrons of light, (rows, columns)
-    background_e : those of the scene without its target; None where no metric asks
+    background_e : mean electrons of the scene without its target, or None where no metric asks
     integration_s : time of the frame
     moving : how the light moves meanwhile
     """
@@ -82,13 +82,13 @@ class ImagingChain:
 
     imaging : settings, of the pixels at their place on the die
     readout : how the pixels are read, at the gain of the exposure
-    exposure : that of the settings, with its time where that is metered on other light
+    exposure : of the settings, with its time where other light meters it
     signal_e_per_s : of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
-    collection : what the pixels' stack does to their light; None without a stack
-    rendition : what the channels see of a chart; None for a monochrome sensor
-    scene : the light; None for a chain that stays in memory
-    background_e_per_s : the signal of the scene without its target; None if no metric asks
+    collection : what the pixels' stack does to their light, or None without a stack
+    rendition : what the channels see of a chart, or None for a monochrome sensor
+    scene : the light, or None for a chain that stays in memory
+    background_e_per_s : the signal of the scene without its target, or None if no metric asks
     moving : how the light moves in a frame, whose time the exposure states then
     subexposures_e_per_s : the signal in each exposure of a burst, if they differ; else none
     """
@@ -139,7 +139,7 @@ class ImagingChain:
         return integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
 
     def expected(self, integration_s: float) -> ExpectedFrame:
-        """Return what is expected of a frame of this time. Only for light that metrics ask for
+        """Return the expectation of a frame of this time. Only for light that metrics ask for
         (`Metric.needs_light`).
         """
         assert self.scene is not None
@@ -177,7 +177,7 @@ class ImagingChain:
     def capture(self, *key: object, sensor_of: Callable[..., Sensor] | None = None) -> Frame:
         """Return the frame that `simulate` scores.
 
-        sensor_of : returns the sensor of a key, which may be known; None draws it
+        sensor_of : returns the sensor of a key, which may be known. None draws it
         """
         frame_rng = stream(
             *key, "frame"
@@ -252,7 +252,7 @@ def make_chain(
     room_is_checked : nothing of this chain is shown, or another one with the same dots had room for
         the motion
 
-    Raises PixsimError if the picture moves farther than what is scored leaves room for.
+    Raises PixsimError if the picture moves farther than the part that is scored leaves room for.
     """
     scene = light if isinstance(light, PreparedScene) else prepare_scene(imaging, light)
     physics, exposure = imaging.physics, imaging.exposure
@@ -274,7 +274,7 @@ def chain_of_frames(
     """Return the imaging chain for frames (rows, columns) that are known, without the light behind
     them.
 
-    exposure : that of the settings, with the time of the frames
+    exposure : of the settings, with the time of the frames
     """
     pixels = centred_pixels(scene.array_um, imaging.physics)
     collections = collections_of(
@@ -322,7 +322,7 @@ def _standing(
 
 
 def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
-    """Return the chain of light that moves, from that of the same light that stands still."""
+    """Return the chain of light that moves, from the chain of the same light that stands still."""
     imaging, scene = still.imaging, still.scene
     assert scene is not None
     moving, exposure = metered_motion(

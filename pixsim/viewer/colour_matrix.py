@@ -300,7 +300,7 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
     """Return the ratio by which a matrix (3, C) amplifies noise in R, G and B of the display's
     linear light, (3,).
 
-    It is that of independent noise of one size in the white-balanced channels: the norms of the
+    The noise is independent and of one size in the white-balanced channels: the norms of the
     rows of the matrix from them to linear RGB, with 1 for white on both sides.
 
     white_xyz : (3,) of the lamp, in the unit of the matrix

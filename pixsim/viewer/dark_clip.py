@@ -35,7 +35,7 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ)
     if σ is many DN.
 
-    Of a burst the spread and `too_bright_e` are those of the frame, all else that of each exposure.
+    Of a burst the spread and `too_bright_e` count for the frame, all else for each exposure.
 
     white_e : mean electrons of the scene's white in this time
 

@@ -165,14 +165,14 @@ def demosaic_covariance(
     pattern, method : of `demosaic`; not menon2007, whose weights depend on the picture
     variance : (..., C) of a pixel in each channel, any unit
     dot_px : side, in pixels, of the display's dots over which the channels are averaged as in
-        `frame_luminance`; None for the pixels themselves
+        `frame_luminance`, or None for the pixels themselves
     interpolation : between pixel centres, for dots
     remosaiced : whether the quad pattern becomes one of single pixels first, as by `remosaic`,
         which the method then takes
-    products : autocorrelation of a filter of the demosaiced channels, as of
+    products : autocorrelation of a filter of the demosaiced channels, as in
         `pixsim.viewer.sharpening.unsharp_products`
     correlations : for each place of the unit cell, row by row, of the pixels there with one
-        another: (2m + 1, 2n + 1), whose middle is the variance that is left of one; None for
+        another: (2m + 1, 2n + 1), whose middle is the variance that is left of one, or None for
         independent pixels
 
     Raises PixsimError as `demosaic` does, for menon2007, for a variance of another shape or below
@@ -212,7 +212,7 @@ def demosaic_column_covariance(
     deviation : (..., C) standard deviation of the offset in each channel, any unit; after white
         balance they differ
 
-    The other arguments and the errors are those of `demosaic_covariance`.
+    The other arguments and the errors are the same as in `demosaic_covariance`.
 
     >>> # Green at a red pixel has 1/2, 1/4 and 1/4 of three columns.
     >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()
@@ -236,8 +236,7 @@ def demosaic_row_covariance(
     """Return the covariance of the demosaiced channels, (..., C, C), if each row of pixels has one
     offset, unlike the others'.
 
-    The arguments and the errors are those of `demosaic_column_covariance`, of which it is the
-    transpose.
+    It is the transpose of `demosaic_column_covariance`, with the same arguments and errors.
     """
     cell = unit_cell(pattern)
     values = np.asarray(deviation, float)
@@ -258,7 +257,7 @@ def demosaic_row_covariance(
 
 
 def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the rows of a pattern's unit cell; the argument is that of `demosaic`.
+    """Return the rows of the unit cell of a pattern, as `demosaic` takes it.
 
     Raises PixsimError if it is neither the name of a Bayer pattern nor rows of equal length of
     capital letters.
@@ -481,7 +480,7 @@ def _filtered(mosaic: Array, weights: Array) -> Array:
     """Return the planes (C, H, W) of a Bayer mosaic by the weights of a linear method.
 
     Pixels at one place of the unit cell have the same weights: the mosaic is taken apart into its
-    four phases, and what is summed are whole phases, displaced.
+    four phases, and whole phases, displaced, are summed.
     """
     height, width = mosaic.shape
     margin_px = weights.shape[-1] // 2

@@ -255,8 +255,9 @@ def ideal_rgb(
 
 
 def balance(develop: Develop, layout: Layout, white_e: Array) -> Array:
-    """Return the electrons by which each channel is divided, (C,), from those of the scene's
-    white.
+    """Return the electrons by which each channel is divided, (C,).
+
+    white_e : (C,) electrons of the scene's white
     """
     if develop.white_balance == "known":
         return white_e

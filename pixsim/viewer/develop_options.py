@@ -177,8 +177,8 @@ _ToneCurve = Annotated[
 
 
 class Develop(Record):
-    """How the camera makes a picture of a raw frame; what is about colours is for frames with
-    colour filters only.
+    """How the camera makes a picture of a raw frame; settings of colours are for frames with colour
+    filters only.
     """
 
     ALTERNATIVES: ClassVar = ((("sharpen_radius_px",), ("sharpen_radius_cy_per_deg",)),)
@@ -333,8 +333,8 @@ DEVELOP = Develop()
 
 
 def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
-    """Return what is on of the development of frames of some pixels, for a headline; empty where
-    they are shown as they are.
+    """Return the steps of development that are on for frames of some pixels, for a headline; empty
+    where frames are shown as they are.
     """
     colours = [
         pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked

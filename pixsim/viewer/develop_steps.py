@@ -67,11 +67,11 @@ class UndevelopedFrame:
     readout : how its pixels are read
     white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each
         channel; (1,) without filters
-    shading : by which each value of the frame is divided; None for none
+    shading : by which each value of the frame is divided, or None for none
     single : compute in float32 from white balance on, except by menon2007, if `fits_single`
     expected_e : mean photo-electrons of each value of the frame, for 'wiener_bound'
     sharpen_px : standard deviation of the blur of sharpening in pixels
-    matrix : (3, C) from the channels to the display's primaries; None for one channel
+    matrix : (3, C) from the channels to the display's primaries, or None for one channel
     is_saturated : which values of the frame are saturated, of one with colour filters
     """
 
@@ -93,13 +93,13 @@ class UndevelopedFrame:
 
     @property
     def layout(self) -> Layout | None:
-        """Which channel each value of the frame belongs to; None without colour filters."""
+        """Which channel each value of the frame belongs to, or None without colour filters."""
         return self.frame.layout
 
     @property
     def mosaic(self) -> Layout | None:
-        """The layout of what is demosaiced; None if every pixel has every channel, or there is but
-        one.
+        """Layout of the mosaic that is demosaiced, or None if every pixel has every channel, or
+        there is but one.
         """
         layout = self.layout
         if layout is None or layout.is_stacked:
@@ -108,7 +108,7 @@ class UndevelopedFrame:
 
     @property
     def method(self) -> Method | None:
-        """Method of the interpolation; None without one."""
+        """Method of the interpolation, or None without one."""
         return None if self.mosaic is None else demosaic_method(self.develop, self.mosaic)
 
     def channel_planes(self, picture: Array) -> list[Array]:
@@ -133,13 +133,13 @@ class _ChannelNoise:
     cell : rows of the unit cell; one letter where every pixel has every channel
     variance : (P, C) of each pixel by itself, for P levels of light
     columns, rows : (C,) standard deviation of what the pixels of a column, or a row, share
-    method : of the interpolation; None before it, and without one
+    method : of the interpolation, or None before it, and without one
     remosaiced : whether a quad pattern becomes one of single pixels before
     products : autocorrelation of filters of the developed planes
     correlations : of the pixels of a channel at each place of the unit cell, or of each plane, as a
         filter of the raw planes leaves them, (2m + 1, 2n + 1) with the middle at the distance 0;
         None where pixels are independent
-    matrix : (3, C) that the channels are multiplied with; None for none
+    matrix : (3, C) that the channels are multiplied with, or None for none
     """
 
     cell: tuple[str, ...]
@@ -158,7 +158,7 @@ class _ChannelNoise:
         """Return the covariance of the channels, (P, C, C), or (P, 3, 3) behind the matrix, as
         means over a dot of the display.
 
-        dot_px : side of a dot in pixels; None: dots are pixels
+        dot_px : side of a dot in pixels, or None where dots are pixels
         interpolation : between pixel centres
         """
         covariance = (
@@ -248,7 +248,7 @@ class Step:
     apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over
         dots, or light of the dots, (H, W) or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
-    propagate_noise : returns the noise behind the step; None if that has no closed form, so that
+    propagate_noise : returns the noise behind the step. None if that has no closed form, so that
         it has to be measured on frames
     """
 
@@ -643,7 +643,7 @@ def noise_covariance(
     correction. Only the exposure of the frame counts, and its expected light with 'wiener_bound'.
 
     levels : (P, C) light of the patches in each channel, 1 for white
-    dot_um : side of a dot on the sensor; None: dots are pixels
+    dot_um : side of a dot on the sensor, or None where dots are pixels
     """
     readout, layout = raw.readout, raw.layout
     electrons_e = np.maximum(levels, 0.0) * raw.white_e

@@ -44,8 +44,8 @@ class Development:
     exposure : of the frames, whose time may be known
     signal_e_per_s : expected light of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
-    rendition : what the channels see of a chart; None for a monochrome sensor
-    collection : what the pixels' stack does to their light; None without a stack
+    rendition : what the channels see of a chart, or None for a monochrome sensor
+    collection : what the pixels' stack does to their light, or None without a stack
     """
 
     imaging: Imaging
@@ -76,7 +76,7 @@ class Development:
 
     @cached_property
     def shading(self) -> Array | None:
-        """By what the display divides a frame, (rows, columns); None for nothing."""
+        """By what the display divides a frame, (rows, columns), or None for nothing."""
         corrects = self.screen.display.shading_correction
         return (
             shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction)
@@ -187,7 +187,7 @@ class Development:
     def undeveloped(self, frame: Frame, matrix: Array | None) -> UndevelopedFrame:
         """Return a frame with all that the steps of its development know.
 
-        matrix : from the channels to the display's primaries; None leaves it out
+        matrix : from the channels to the display's primaries. None leaves it out
         """
         develop, time_s = self.imaging.develop, frame.integration_s
         return UndevelopedFrame(
@@ -206,7 +206,7 @@ class Development:
         """Return what a frame asks of the display's dots: luminance (H, W), or light of the
         primaries (3, H, W), 1 for white.
 
-        window : selects a part of the dots; None takes all
+        window : selects a part of the dots. None takes all
         """
         return self.toned(self.light_before_tone(frame, window))
 

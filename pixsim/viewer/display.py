@@ -184,10 +184,10 @@ def white_rate(
 ) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
-    Its spectrum is that of `white_light`.
+    `white_light` has its spectrum.
 
     imaging : camera, pixel, and the display that states the white
-    channel : whose electrons these are; None: of the pixel, of a colour sensor the mean over its
+    channel : whose electrons these are. None: of the pixel, of a colour sensor the mean over its
         channels
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
@@ -244,7 +244,7 @@ def dot_edges_um(
         that whole pixels do not fill, and the outermost half pixels, which interpolation continues
         as constants; used by `fixed_size` only
     array_um : (height, width) that the pixels fill, if it is not the picture
-    registration : of the pixels, as of `PixelPhysics`
+    registration : of the pixels, as in `PixelPhysics`
 
     Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot
     is left, or there are more than 2^26 dots.
@@ -297,7 +297,7 @@ def pixel_edges_um(
 ) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
-    registration : of the pixels along this axis, as of `PixelPhysics`: a fraction of the pitch;
+    registration : of the pixels along this axis, as in `PixelPhysics`: a fraction of the pitch;
         None for a centred line
     """
     if registration is None:
@@ -393,7 +393,7 @@ def _mean_weights(
     """Return the weights of cells in the means between neighbouring edges, sparse (edges - 1,
     count).
 
-    pitch_um, low_um : as of `average_axis`
+    pitch_um, low_um : as in `average_axis`
     edges_bytes : of the array of edges (µm), float64
     single : return them in float32
 
@@ -513,7 +513,7 @@ def frame_luminance(
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
     shading : (rows, columns) by which the frame is divided: mean collection of the pixels relative
-        to one on axis; None for none
+        to one on axis, or None for none
     single : compute the means in float32, if `fits_single`
 
     Raises PixsimError if the edges do not increase, and as `relative_to_white` does.
@@ -530,12 +530,12 @@ def relative_to_white(
     *,
     single: bool = False,
 ) -> Array:
-    """Return electrons over those of white, without shading, (rows, columns), in which the given
-    ones are overwritten.
+    """Return electrons over the electrons of white, without shading, (rows, columns); the picture
+    is overwritten.
 
     picture : (rows, columns) electrons of a frame's pixels
     frame : of which they are
-    white_e, shading, single : as of `frame_luminance`
+    white_e, shading, single : as in `frame_luminance`
 
     Raises PixsimError for a shading of another shape.
     """
@@ -569,11 +569,11 @@ def on_dots(
     """Return the means of a picture over the display's dots, (H, W), in its unit, as
     `frame_luminance` takes them.
 
-    picture : (rows, columns) of pixels, in any unit; float32 stays float32, as of `average_axis`
+    picture : (rows, columns) of pixels, in any unit; float32 stays float32, as in `average_axis`
     pitch_um : of the pixels
     size_um : (height, width) of the whole picture on the sensor
     edges_um : of the dots' rows and columns, from `dot_edges_um`
-    registration : of the pixels on the picture, as of `PixelPhysics`
+    registration : of the pixels on the picture, as in `PixelPhysics`
 
     Raises PixsimError if the edges do not increase.
     """
@@ -679,7 +679,7 @@ def rgb_to_xyz(rgb: Array) -> Array:
     """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R,
     G, B (..., 3), 1 for white.
 
-    The primaries are those of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance.
+    It has the primaries of sRGB (IEC 61966-2-1:1999); R = G = B is `to_xyz` of that luminance.
     XYZ of float32 are float32.
 
     rgb : light of the primaries, relative

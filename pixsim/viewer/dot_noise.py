@@ -117,11 +117,10 @@ def _power_of_dots(
     degree: int,
     sigma_px: float | None,
 ) -> _AxisPower:
-    """Return the factor of an axis of `count` pixels; the other arguments are those of
-    `average_axis`.
+    """Return the factor of an axis of `count` pixels; `average_axis` explains the other arguments.
 
-    edges_bytes : of the dots; None: dots are pixels
-    sigma_px : standard deviation of the blur of sharpening; None without it
+    edges_bytes : of the dots, or None where dots are pixels
+    sigma_px : standard deviation of the blur of sharpening, or None without it
     """
     # What each pixel adds to the plain picture, and to the blurred one, (dots, pixels) each.
     pictures = [np.eye(count)]
@@ -149,8 +148,8 @@ def _power_of_dots(
 
 
 def _both_halves(half: Array, dots: int) -> Array:
-    """Return the spectrum of real pictures at all frequencies, (..., dots), of that at those of
-    `np.fft.rfftfreq`.
+    """Return the spectrum of real pictures at all frequencies, (..., dots), from the half that
+    `np.fft.rfft` returns.
     """
     below = half[..., 1 : (dots + 1) // 2].conj()
     return np.concatenate([half, below[..., ::-1]], axis=-1)

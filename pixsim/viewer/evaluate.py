@@ -97,7 +97,7 @@ def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = Fal
 
 
 def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
-    """Return a key for all that a chain depends on; None for light that takes long to read, and
+    """Return a key for all that a chain depends on, or None for light that takes long to read, and
     angles that a file has.
     """
     samples = irradiance.data if irradiance.factors is None else irradiance.factors[1]
@@ -137,7 +137,7 @@ def _evaluate_frame(
 ) -> FrameScore:
     """Return the score of a new sensor and a new frame for a key, with the numbers of the metrics.
 
-    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None
+    missing : gets the reason, by the metric's name, why one has no number, which is NaN then. None
         raises a NoNumberError
 
     Raises NoNumberError if no metric has a number.
@@ -189,15 +189,15 @@ def evaluate(
 
     camera : the one that the irradiance was rendered with
     exposure, display : None means the defaults
-    correction : of the frame by the camera; None means none
-    develop : of a frame into a picture; None means the default
-    motion : of the scene; None means that it stands still
+    correction : of the frame by the camera. None means none
+    develop : of a frame into a picture. None means the default
+    motion : of the scene. None means that it stands still
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
     metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the
         score's `metrics`. One that has no number for this frame, as NIIRS for one that is
         overexposed, is NaN, with a warning that says why
-    metric : settings of the metrics; None means the defaults
+    metric : settings of the metrics. None means the defaults
     without : irradiance of the scene without its target, for the metric detectability
 
     Where neither the display nor the scene states its white, it is estimated, with a warning, as in

@@ -21,7 +21,7 @@ class FrameUnderTest:
     """A frame that metrics judge.
 
     development : how the frame becomes a picture
-    registrations : yields what is expected of frames of this pixel size, of this frame first, at so
+    registrations : yields the expected frames of this pixel size, this frame first, at so
         many registrations under all frames of the size together; where dots are pixels, of this
         frame alone. Only for light that metrics ask for
     stream : key of random streams for metrics that draw frames of their own
@@ -96,10 +96,11 @@ def numbers_of(
     under_test: FrameUnderTest | Score,
     missing: dict[str, str] | None = None,
 ) -> dict[str, float]:
-    """Return the numbers of some metrics by their columns; of a Score alone, those of metrics that
-    need no frame.
+    """Return the numbers of metrics by their columns.
 
-    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None
+    under_test : a frame, or a Score alone, of which metrics that need no frame have numbers
+
+    missing : gets the reason, by the metric's name, why one has no number, which is NaN then. None
         raises a NoNumberError
     """
     numbers: dict[str, float] = {}

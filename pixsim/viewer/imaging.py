@@ -48,7 +48,7 @@ class Imaging:
 
     technology : of the pixel, with all its numbers
     border_um : width on each side of the die that is not scored, of all that is scored on the same
-        dots; None: as wide as this pixel alone needs
+        dots. None: as wide as this pixel alone needs
     single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not
         with `full`
     full : use no shortcut for grey images, and leave out nothing of the pixels' stack
@@ -96,7 +96,7 @@ class Imaging:
         motion: Motion | None = None,
         metrics: MetricRequest = DELTA_E_ONLY,
     ) -> Imaging:
-        """Return the settings of records, with the technology that the pixel names; None means the
+        """Return the settings of records, with the technology that the pixel names. None means the
         defaults.
         """
         return cls(
@@ -128,8 +128,8 @@ class Imaging:
 
     @property
     def scored_border_um(self) -> float:
-        """Width on each side of the die that is not scored: `border_um`, or that of this pixel,
-        with room for what moves.
+        """Width on each side of the die that is not scored: `border_um`, or the border of this
+        pixel, with room for what moves.
         """
         if self.border_um is not None:
             return self.border_um
@@ -194,5 +194,5 @@ class Imaging:
         return other
 
     def stream_of(self, stream: tuple[object, ...], repeat: int) -> tuple[object, ...]:
-        """Return the key of the random streams of one repeat, which begins as those of all."""
+        """Return the key of the random streams of one repeat, which begins with the common key."""
         return stream if self.is_run and repeat == 0 else (*stream, repeat)

@@ -16,7 +16,7 @@ from pixsim.sensor.stack_options import StackOptions
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 
-# Table -> the words that those of another layer restate.
+# Table -> the words that the words of another layer restate.
 _RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
     "pixel": excluded_by,
     "stack": partial(restated_by, StackOptions),
@@ -27,8 +27,8 @@ _RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
 
 
 def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word
-    the base states them.
+    """Merge nested tables: values of `over` replace values of `base`, in [pixel] under whatever
+    word the base states them.
 
     A real lens replaces the focal length and the chief rays of `base` too.
     """
@@ -36,7 +36,7 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Tables without what others restate in other words."""
+    """Return the tables of `base` without the words that `over` restates."""
     gone = {
         key: words(over[key]) for key, words in _RESTATED.items() if isinstance(over.get(key), dict)
     }

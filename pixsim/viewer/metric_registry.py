@@ -1,4 +1,4 @@
-"""The metrics that settings may name: pixsim's, and those of installed packages."""
+"""The metrics that settings may name: pixsim's own, and metrics of installed packages."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def installed_metric(entry: metadata.EntryPoint) -> Metric:
 
 
 def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
-    """Return metrics by their names, and those of functions. Raises PixsimError for an unknown
-    name, or one that is there twice.
+    """Return the metrics of names and functions. Raises PixsimError for an unknown name, or one
+    that is there twice.
 
     names : of metrics, or functions of a `pixsim.Score`
     """
@@ -103,6 +103,6 @@ def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
 def names_of(metrics: Sequence[_NameOrFunction]) -> tuple[str, ...]:
     """Return the names of metrics for settings, and keep the functions among them for this process.
 
-    metrics : as of `metrics_named`
+    metrics : as in `metrics_named`
     """
     return tuple(metric.name for metric in metrics_named(metrics))

@@ -18,7 +18,7 @@ from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.score import Score
 
-# Columns of rows beside those of metrics.
+# Columns of rows beside the columns of metrics.
 PIXEL_STATISTICS = (
     "fill_factor",
     "full_well_e",
@@ -114,7 +114,7 @@ class Metric:
         return np.asarray(difference if self.better == "less" else np.negative(difference))
 
     def loss(self, values: Array) -> Array:
-        """Return what is least at the best size, (...): values where less is better, else
+        """Return numbers that are least at the best size, (...): values where less is better, else
         reciprocals; NaN of 0 or less.
         """
         if self.better == "less":
@@ -206,7 +206,7 @@ def user_metric(function: Callable[[Score], float], name: str = "") -> Metric:
     function are the metric's. Results depend on the function's code, and on the functions and
     values to which it refers.
 
-    name : of the metric and its column; that of the function if it is empty
+    name : of the metric and its column; if it is empty, the name of the function
     """
     name = name or getattr(function, "__name__", "")
     if not callable(function) or not name.isidentifier():

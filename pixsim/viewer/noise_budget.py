@@ -112,7 +112,7 @@ class NoiseBudget:
         return NOISE if cause in self.electrons_e or cause in (FLICKER, REDUCTION) else BLUR
 
     def rows(self) -> Iterator[tuple[str, float | None, float]]:
-        """Yield each cause with its electrons, None for those of blur and colour, and its ΔE."""
+        """Yield each cause with its electrons, None for blur and colour, and its ΔE."""
         for cause, delta_e in self.delta_e.items():
             yield cause, self.electrons_e.get(cause), delta_e
 
@@ -393,7 +393,7 @@ def on_dots(
     """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel
     samples, 1 for white.
 
-    matrix : from X, Y and Z to the display's primaries; None for a grey sensor
+    matrix : from X, Y and Z to the display's primaries, or None for a grey sensor
     """
     means = [
         means_on_dots(rate, scene.sample_pitch_um, chain.screen.dot_edges_um) / white

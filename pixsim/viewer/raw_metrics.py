@@ -102,7 +102,7 @@ class _CodeTable(NamedTuple):
     mean_e : expected codes less black level and dark charge
     variance_e2 : of a pixel alone, with its fixed pattern
     signal_slope : change of the mean with the signal
-    offset_slope : change of the mean with an offset behind the well, as those of rows and columns
+    offset_slope : change of the mean with an offset behind the well, of a row or a column
     low_e, high_e : signals from which on, and below which, the table holds
     """
 
@@ -330,8 +330,8 @@ def _cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], _CodeTa
 
 
 def bottom_table(frame: ExpectedFrame, darkest_e: float) -> _CodeTable | None:
-    """Return the table of signals near code 0; None if the noise of the darkest one does not reach
-    it.
+    """Return the table of signals near code 0, or None if the noise of the darkest signal does not
+    reach it.
     """
     exposure = _ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_0(darkest_e / exposure.count):
@@ -349,7 +349,7 @@ def bottom_table(frame: ExpectedFrame, darkest_e: float) -> _CodeTable | None:
 
 
 def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
-    """Return the table of signals near the full well or the top code; None if the noise of the
+    """Return the table of signals near the full well or the top code, or None if the noise of the
     brightest does not reach either.
     """
     exposure = _ClippedExposure(frame.readout, frame.integration_s)
@@ -508,8 +508,8 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
 
 
 def _stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
-    """Return the contrast of a target that its scene states, where the light without it is that of
-    no contrast; else 0.
+    """Return the contrast of a target that its scene states; 0 where the background is not the
+    scene of no contrast.
     """
     stated = frame.light.mean.header.get("parameters", {}).get("contrast")
     if stated is None or options.without != NO_CONTRAST:
@@ -589,7 +589,7 @@ def sensor_mtf(
     """Return the MTF from scene to sensor at frequencies along x and y, which broadcast, in
     cycles/mm on the sensor.
 
-    Blur by the lens and by diffusion is taken as that of the axis in all directions.
+    Blur by the lens and by diffusion is taken to be the same in all directions.
 
     Motion counts as a path of its own direction.
 
@@ -757,8 +757,8 @@ def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
     """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level
     there, in mm⁻².
 
-    Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN
-    where all of them are.
+    Signal, noise and MTF are the same as in the metric information, of pixels that are not full;
+    NaN where all of them are.
     """
     pitch_um = frame.readout.physics.read_pitch_um
     frequency = np.linspace(0.0, 500.0 / pitch_um, POINTS)

@@ -50,8 +50,8 @@ class SceneLight:
     """What light a sensor is given.
 
     irradiance : on the sensor plane, before diffraction
-    background : that of the scene without its target, on the same samples; None: no metric asks for
-        it
+    background : irradiance of the scene without its target, on the same samples; None where no
+        metric asks for it
     """
 
     irradiance: SpectralImage
@@ -113,7 +113,7 @@ class LightFacts:
     def of(cls, imaging: Imaging, light: SceneLight, picture: Array) -> LightFacts:
         """Return the facts of a light.
 
-        picture : as of the field
+        picture : as in the field
         """
         irradiance = light.irradiance
         mean = SpectralImage(
@@ -152,10 +152,10 @@ class PreparedScene:
     screens : one for each display that shows the frames
     array_um : (height, width) that the pixels fill
     beyond_white : fraction of the ideal image's dots that are brighter than display white
-    rendition : what the channels see of a chart; None for a monochrome sensor
+    rendition : what the channels see of a chart, or None for a monochrome sensor
     metering_light : light of each channel without samples that stand alone far above all others,
-        which sets the automatic exposure; None: all light does
-    facts : what metrics know of the light; None if none asks
+        which sets the automatic exposure. None: all light does
+    facts : of the light, for metrics, or None if none asks
     """
 
     lights: tuple[ChannelLight, ...]

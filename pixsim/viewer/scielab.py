@@ -278,8 +278,8 @@ def delta_e_map(
     reference_xyz, test_xyz : (H, W, 3) CIE XYZ in any unit, the same for both and for the white
     white_xyz : (3,) XYZ of the white that the viewer is adapted to
     samples_per_deg : image samples per degree of visual angle
-    filters : as of `filtered_lab`
-    formula : as of `delta_e`
+    filters : as in `filtered_lab`
+    formula : as in `delta_e`
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
 
@@ -366,7 +366,7 @@ def grey_delta_e_map(
 
     reference_lab : (H, W, 3)
     luminance : (H, W) relative, 1 for white
-    white_xyz, samples_per_deg, filters, single : as of `filtered_lab`
+    white_xyz, samples_per_deg, filters, single : as in `filtered_lab`
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
@@ -389,7 +389,7 @@ def colour_delta_e_map(
 
     reference_lab : (H, W, 3)
     xyz : (H, W, 3), in the unit of the white
-    white_xyz, samples_per_deg, filters, single : as of `filtered_lab`
+    white_xyz, samples_per_deg, filters, single : as in `filtered_lab`
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """

@@ -115,8 +115,8 @@ class FrameScore(Score):
     border_um : (above and below, left and right) width of the border that is neither shown nor
         scored
     out_of_gamut : share of the dots of the ideal image and of the image whose colour the display
-        cannot show; None for grey ones
-    light, light_limit : errors of its light, and what is tolerated of them
+        cannot show, or None for grey ones
+    light, light_limit : errors of its light, and their tolerances
     causes : of its mean ΔE beside the sensor's noise and blur, the largest first
     """
 
@@ -169,12 +169,12 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
 
 
 def noise_error_and_limit(header: Mapping[str, Any]) -> tuple[LightError, LightError]:
-    """Return the error by the noise of a render, and its limit: the tolerance, else what is left of
-    the error at the target.
+    """Return the error by the noise of a render, and its limit: the tolerance, else the error that
+    is left at the target.
 
     The target is a fraction of the sensor's noise, with which the error falls.
 
-    header : of an irradiance; that of a file of another program may hold anything, and then nothing
+    header : of an irradiance; a file of another program may hold anything in it, and then nothing
         is known
     """
     stated = header.get("render_noise")

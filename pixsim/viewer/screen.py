@@ -108,7 +108,7 @@ class Screen:
 
     @property
     def dot_um(self) -> float | None:
-        """Side of a dot on the sensor; None if dots are pixels."""
+        """Side of a dot on the sensor, or None if dots are pixels."""
         return self.size_um[1] / self.display.dots if self.display.raster == "fixed_size" else None
 
     def seen_at(self, samples_per_deg: float) -> Screen:
@@ -153,8 +153,8 @@ def display_image(light: Array, display: Display, *, in_place: bool = False) -> 
 
 
 def screen_rendition(imaging: Imaging, irradiance: SpectralImage) -> Rendition | None:
-    """Return what the channels of a colour sensor see of a chart under the scene's lamp; None for a
-    monochrome one.
+    """Return what the channels of a colour sensor see of a chart under the scene's lamp; a
+    monochrome sensor has None.
     """
     physics = imaging.physics
     return (

@@ -187,7 +187,7 @@ class _SmallLight:
     def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> _SmallLight:
         """Return the small light for settings.
 
-        picture : light of the user, whose bands it has; None for light that is rendered
+        picture : light of the user, whose bands it has, or None for light that is rendered
         """
         camera = imaging.camera
         size_um = camera.die_um if picture is None else displays.picture_size_um(picture)
@@ -511,8 +511,8 @@ class UserSettings:
     their default.
 
     names : dotted, as `pixel.stack.height_um`
-    settings : of the command; None for a call with records
-    picture : light that is given; None for light that is rendered
+    settings : of the command, or None for a call with records
+    picture : light that is given, or None for light that is rendered
     not_taken : names of settings and tables that the command does not take, or that do nothing in
         this one
     makes_frames : whether the command makes the frames of a run, in other light
@@ -526,7 +526,7 @@ class UserSettings:
     makes_frames: bool = True
 
     def takes(self, name: str) -> bool | None:
-        """Whether the command takes a setting; None if the frames of a run tell."""
+        """Whether the command takes a setting, or None if the frames of a run tell."""
         if any(name == other or name.startswith(f"{other}.") for other in self.not_taken):
             return False
         return None if self.makes_frames else True
@@ -574,7 +574,7 @@ class UserSettings:
 
     @cached_property
     def base(self) -> _Trial | None:
-        """The trial of the settings; None where the small light is too small for them."""
+        """The trial of the settings, or None where the small light is too small for them."""
         try:
             trial = _Trial(_SmallLight.of(self.imaging, self.picture), self.imaging)
             trial.variance_e2(trial.frame.mean_e)
@@ -653,7 +653,7 @@ def _implied_settings(imaging: Imaging, picture: SpectralImage | None) -> set[st
 
 
 class Row(NamedTuple):
-    """Settings or tables, none for all of them, and whether one does something in a command; None
+    """Settings or tables, none for all of them, and whether one does something in a command. None
     leaves it to the rule.
     """
 

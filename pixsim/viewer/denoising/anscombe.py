@@ -53,12 +53,12 @@ def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
 def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     """Return the mean electrons λ, (...), of which the expectation of `forward` is each value.
 
-    Exact for values without noise. Of values that have kept noise of variance v, such as those of a
-    weak filter, the mean is about v/4 e- too large, since the inverse is curved, too. Below the
+    Exact for values without noise. Of values that have kept noise of variance v, such as a weak
+    filter leaves, the mean is about v/4 e- too large, since the inverse is curved, too. Below the
     expectation at λ = 0 it goes on straight, to negative electrons.
 
     values : (...) filtered values of `forward`
-    gaussian_variance_e2 : that of `forward`
+    gaussian_variance_e2 : the same as in `forward`
 
     >>> mean, _ = moments(0.5, 4.0)
     >>> float(inverse(mean, 4.0)).__round__(4)

@@ -1,7 +1,7 @@
 """Denoising of a plane of electrons: transform to white noise of variance 1, filter, exact unbiased
 inverse.
 
-The filters are those of scikit-image, with the known noise in place of an estimate; or a function
+The filters come from scikit-image, with the known noise in place of an estimate; or a function
 of one's own. A plane holds the pixels of one channel. The fixed pattern is noise of the picture
 too: it has another variance than the filters are told, and that of columns is not white.
 
@@ -52,8 +52,8 @@ def denoised_plane(
 ) -> Array:
     """Return a plane (H, W) of the expected electrons that a filter finds in one with noise.
 
-    raw_e : (H, W) electrons of light and dark together, of one channel, in which the variance of
-        the noise is that of a Poisson number plus the next; of several frames their sum
+    raw_e : (H, W) electrons of light and dark together, of one channel, whose noise has the
+        variance of a Poisson number plus the next; of several frames their sum
     gaussian_variance_e2 : of the noise that does not grow with the signal: reset, read noise and
         rounding
     method : nlm, wavelet, or a function of a plane whose noise has variance 1, and of `strength`,

@@ -81,7 +81,7 @@ def response(signal: Power, noise: Power) -> Array:
     """Return the factors S/(S + N) of the coefficients, (H, W); 1 where there is neither picture
     nor noise.
 
-    signal, noise : (H, W) `signal_power` and `noise_power`, or those of an ensemble of pictures
+    signal, noise : (H, W) `signal_power` and `noise_power`, or of an ensemble of pictures
 
     Raises PixsimError if the shapes differ.
     """
@@ -94,7 +94,7 @@ def mean_square_error(signal: Power, noise: Power) -> float:
     """Return the mean square error of a pixel behind the filter, the mean of S N/(S + N), in the
     unit of the powers.
 
-    signal, noise : as of `response`
+    signal, noise : as in `response`
 
     >>> mean_square_error(np.full((2, 2), 4.0), np.full((2, 2), 4.0))
     2.0
@@ -121,14 +121,14 @@ def wiener_plane(
     column_variance_e2: NotNegative = 0.0,
     row_variance_e2: NotNegative = 0.0,
 ) -> Array:
-    """Return a noisy plane (H, W) behind the filter of least mean square error to what is expected
-    of it.
+    """Return a noisy plane (H, W) behind the filter of least mean square error to its
+    expectation.
 
     raw_e : (H, W) with noise
     expected_e : (H, W) without: the picture behind lens and pixel, which the filter does not make
         sharper
-    variance_e2 : (H, W) of each pixel's noise, with that of fixed patterns, if they are in `raw_e`
-    column_variance_e2, row_variance_e2 : as of `noise_power`
+    variance_e2 : (H, W) of each pixel's noise, with fixed patterns if they are in `raw_e`
+    column_variance_e2, row_variance_e2 : as in `noise_power`
     """
     noise = noise_power(
         variance_e2, column_variance=column_variance_e2, row_variance=row_variance_e2

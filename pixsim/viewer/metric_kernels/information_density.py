@@ -215,7 +215,7 @@ def neq(mtf: Finites, noise_power: Positives, mean: NotNegative) -> Array:
     frequency. Of mm⁻² for noise in mm². R. Shaw, J. Photogr. Sci. 11 (1963) 199; ICRU Report 54
     (1996).
 
-    mtf, noise_power : broadcast together; noise power in signal² mm², as of
+    mtf, noise_power : broadcast together; noise power in signal² mm², as in
         `information_bits_per_mm2`
     mean : of the signal, in its unit
 

@@ -66,7 +66,7 @@ def detectability(
     column_variance, row_variance : of an offset that all pixels of a column, or a row, share, in
         the unit squared
     offset_slopes : (2, rows, columns) change of the expected signal with such an offset, with and
-        without the target; None: 1
+        without the target. None: 1
 
     Raises PixsimError if a variance is not positive, or the shapes differ.
 

@@ -44,8 +44,8 @@ def curve_from_0(name: str, frequency: Array, mtf: Array) -> tuple[Array, Array]
 
 
 def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
-    """Frequency at which a curve first falls to `level`, by linear interpolation; None if it does
-    not.
+    """Return the frequency at which a curve first falls to a level, by linear interpolation; a
+    curve that does not has None.
     """
     below = np.flatnonzero(sfr < level)
     if not below.size or below[0] == 0:
@@ -60,7 +60,7 @@ def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
 
 def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
     """Return the frequency at which an MTF first falls to one half, in its unit, linear between
-    frequencies; None if it does not.
+    frequencies, or None if it does not.
 
     frequency : (n,) rising, in any unit
     mtf : (n,) 1 at frequency 0
@@ -114,7 +114,7 @@ def edge_mtf(
     pixel. The edge is known, not measured: `pixsim.edge_response` measures one in noise.
 
     picture : (H, W) with the edge, flat on either side of it
-    angle_deg : of the edge from the vertical, clockwise with row 0 on top, as of the packaged
+    angle_deg : of the edge from the vertical, clockwise with row 0 on top, as in the packaged
         `slanted_edge`
     frequency_cy_per_px : along the normal of the edge
 

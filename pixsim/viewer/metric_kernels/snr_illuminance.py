@@ -26,7 +26,7 @@ def snr10_lx(
     saturation_e: Saturation = math.inf,
 ) -> float | None:
     """Return the illuminance in lx of a matt wall, π L/reflectance, at which SNR per display dot is
-    10; None if there is none.
+    10, or None if there is none.
 
     A dot shows the mean of n pixels of μ electrons: its SNR is √n μ/√(μ + σ_d² + (PRNU μ)²), solved
     for μ. PRNU alone may keep it below 10 in any light, or a pixel be full before. J. Alakarhu,
