@@ -28,14 +28,14 @@ from pixsim.viewer.noise_budget import NoiseBudget
 from pixsim.viewer.score import Cause, FrameScore
 from pixsim.viewer.setting import Run
 
-# Of the film's error on the stated display, grown with mean ΔE: on 46 of 48 other displays of six
-# comparisons it is within this.
+# Factor of the film's error on other displays, beside its growth with mean ΔE: it holds on 46 of 48
+# other displays of six comparisons.
 _OTHER_DISPLAY_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
 class ComparedSensor:
-    """What is known of a sensor of a comparison beside its evaluations.
+    """A sensor of a comparison with its light, first frame and errors of the film.
 
     case : of the sensor
     light : on it, before diffraction
@@ -150,9 +150,9 @@ class Comparison(Result):
         other : name of the other one
         """
         content = self.as_dict()
-        verdicts: dict[str, str] = (
-            content["cases"][self.combination] if len(self.cases) > 1 else content
-        )["verdicts"]
+        if len(self.cases) > 1:
+            content = content["cases"][self.combination]
+        verdicts: dict[str, str] = content["verdicts"]
         return verdicts[other]
 
     @property
@@ -218,9 +218,9 @@ class Comparison(Result):
 
         groups : one for each condition
         """
-        return (
-            {group.first.condition: group.weight for group in groups} if len(groups) > 1 else None
-        )
+        if len(groups) < 2:
+            return None
+        return {group.first.condition: group.weight for group in groups}
 
     def sensors_of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
         """Return what else is known of the sensors of a group, by their names."""
@@ -251,13 +251,8 @@ class Comparison(Result):
         """
         groups = [group for group in self.groups() if condition in (None, group.first.condition)]
         rows = self.rows(groups).where(technology=name)
-        return np.array(
-            list(
-                weighted_frames(
-                    rows, metric, self.weights(groups) if condition is None else None
-                ).values()
-            )
-        )
+        weights = self.weights(groups) if condition is None else None
+        return np.array(list(weighted_frames(rows, metric, weights).values()))
 
     @property
     def delta_e(self) -> dict[str, Array]:
@@ -355,14 +350,13 @@ class Comparison(Result):
         """
         total = 0.0
         for group in self.groups_of_pair(other, match):
-            weight = (
-                group.weight if condition is None else float(group.first.condition == condition)
-            )
+            weight = group.weight
+            if condition is not None:
+                weight = float(group.first.condition == condition)
             if weight:
                 sensors = self.sensors_of_group(group)
-                total += weight * sensors[self.names[0]].steps.error_of_difference(
-                    sensors[other].steps
-                )
+                steps = sensors[self.names[0]].steps
+                total += weight * steps.error_of_difference(sensors[other].steps)
         return None if math.isnan(total) else total
 
     def display_differences(
@@ -378,30 +372,26 @@ class Comparison(Result):
         other : name of the other one
         match : of the cameras; None means the one that was asked for
         """
-        stated, film = self.pairs(other, match=match), self.film_of_pair(other, match)
+        stated = self.pairs(other, match=match)
+        film = self.film_of_pair(other, match)
         group = self.groups_of_pair(other, match)[0]
         differences = [
             DisplayDifference(group.display.dots, stated.difference, stated.interval, film)
         ]
-        largest = max(float(stated.a.mean()), float(stated.b.mean()))
+        stated_largest = max(float(stated.a.mean()), float(stated.b.mean()))
         for display in group.first.further_displays:
-            here = self.pairs(other, dots=display.dots, match=match)
-            count = here.a.size
-            difference = stated.difference + float(
-                (here.differences - stated.differences[:count]).mean()
-            )
-            growth = (
-                max(1.0, max(float(here.a.mean()), float(here.b.mean())) / largest)
-                if largest
-                else 1.0
-            )
+            pairs = self.pairs(other, dots=display.dots, match=match)
+            change = pairs.differences - stated.differences[: pairs.a.size]
+            difference = stated.difference + float(change.mean())
+
+            growth = 1.0
+            if stated_largest:
+                largest = max(float(pairs.a.mean()), float(pairs.b.mean()))
+                growth = max(1.0, largest / stated_largest)
             half = stated.half_width * growth
-            film_here = None if film is None else film * _OTHER_DISPLAY_FACTOR * growth
-            differences.append(
-                DisplayDifference(
-                    display.dots, difference, (difference - half, difference + half), film_here
-                )
-            )
+            interval = difference - half, difference + half
+            display_film = None if film is None else film * _OTHER_DISPLAY_FACTOR * growth
+            differences.append(DisplayDifference(display.dots, difference, interval, display_film))
         return tuple(differences)
 
     @property

@@ -4,7 +4,7 @@ sensors behind them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -92,21 +92,31 @@ class StudyResult(Result):
         )
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
-        """Return a curve with its label, and the errors of its light."""
-        part, words = self.part_of(curve), curve.words
+        """Return a curve with its label, the errors of its light, and its Fresnel numbers."""
+        part = self.part_of(curve)
         light, limit = light_error_and_limit(part.irradiance.header, part.film_at_best(curve))
-        fresnel = None
-        if has_microlens(
-            part.study.options_of(curve.technology), technology_of(part.study, curve.technology)
-        ):
-            nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
-            fresnel = np.array(
-                [min_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um],
-                float,
-            )
-        name = ", ".join(filter(None, (label, words)))
-        errors = replace(curve.errors, light=light, light_limit=limit)
-        return replace(curve, label=name, errors=errors, fresnel_number=fresnel)
+        return replace(
+            curve,
+            label=", ".join(filter(None, (label, curve.words))),
+            errors=replace(curve.errors, light=light, light_limit=limit),
+            fresnel_number=part._fresnel_numbers(curve),
+        )
+
+    def _fresnel_numbers(self, curve: Curve) -> Array | None:
+        """Return the Fresnel number of the microlens at each pitch of a curve, (pitches,).
+
+        Returns None for a sensor without microlenses.
+        """
+        technology = curve.technology
+        pixel = self.study.options_of(technology)
+        if not has_microlens(pixel, technology_of(self.study, technology)):
+            return None
+        wavelength_nm = self.irradiance.wavelength_nm
+        numbers = [
+            min_fresnel_number(self.physics(technology, pitch_um), wavelength_nm)
+            for pitch_um in curve.pitch_um.tolist()
+        ]
+        return np.array(numbers, float)
 
     @property
     def irradiance(self) -> SpectralImage:
@@ -124,21 +134,20 @@ class StudyResult(Result):
         return self.light.film
 
     def film_at_best(self, curve: Curve) -> FilmError | None:
-        """Return the error of the film at the pitch of a curve with the least mean ΔE; None if it
-        was not measured.
+        """Return the error of the film at the pitch of a curve with the least mean ΔE.
+
+        Returns None if the error was not measured.
         """
         best_um = float(curve.pitch_um[np.nanargmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um)
 
     def part_of(self, curve: Curve) -> StudyResult:
-        """Return the result of the case of a curve: of a study without axes and conditions, this
-        result.
-        """
+        """Return the result of a curve's case; this one without axes and conditions."""
         return self
 
     @property
     def cases(self) -> tuple[StudyResult, ...]:
-        """The result of each case: a study without axes and conditions is its own only one."""
+        """The result of each case; this one alone without axes and conditions."""
         return (self,)
 
     def physics(self, technology: str, pitch_um: Pitch) -> PixelPhysics:
@@ -164,9 +173,8 @@ class StudyResult(Result):
     def sensors(self) -> dict[str, RenderedCase]:
         """Each sensor in its light by its name, of a study without axes and conditions."""
         rendered_sensors = self.prepared_sensors
-        if (
-            not rendered_sensors or rendered_sensors[0].imaging.display != self.study.display
-        ):  # of a copy with another display
+        # A copy of a result may have another display than its prepared sensors.
+        if not rendered_sensors or rendered_sensors[0].imaging.display != self.study.display:
             combination = Case(
                 self.study,
                 resolved=(self.irradiance, self.camera),
@@ -186,15 +194,12 @@ class StudyResult(Result):
         its numbers.
         """
         clips = []
-        for pitch_um, time_s in zip(
-            curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True
-        ):
+        times_s = curve.mean("integration_s").tolist()
+        for pitch_um, time_s in zip(curve.pitch_um.tolist(), times_s, strict=True):
             imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
             rate = white_rate(imaging, self.irradiance)
-            area_um2 = (
-                collecting_area_um2(self.irradiance, self.camera, imaging.physics)
-                * imaging.readout.bin_side**2
-            )
+            pixel_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics)
+            area_um2 = pixel_um2 * imaging.readout.bin_side**2
             clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
         return {name: [clip[name] for clip in clips] for name in clips[0]}
 
@@ -225,10 +230,8 @@ class StudyResult(Result):
         self, technology: str, pitch_um: float, repeats: int | None, light_optional: bool = False
     ) -> list[FrameScore]:
         rendered = self.sensors[technology]
-        light, count = (
-            rendered.light(),
-            self.sensors_at(technology, pitch_um) if repeats is None else repeats,
-        )
+        light = rendered.light()
+        count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         scores: list[FrameScore] = []
         for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
             repeats_of_block = range(first, min(count, first + REPEATS_PER_TASK))
@@ -275,9 +278,9 @@ class StudyResult(Result):
     def __repr__(self) -> str:
         optima = []
         for curve in self.curves:
-            best = curve.optimum
-            size = f"{'' if best.inside else 'none, least at '}{best.pitch_um:.2f} µm"
-            optima.append(f"{curve.label}: {size} (95 %: {interval(best.interval_um)})")
+            optimum = curve.optimum
+            size = f"{'' if optimum.inside else 'none, least at '}{optimum.pitch_um:.2f} µm"
+            optima.append(f"{curve.label}: {size} (95 %: {interval(optimum.interval_um)})")
         return f"<{type(self).__name__} {self.study.name}: {'; '.join(optima)}>"
 
 
@@ -321,29 +324,30 @@ class CasesResult(StudyResult):
 
         Raises PixsimError if no case, or more than one, is named.
         """
-        of_study = (
-            [part.curves[0].at for part in self.parts],
-            [part.curves[0].condition for part in self.parts],
-        )
         matches = [
             part
-            for part, values, name in zip(self.parts, *of_study, strict=True)
-            if condition in (None, name)
-            and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
+            for part in self.parts
+            if condition in (None, part.curves[0].condition) and _is_at(part.curves[0], at)
         ]
         if len(matches) == 1:
             return matches[0]
-        got = ", ".join(
-            [f"{name} = {value}" for name, value in at.items()]
-            + ([f"condition {condition}"] if condition else [])
-        )
+
+        words = [f"{name} = {value}" for name, value in at.items()]
+        if condition:
+            words.append(f"condition {condition}")
+        got = f"{', '.join(words) or 'nothing'}, which names {len(matches)} cases"
         allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
         allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
-        raise invalid("case", f"{got or 'nothing'}, which names {len(matches)} cases", allowed)
+        raise invalid("case", got, allowed)
+
+
+def _is_at(curve: Curve, at: Mapping[str, float | int | str]) -> bool:
+    """Return whether the case of a curve has these values of axes."""
+    return all(axis in curve.at and _is_value(curve.at[axis], at[axis]) for axis in at)
 
 
 def _is_value(value: float | int | str, requested: float | int | str) -> bool:
-    """Return whether a value of an axis is the one that is asked for, by itself or by its label."""
+    """Return whether a value of an axis equals a requested one, or has it as its label."""
     return value == requested or (not isinstance(value, str) and f"{value:.4g}" == str(requested))
 
 
@@ -374,17 +378,14 @@ def causes_of_frames(
     lightness : the ideal image's, lowest and highest
     table : of the frames
     """
-    time_s, saturated = (
-        float(np.mean(table.columns[name])) for name in ("integration_s", "saturated_fraction")
-    )
-    area_um2 = (
-        collecting_area_um2(image, imaging.camera, imaging.physics) * imaging.readout.bin_side**2
-    )
+    time_s = float(np.mean(table.columns["integration_s"]))
+    pixel_um2 = collecting_area_um2(image, imaging.camera, imaging.physics)
+    area_um2 = pixel_um2 * imaging.readout.bin_side**2
     return causes_of(
         imaging,
         image.header,
         white_e=white_rate(imaging, image) * area_um2 * time_s,
         integration_s=time_s,
         lightness=lightness,
-        saturated_fraction=saturated,
+        saturated_fraction=float(np.mean(table.columns["saturated_fraction"])),
     )
