@@ -26,9 +26,9 @@ from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import (
     UM_PER_NM,
     ChannelWavefronts,
-    even_window,
     fit_wavefronts,
     periodic_psf,
+    psf_window,
 )
 from pixsim.optics.ghosts import Ghost
 from pixsim.optics.glass import AIR
@@ -388,7 +388,7 @@ def _point_spreads(
     light = ChannelWavefronts(fronts, np.full(len(fronts), 1 / len(fronts)))
     psfs = []
     for height in heights:
-        window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
+        window = psf_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))
         diameters = [2 * float(front.at(float(height))[:2].max()) for front in fronts]
         widest_per_nm = max(
             diameter / front.wavelength_nm

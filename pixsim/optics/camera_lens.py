@@ -38,7 +38,6 @@ from pixsim.optics.field_blur import (
     RadialPsfs,
     blur_from_arrays,
     cutoff_per_um,
-    even_window,
     farthest_tile_um,
     field_blur,
     fit_wavefronts,
@@ -46,6 +45,7 @@ from pixsim.optics.field_blur import (
     periodic_psf,
     picture_error,
     psf_transform,
+    psf_window,
     psfs_between_tiles,
     radial_psfs,
     resolving_um,
@@ -614,7 +614,7 @@ def _illuminated_mm(camera: Camera) -> float:
     )
 
 
-def groups_of(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
+def band_groups(weight: Array, groups: int = GROUPS) -> list[NDArray[np.bool_]]:
     """Return a few groups of neighbouring bands of about equal weight, (B,) each."""
     is_seen = weight > 0
     middle = np.cumsum(weight) - weight / 2
@@ -671,7 +671,7 @@ _Transfer = Callable[[Array, float], Array] | None
 _TransformAt = Callable[[float, float], NDArray[np.complex128]]
 
 
-def light_of(
+def channel_wavefronts(
     camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: _Transfer = None
 ) -> ChannelWavefronts:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
@@ -706,7 +706,7 @@ def thin_lens_error(
     error = distortion_error + fall_off_error
     if error > 1:
         return error
-    light = light_of(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0))
+    light = channel_wavefronts(camera, wavelength_nm, weight, Tiling(0.0, 0.0, 0.0))
     return error + _blur_error(camera, light, pitch_um, aperture_um)
 
 
@@ -722,7 +722,7 @@ def _blur_error(
     worst = 0.0
     for share in (0.0, 0.7, 1.0):
         x_um = share * corner_um
-        window = even_window(light, x_um, 0.0, grid_um, cells)
+        window = psf_window(light, x_um, 0.0, grid_um, cells)
         frequency_cy_per_mm = np.hypot(
             np.fft.fftfreq(window, 1e-3 * grid_um)[:, None], np.fft.rfftfreq(window, 1e-3 * grid_um)
         )
@@ -795,7 +795,7 @@ def psfs_of(
     """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than
     the lens have the same.
     """
-    cell_um = resolving_um(light_of(camera, wavelength_nm, weight, tiling))
+    cell_um = resolving_um(channel_wavefronts(camera, wavelength_nm, weight, tiling))
     if pitch_um > _COARSE_FILM * cell_um:
         cell_um = pitch_um
     key = content_hash([*_light_key(camera, tiling, wavelength_nm, weight, transfer), cell_um])
@@ -807,7 +807,7 @@ def psfs_of(
         margin_um = tiling.psf_um + _SPARE_TILES * tiling.spacing_um
         spare_um = math.hypot(*(side_um / 2 + margin_um for side_um in camera.die_um))
         psfs = radial_psfs(
-            light_of(camera, wavelength_nm, weight, tiling, transfer),
+            channel_wavefronts(camera, wavelength_nm, weight, tiling, transfer),
             pitch_um=cell_um,
             cells=tiling.cells(cell_um)[1],
             step_um=tiling.spacing_um / RADIAL_STEPS,
@@ -948,7 +948,7 @@ def _mean_mtf(
     camera: Camera, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], tiling: Tiling
 ) -> tuple[Array, Array]:
     """Return frequencies in cycles/mm up to the lens's cut-off, and the MTF of `lens_mtf` there."""
-    light = light_of(camera, np.array(wavelength_nm), np.array(weight), tiling)
+    light = channel_wavefronts(camera, np.array(wavelength_nm), np.array(weight), tiling)
     pitch_um = 0.5 / cutoff_per_um(light)
     farthest_um = min(float(front.height_um[-1]) for front in light.fronts)
     heights_um = np.linspace(0.0, farthest_um, _MTF_HEIGHTS)
@@ -956,7 +956,7 @@ def _mean_mtf(
 
     # One window for all heights, so that their MTFs have the same frequencies.
     cells = max(_MTF_CELLS, math.ceil(tiling.psf_um / pitch_um))
-    window = max(even_window(light, x_um, 0.0, pitch_um, cells) for x_um in heights_um.tolist())
+    window = max(psf_window(light, x_um, 0.0, pitch_um, cells) for x_um in heights_um.tolist())
 
     half = window // 2
     power = np.zeros(half)
@@ -1089,7 +1089,7 @@ class _TestPoints:
 
     def window(self, light: ChannelWavefronts, cells: int) -> int:
         """Return the cells along a window that holds a PSF of so many cells at every point."""
-        return max(even_window(light, x, y, self.grid_um, cells) for x, y in self.places_um)
+        return max(psf_window(light, x, y, self.grid_um, cells) for x, y in self.places_um)
 
     def transforms_at(
         self,
@@ -1190,7 +1190,9 @@ def _chosen_tiling(points: _TestPoints, tolerance: float) -> Tiling:
 
     for nodes in _NODE_COUNTS:
         counts = Tiling(0.0, 0.0, 0.0, wavelengths=wavelengths, nodes=nodes)
-        interpolated = light_of(points.camera, points.wavelength_nm, points.weight, counts)
+        interpolated = channel_wavefronts(
+            points.camera, points.wavelength_nm, points.weight, counts
+        )
         node_error = points.error(points.transforms(interpolated, window), exact)
         if node_error <= _LIGHT_SHARE * tolerance:
             break

@@ -424,33 +424,32 @@ class Psf:
         return float(1 - self.kernel.sum(dtype=float))
 
 
-def even_window(
+def psf_window(
     light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int
 ) -> int:
     """Return an even number of cells along a side of a window in which a PSF may repeat: it
     resolves the pupil.
     """
-    return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, _WINDOW_SIDES * cells)
+    return _pupil_window(light, [math.hypot(x_um, y_um)], pitch_um, _WINDOW_SIDES * cells)
 
 
-def _even_window(
+def _pupil_window(
     light: ChannelWavefronts, heights_um: Iterable[float], pitch_um: float, cells: float
 ) -> int:
     """Return an even number of cells, at least `cells`, along a window that resolves the pupils of
     some image points.
     """
-    slowest = min(
+    narrowest_cy_per_um = min(
         2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM)
         for height_um in heights_um
         for front in light.fronts
     )
-    needed = max(cells, _SAMPLES_ACROSS / (slowest * pitch_um))
+    needed = max(cells, _SAMPLES_ACROSS / (narrowest_cy_per_um * pitch_um))
     window = next_fast_len(math.ceil(needed / 2), real=True) * 2
     if window > _MAX_WINDOW:
-        got = f"{window * pitch_um:.4g} µm of {window} film cells"
         raise invalid(
             "PSF window",
-            got,
+            f"{window * pitch_um:.4g} µm of {window} film cells",
             f"at most {_MAX_WINDOW} cells",
             "Take a coarser film or a smaller f-number.",
         )
@@ -650,7 +649,7 @@ def _cubic_weights(distance: Array | float) -> Array:
     return np.where(d < 1, near, np.where(d < 2, far, 0.0))
 
 
-Place = tuple[float, float]
+_PlaceUm = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -703,7 +702,7 @@ class RadialPsfs:
                     self._splines[point] = self.compute_spline(point)
         return self._splines[point]
 
-    def at(self, places_um: Sequence[Place], pitch_um: float, cells: int) -> list[Psf]:
+    def at(self, places_um: Sequence[_PlaceUm], pitch_um: float, cells: int) -> list[Psf]:
         """Return the PSFs of image points (x, y), cut off to an odd number of film cells a side,
         from the four nearest distances.
 
@@ -716,7 +715,7 @@ class RadialPsfs:
         return [Psf(kernel.astype(np.float32)) for kernel in kernels]
 
     def transform(
-        self, places_um: Sequence[Place], pitch_um: float, shape: tuple[int, ...]
+        self, places_um: Sequence[_PlaceUm], pitch_um: float, shape: tuple[int, ...]
     ) -> NDArray[np.complex128]:
         """Return the transforms (n, H, W // 2 + 1) of the PSFs of image points on a window (H, W)
         of cells, in which they repeat.
@@ -740,7 +739,7 @@ class RadialPsfs:
 
     def _spectra(
         self,
-        places_um: Sequence[Place],
+        places_um: Sequence[_PlaceUm],
         pitch_um: float,
         shape: tuple[int, ...],
         ends: tuple[int, ...],
@@ -886,7 +885,7 @@ def radial_psfs(
     cell_um = max(pitch_um, resolving)
     fine_um = cell_um / _TURNED_SAMPLING
 
-    window = _even_window(light, heights_um, fine_um, _WINDOW_SIDES * cells * pitch_um / fine_um)
+    window = _pupil_window(light, heights_um, fine_um, _WINDOW_SIDES * cells * pitch_um / fine_um)
     padded = next_fast_len(math.ceil(_PADDING * window / 2)) * 2
     band_corner = (1 + BAND_END) * math.sqrt(0.5) / cell_um * padded * fine_um
     last = min(math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2, padded // 2 - 1)

@@ -28,8 +28,8 @@ from pixsim.optics.camera_lens import (
     GROUP_WAVELENGTHS,
     GROUPS,
     Tiling,
+    band_groups,
     blur_of,
-    groups_of,
     psfs_of,
     tiling_of,
     traced_lens,
@@ -531,7 +531,7 @@ def _blurred_lights(
             if (weight := electrons * spectrum).any():
                 yield picture.astype(float), weight, tiling
         return
-    for bands in groups_of(seen):
+    for bands in band_groups(seen):
         share = np.where(bands, seen, 0.0)
         yield (
             irradiance.weighted(np.where(bands, electrons, 0.0)),

@@ -31,7 +31,7 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics import camera_lens
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.camera_lens import Tiling, blur_of, choose_tiling, light_of
+from pixsim.optics.camera_lens import Tiling, blur_of, channel_wavefronts, choose_tiling
 from pixsim.optics.field_blur import ChannelWavefronts, FieldBlur, periodic_psf
 from pixsim.optics.lens import load_lens
 from pixsim.optics.lens_options import LensOptions
@@ -151,7 +151,9 @@ def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int 
         wanted = replace(tiling, spacing_um=SIDE / tiles * pitch_um, psf_um=cells * pitch_um)
         return blur_of(camera, (SIDE, SIDE), pitch_um, wanted, SEEN_NM, WEIGHT)
 
-    exact = superposed_at(dots, places, light_of(camera, SEEN_NM, WEIGHT, tiling), pitch_um)
+    exact = superposed_at(
+        dots, places, channel_wavefronts(camera, SEEN_NM, WEIGHT, tiling), pitch_um
+    )
 
     def seen(tiles: float) -> list[Array]:
         return [seen_by_pixels(blurred(at(tiles), picture), pitch_um) for picture in (dots, chart)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pixsim.optics.field_blur import ChannelWavefronts, Psf, even_window, periodic_psf
+from pixsim.optics.field_blur import ChannelWavefronts, Psf, periodic_psf, psf_window
 
 
 def point_spread(
@@ -13,7 +13,7 @@ def point_spread(
     x_um, y_um : of the image point, from the optical axis, along columns and rows
     """
     whole = periodic_psf(
-        light, x_um, y_um, pitch_um, even_window(light, x_um, y_um, pitch_um, cells)
+        light, x_um, y_um, pitch_um, psf_window(light, x_um, y_um, pitch_um, cells)
     )
     reach = cells // 2
     kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]

@@ -20,6 +20,7 @@ from pixsim.optics.camera_lens import (
     Tiling,
     blur_of,
     camera_with_lens,
+    channel_wavefronts,
     dark_share,
     distortion_of,
     few_wavelengths,
@@ -27,7 +28,6 @@ from pixsim.optics.camera_lens import (
     fitted_wavefronts,
     lens_mtf,
     lens_on_die,
-    light_of,
     moved_error,
     psfs_of,
     rendered_camera,
@@ -362,7 +362,7 @@ def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction
     assert (spot_um > 0) == (file != "singlet")
     height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
     wanted_um = chief_um - height_um + spot_um  # with lateral colour against the primary wavelength
-    light = light_of(camera, np.array([nm]), np.ones(1), Tiling(0.0, 0.0, 0.0))
+    light = channel_wavefronts(camera, np.array([nm]), np.ones(1), Tiling(0.0, 0.0, 0.0))
     cells = 129
     offsets = (np.arange(cells) - cells // 2) * pitch_um
     for azimuth in np.radians([0, 45, 90, 135, 180, 225, 270, 315]):

@@ -23,7 +23,6 @@ from pixsim.optics.field_blur import (
     PupilRays,
     RadialPsfs,
     distinct_tiles,
-    even_window,
     farthest_tile_um,
     field_blur,
     fit_wavefronts,
@@ -33,6 +32,7 @@ from pixsim.optics.field_blur import (
     picture_error,
     powers,
     psf_transform,
+    psf_window,
     psfs_between_tiles,
     pupil_function,
     radial_psfs,
@@ -304,7 +304,7 @@ def bound_of(light: ChannelWavefronts, spacing: int) -> float:
     """
     psfs = psfs_of(light, (FILM, FILM), PITCH_UM, spacing, CELLS)
     places = [(part * FILM / 2 * PITCH_UM,) * 2 for part in (0.25, 0.5, 0.7, 0.8)]
-    window = max(even_window(light, *place, PITCH_UM, CELLS) for place in places)
+    window = max(psf_window(light, *place, PITCH_UM, CELLS) for place in places)
     exact = np.array(
         [np.fft.rfft2(periodic_psf(light, *place, PITCH_UM, window)) for place in places]
     )

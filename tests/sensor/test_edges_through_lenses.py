@@ -18,11 +18,11 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     Tiling,
     camera_with_lens,
+    channel_wavefronts,
     choose_tiling,
     distortion_of,
-    light_of,
 )
-from pixsim.optics.field_blur import even_window, periodic_psf
+from pixsim.optics.field_blur import periodic_psf, psf_window
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.integration import integrate_pixels, real_lens_rate
 
@@ -122,9 +122,9 @@ def around(place_um: float, columns: int, half_px: int) -> slice:
 
 @cache
 def fine_psf(camera: Camera, tiling: Tiling, place_um: float) -> Array:
-    light = light_of(camera, np.array([NM]), np.ones(1), tiling)
+    light = channel_wavefronts(camera, np.array([NM]), np.ones(1), tiling)
     return periodic_psf(
-        light, place_um, 0.0, FINE_UM, even_window(light, place_um, 0.0, FINE_UM, FINE_CELLS)
+        light, place_um, 0.0, FINE_UM, psf_window(light, place_um, 0.0, FINE_UM, FINE_CELLS)
     )
 
 
