@@ -671,7 +671,7 @@ def test_command_no_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     )
     assert command("--version")[0] == 0
     assert_refused(
-        *command("cache"), [FOLDER_VARIABLE, "without a home folder", f"export {FOLDER_VARIABLE}="]
+        *command("cache"), [FOLDER_VARIABLE, "no home folder", f"export {FOLDER_VARIABLE}="]
     )
 
 

@@ -110,12 +110,12 @@ def name_fault(name: str) -> str:
     ('begins with =, as a formula of a spreadsheet does', '', '')
     """
     if CONTROL.search(name) or "\t" in name or "\n" in name:
-        return "holds control characters, or marks that turn the direction of text"
+        return "contains control characters, or marks that change the direction of text"
     if name[:1] in _FORMULA and name:
         try:
             float(name)
         except ValueError:
-            return f"begins with {name[0]}, as a formula of a spreadsheet does"
+            return f"begins with {name[0]}, which a spreadsheet reads as a formula"
     return ""
 
 

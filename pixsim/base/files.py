@@ -54,7 +54,7 @@ def cache_folder() -> Path:
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
     except RuntimeError:
-        got = "no value, and a user without a home folder"
+        got = "no value, and the user has no home folder"
         raise invalid(
             FOLDER_VARIABLE,
             got,
@@ -501,7 +501,7 @@ def check_size(name: str, size_bytes: int, unit: str = "bytes") -> None:
     limit = max_file_bytes()
     if size_bytes > limit:
         hint = (
-            "If it is right and the memory suffices, set the environment variable"
+            "If this size is right and there is enough memory, set the environment variable"
             f" {MAX_FILE_VARIABLE}={-(-size_bytes // GIB)}."
         )
         raise invalid(
@@ -574,7 +574,7 @@ def opened(
             )
         with suppress(OSError):
             if not size_bytes and file.peek(1):
-                raise invalid(name, f"'{path}', a file of the system without a size", expected)
+                raise invalid(name, f"'{path}', a system file without a size", expected)
         yield file
 
 
@@ -667,7 +667,7 @@ def reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, MemoryError):
-        return "its arrays need more memory than there is"
+        return "its arrays need more memory than is available"
     return f"damaged, or of another format: {type(error).__name__} of its decoder"
 
 

@@ -96,7 +96,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
     ):
         raise invalid(
             "output folder",
-            f"'{folder}', where '{LOCK}' is no lock of pixsim",
+            f"'{folder}', where '{LOCK}' is not a lock of pixsim",
             "a folder without it",
             _OTHER_FOLDER,
         )

@@ -43,8 +43,8 @@ def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
     except OSError as error:
         folder, gib = tempfile.gettempdir(), size / (1 << 30)
         text = (
-            f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}), which memory holds"
-            " instead; set TMPDIR"
+            f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}): memory is used instead;"
+            " set TMPDIR"
         )
         warn(Note("machine", words=text))
         return np.zeros(shape, dtype)

@@ -32,8 +32,8 @@ NOTES = {
     "left_out": _NoteKind("{words}", True),
     # Motion leaves other borders in other cases.
     "unequal_margins": _NoteKind(
-        "what moves leaves other parts of the frame to score in other cases; motion.margin_um ="
-        " {margin_um:g} lets all score the same",
+        "motion leaves different parts of the frame to score in different cases; with"
+        " motion.margin_um = {margin_um:g} all cases score the same part",
         True,
     ),
     # --- files
@@ -69,8 +69,8 @@ NOTES = {
     "scene": _NoteKind("{words}", True),
     # A surface sends back more light than it gets.
     "reflectance": _NoteKind(
-        "{what} is {highest:g} in {place}: a surface that sends back more light than it gets; 1 is"
-        " all of it",
+        "{what} is {highest:g} in {place}: this surface reflects more light than it receives; 1"
+        " reflects all of it",
         True,
     ),
     # The spectral bands do not reach the tolerance of the mean electrons.
@@ -87,8 +87,7 @@ NOTES = {
     "light_file": _NoteKind("'{file}' {words}", True),
     # Light was rendered for another camera.
     "other_camera": _NoteKind(
-        "the irradiance was rendered with another camera than the one given, of another {names}",
-        True,
+        "the irradiance was rendered with a camera of different {names}", True
     ),
     # --- display
     # More than 1 % of the ideal image is brighter than display white.

@@ -165,6 +165,6 @@ def first_notes(notes: Sequence[Sequence[Note]]) -> list[Note]:
     return [
         *texts[: _MAX_NOTES - 1],
         Note.restored(
-            last.id, f"and {len(texts) - _MAX_NOTES + 1} more notes of this kind, of other cases"
+            last.id, f"and {len(texts) - _MAX_NOTES + 1} more notes of this kind, for other cases"
         ),
     ]

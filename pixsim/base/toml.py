@@ -45,7 +45,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an invalid date
         hint = (
-            "A number has a decimal point and no unit, as 3.45 or 10500."
+            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500."
             if "Expected newline" in str(error)
             else ""
         )

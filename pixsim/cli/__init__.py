@@ -71,8 +71,8 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             end(
-                "this process may have too few files open; allow it more, with `ulimit -n 1024`, or"
-                " give --jobs 1",
+                "the limit of open files is too low; raise it with `ulimit -n 1024`, or give"
+                " --jobs 1",
                 INVALID_INPUT,
             )
         if not isinstance(error, BrokenPipeError):

@@ -164,17 +164,16 @@ def run(
     raw: Annotated[
         list[_RawFormat] | None,
         common.SEVERAL,
-        Parameter(help="Also write the raw frame in these formats, as --raw tiff,png."),
+        Parameter(help="Also write the raw frame in these formats, such as --raw tiff,png."),
     ] = None,
     repeats: Annotated[
         int,
         Parameter(
             help=(
-                "Number of sensors of this kind, each with a fixed pattern and noise of its own and"
-                " at another registration with "
-                "the picture: the answer is the mean of their ΔE with its 95 % interval. Pictures"
-                " and frames are of the first, which "
-                "is centred. With --tolerance-delta-e, at least so many."
+                "Number of sensors of this kind, each with its own fixed pattern, noise and"
+                " registration with the picture. The answer is their mean ΔE with its 95 %"
+                " interval. Pictures and frames are those of the first sensor, which is centred."
+                " With --tolerance-delta-e this is the smallest number."
             )
         ),
     ] = 1,
@@ -182,9 +181,9 @@ def run(
         int,
         Parameter(
             help=(
-                "Number of raw frames of this sensor: all have its fixed pattern, each has temporal"
-                " noise of its own. The first, "
-                "raw.exr, is scored; the others are raw_002.exr, … (and the formats of --raw)."
+                "Number of raw frames of this sensor, all with its fixed pattern, each with its"
+                " own temporal noise. The first, raw.exr, is scored; the others are raw_002.exr,"
+                " … (and the formats of --raw)."
             )
         ),
     ] = 1,
@@ -192,10 +191,9 @@ def run(
         Literal["reduced", "full", "factors", "none"],
         Parameter(
             help=(
-                "What irradiance.exr holds: spectral bands as means over larger samples (at most"
-                " 1024 across, 60 MB), all samples "
-                "(read back bit for bit), only the factors (spectra × pictures; bands in full where"
-                " an image has none), or no file."
+                "Content of irradiance.exr: spectral bands averaged over larger samples (at most"
+                " 1024 across, 60 MB), all samples (read back bit for bit), only the factors"
+                " (spectra × pictures; all bands where an image has none), or no file."
             )
         ),
     ] = "reduced",
@@ -267,7 +265,8 @@ def explore(
     browser: Annotated[
         bool,
         Parameter(
-            help="Open no browser: print the file that leads to the page.", negative="--no-browser"
+            help="Do not open a browser; print the file that opens the page.",
+            negative="--no-browser",
         ),
     ] = True,
 ) -> None:
@@ -332,7 +331,7 @@ def study(
     scene: Annotated[
         str | None,
         Parameter(
-            help=f"{_SCENE_HELP} [default: that of the study]",
+            help=f"{_SCENE_HELP} [default: the study's]",
             metavar="NAME|FILE",
             completer=common.complete_scene,
         ),
@@ -409,10 +408,10 @@ def compare(
         Literal["view", "lens", "own"] | None,
         Parameter(
             help=(
-                "Cameras: the field of view, f-number and object distance of the first file's; its"
-                " focal length; or each file's "
-                "own. The central field that all have in common is compared [default: view, and"
-                " whether lens turns the answer]."
+                "How the cameras are matched: view, by the field of view, f-number and object"
+                " distance of the first; lens, by its focal length; own, each file's own camera."
+                " The central field that all share is compared [default: view, and whether lens"
+                " changes the answer]."
             )
         ),
     ] = None,
@@ -596,7 +595,7 @@ def lens(
         float | None, Parameter(help="Stop the lens down [default: the file's f-number].")
     ] = None,
     field_deg: Annotated[
-        float | None, Parameter(help="Largest field angle that is looked at [default: the file's].")
+        float | None, Parameter(help="Largest field angle [default: the file's].")
     ] = None,
     refocus: Annotated[
         Literal["paraxial", "axis", "field"] | None,
@@ -609,7 +608,7 @@ def lens(
         ),
     ] = None,
     focus_nm: Annotated[
-        float | None, Parameter(help="Wavelength of that focus [default: those of the file].")
+        float | None, Parameter(help="Wavelength of that focus [default: the file's wavelengths].")
     ] = None,
     object_distance_m: Annotated[
         float | None,
@@ -619,12 +618,15 @@ def lens(
         list[float] | None,
         common.SEVERAL,
         Parameter(
-            help="Wavelengths of equal weight, as --wavelength-nm 450,550 [default: the file's]."
+            help=(
+                "Wavelengths of equal weight, such as --wavelength-nm 450,550 [default: the"
+                " file's]."
+            )
         ),
     ] = None,
     pitch_um: Annotated[
         float | None,
-        Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm."),
+        Parameter(help="Pixel pitch; its Nyquist frequency is added to 10, 30 and 60 lp/mm."),
     ] = None,
     configuration: Annotated[str | None, field_option(LensOptions, "configuration")] = None,
     semi_diameters: Annotated[str | None, field_option(LensOptions, "semi_diameters")] = None,
@@ -635,8 +637,8 @@ def lens(
         list[str] | None,
         Parameter(
             help=(
-                "A glass catalogue of yours as Zemax has it, as my.agf, before pixsim's table; give"
-                " it once for each."
+                "A glass catalogue in the format of Zemax, such as my.agf, which is searched"
+                " before pixsim's table. Repeatable."
             ),
             metavar="FILE",
         ),
@@ -721,9 +723,9 @@ def sfr(
         str | None,
         Parameter(
             help=(
-                "Channel of a picture in colour: R, G, B, or another letter of its filters,"
-                " luminance, or a place of the "
-                "mosaic as 0,1 (row,column) [default: luminance of RGB; a mosaic has none]."
+                "Channel of a colour picture: R, G, B or another letter of its filters,"
+                " luminance, or a position in the mosaic such as 0,1 (row,column) [default:"
+                " luminance of RGB; a mosaic has none]."
             ),
             metavar="CHANNEL",
         ),
@@ -732,9 +734,8 @@ def sfr(
         str | None,
         Parameter(
             help=(
-                "Colour filters of a mosaic, upper row first, as RG/GB; R+G+B for planes one below"
-                " the other "
-                "[default: from the file]."
+                "Colour filters of a mosaic, upper row first, such as RG/GB; R+G+B for planes one"
+                " below the other [default: from the file]."
             ),
             metavar="ROWS",
         ),
@@ -751,8 +752,8 @@ def sfr(
         float | None,
         Parameter(
             help=(
-                "Value as stored from which a pixel counts as saturated [default: the file's white"
-                " level or bits]."
+                "Stored value from which on a pixel counts as saturated [default: the file's"
+                " white level or bits]."
             ),
             metavar="DN",
         ),
@@ -834,7 +835,7 @@ def chart(
     ] = None,
     shape: Annotated[
         Literal["disc", "bar", "edge"] | None,
-        Parameter(help="Of a target: disc, bar (5 times as long as wide), or edge."),
+        Parameter(help="Shape of a target: disc, bar (5 times as long as wide), or edge."),
     ] = None,
     size_um: Annotated[
         float | None,
@@ -850,7 +851,7 @@ def chart(
     ] = None,
     direction: Annotated[
         Literal["vertical", "horizontal"] | None,
-        Parameter(help="Of a target that is a bar or an edge [default: vertical]."),
+        Parameter(help="Direction of a target that is a bar or an edge [default: vertical]."),
     ] = None,
     colour_axis: Annotated[
         Literal["red-green", "blue-yellow"] | None,

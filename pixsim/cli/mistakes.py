@@ -38,9 +38,9 @@ def refusal(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
         got = (
-            f"the further words '{first}' and {len(others)} more"
+            f"the extra words '{first}' and {len(others)} more"
             if others
-            else f"the further word '{first}'"
+            else f"the extra word '{first}'"
         )
         text = (
             f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}."
@@ -84,14 +84,14 @@ def _hint_of_word(word: str, options: set[str]) -> str:
     if option in options:
         return f"Did you mean {option}{equals}{shlex.quote(value) if value else ''}?"
     if name and equals and "-D" in options:
-        return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
+        return f"Each scene parameter needs its own -D: -D {shlex.quote(word)}"
     for option in _OPTIONS_OF_SUFFIX.get(Path(word).suffix.lower(), ()):
         if option in options:
             return f"Such a file goes after {option}: {option} {shlex.quote(word)}"
     if word.replace(".", "").isdecimal():
         return (
-            "An option takes one word: a pair of numbers is written as 1936x1216, and a list as"
-            " 2.4,3.45 without blanks."
+            "An option takes one word: write a pair of numbers as 1936x1216, and a list as"
+            " 2.4,3.45, without spaces."
         )
     return ""
 

@@ -51,9 +51,9 @@ app = App(
     help_format="plaintext",  # Markdown would import a parser, and color the code in backticks only
     default_parameter=Parameter(negative=()),
     help_epilogue=(
-        "Every command takes --quiet (no progress, and of the warnings only those of doubtful"
-        " numbers), --verbose (times of the stages, tracebacks of errors) and --json (results as"
-        " JSON). Its --help shows the common options, its --help-all every option."
+        "Every command takes --quiet (no progress, and only warnings about doubtful numbers),"
+        " --verbose (times of the stages, tracebacks of errors) and --json (results as JSON). Its"
+        " --help shows the common options, its --help-all every option."
     ),
     suppress_keyboard_interrupt=False,  # main() reports it
 )
@@ -286,9 +286,9 @@ Metrics = Annotated[
     Parameter(
         name=("--metrics", "--metric"),
         help=(
-            "Judge by this metric: delta_e, detectability, npwe, information, acutance,"
-            " visual_noise, mtf50, snr10_lx, niirs, flip. Several as delta_e,information; the first"
-            " one is that of the headline [default: delta_e]."
+            "Score by this metric: delta_e, detectability, npwe, information, acutance,"
+            " visual_noise, mtf50, snr10_lx, niirs, flip. Several as delta_e,information; the"
+            " headline has the first one [default: delta_e]."
         ),
         metavar="NAME",
     ),
@@ -302,7 +302,7 @@ Linear = Annotated[
 _Assets = Annotated[
     str | None,
     Parameter(
-        help="Let the scene name files of this folder, besides those of its own (scene.assets).",
+        help="Let the scene use files in this folder, as well as those in its own (scene.assets).",
         metavar="FOLDER",
     ),
 ]
@@ -320,7 +320,8 @@ DryRun = Annotated[
     bool,
     Parameter(
         help=(
-            "Show what would be made, with memory and a rough time; nothing is rendered or written."
+            "Show what would be computed, with its memory and approximate time; nothing is"
+            " rendered or written."
         )
     ),
 ]
@@ -508,8 +509,8 @@ class StudyOptions:
         bool | None,
         Parameter(
             help=(
-                "Add sizes and sensors where an interval is open or too long [default: that of the"
-                " study]."
+                "Add sizes and sensors where an interval is open or too long [default: the"
+                " study's]."
             ),
             negative="--no-refine",
         ),
@@ -539,10 +540,10 @@ class StudyOptions:
         SEVERAL,
         Parameter(
             help=(
-                "Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]."
-                " NAME is an axis of the study or a dotted setting, as camera.f_number; settings"
-                " joined by + take each value together. Values with labels are picked by them."
-                " Repeatable."
+                "Vary a setting as well as the pixel size: NAME=v1,v2,… or"
+                " NAME=from:to:count[:log]. NAME is an axis of the study or a dotted setting, as"
+                " camera.f_number; settings joined by + change together. Labelled values are"
+                " chosen by their labels. Repeatable."
             ),
             metavar="NAME=VALUES",
         ),
@@ -696,6 +697,6 @@ def say(text: str, as_json: bool = False) -> None:
         raise
     except OSError as error:
         raise PixsimError(
-            f"standard output: it cannot be written ({error.strerror}); the files of the command"
-            " are."
+            f"standard output cannot be written ({error.strerror}); the files of the command were"
+            " written."
         ) from None

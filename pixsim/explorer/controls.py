@@ -102,7 +102,7 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
         if (control := _field_control(schema, path)) is not None
     ]
     if lenses:
-        words = "real lens in place of the thin one, whose f-number then counts no more"
+        words = "real lens in place of the thin one, whose f-number is then not used"
         controls.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
     if ILLUMINANCE in parameters:
         controls.insert(

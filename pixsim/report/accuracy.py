@@ -47,7 +47,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
             Section(
                 "ladder",
                 "Films",
-                (_ladder_table(accuracy), "The last one is that of the default settings."),
+                (_ladder_table(accuracy), "The last film is that of the default settings."),
                 brief=True,
             ),
             Section("made", "How this was computed", (computation,), folded=True),
@@ -103,7 +103,7 @@ def reference_words(accuracy: Accuracy) -> str:
     """Return what the errors are measured against."""
     reference = accuracy.reference
     if reference is None:
-        return "no reference: no film that fits is sure enough"
+        return "no reference: no film that fits in memory is accurate enough"
     return (
         f"reference: a film of {reference.across} samples across, whose own error is at most"
         f" {reference.stated_delta_e:.2g} ΔE"
@@ -112,9 +112,8 @@ def reference_words(accuracy: Accuracy) -> str:
 
 @figure(
     "work_precision",
-    "Error of mean ΔE against run time, for films of the samples across that are written beside the"
-    " points: measured against the reference, and stated by pixsim run for the film and the render"
-    " noise.",
+    "Error of mean ΔE against run time. Numbers beside the points: samples across the film."
+    " Measured: against the reference; stated: by pixsim run, for the film and the render noise.",
 )
 def work_precision(accuracy: Accuracy) -> Drawing:
     """Plot error against wall time of each film: measured, and as pixsim states it."""
@@ -169,14 +168,7 @@ def _ladder_table(accuracy: Accuracy) -> DocumentTable:
         )
         for rung in accuracy.rungs
     ]
-    head = (
-        "samples across",
-        "s",
-        "mean ΔE",
-        "error",
-        "stated of the film",
-        "stated of render noise",
-    )
+    head = ("samples across", "s", "mean ΔE", "error", "stated film error", "stated render noise")
     return DocumentTable("ladder", head, rows, words=None)
 
 

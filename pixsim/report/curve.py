@@ -77,7 +77,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
             f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to"
             f" {high:.3g} µm"
         )
-        return [(Strong(no_difference),), f"least at {size}{end} {limits}, {value}"]
+        return [(Strong(no_difference),), f"lowest at {size}{end} {limits}, {value}"]
 
     if end:
         no_optimum = (
@@ -115,7 +115,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
         size = (
             f"{best.pitch_um:.2f}"
             if best.inside
-            else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
+            else f"none; lowest at {best.pitch_um:.2f}, the end of the range"
         )
         value = _best_value_words(curve).removeprefix(f"{curve.metric.words} ")
         rows.append(

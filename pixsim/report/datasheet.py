@@ -357,8 +357,9 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     texts = []
     if pixel.black_level_dn != experiment.stated_black_dn:
         texts.append(
-            f"black level raised from {experiment.stated_black_dn:g} to {pixel.black_level_dn:g} DN,"
-            " 6 σ of the dark noise, so that the dark frames are not clipped at 0 DN"
+            f"black level raised from {experiment.stated_black_dn:g} to"
+            f" {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames are not"
+            " clipped at 0 DN"
         )
     if readout.adc_range_e < readout.full_well_e:
         clip_e, well_e = distinct_texts(readout.adc_range_e, readout.full_well_e, 3)
@@ -369,8 +370,8 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     if sheet.transfer.limited:
         texts.append(
             f"quantisation-limited: σ²_y.dark = {sheet.dark.variance_dn2:.3g} DN² is below 0.24"
-            " DN². σ_d is an upper bound, and K and what is derived from it are wrong by some per"
-            f" cent. Use more than {pixel.bits} bits (pixel.bits)."
+            " DN². σ_d is an upper bound, and K and the values derived from it are wrong by a few"
+            f" per cent. Use more than {pixel.bits} bits (pixel.bits)."
         )
     if isinstance(sheet.colour, str):
         texts.append(f"no colour matrix: {sheet.colour}")

@@ -314,8 +314,8 @@ def illumination_plate(data: LensData) -> Drawing:
 
 @figure(
     "colour",
-    "Heights of chief rays, longest minus shortest wavelength; paraxial focus from that of the"
-    " primary one.",
+    "Heights of chief rays, longest minus shortest wavelength; paraxial focus relative to that of"
+    " the primary wavelength.",
 )
 def colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""

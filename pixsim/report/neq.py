@@ -15,9 +15,10 @@ NEQ = "neq"  # name of the figure
 
 @figure(
     NEQ,
-    "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need for"
-    " the same ratio of signal to noise at a frequency, along an axis up to the Nyquist frequency."
-    " Mean level and noise are those of the judge information; aliases are not in it.",
+    "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need"
+    " for the same ratio of signal to noise at a frequency, along an axis up to the Nyquist"
+    " frequency. Mean level and noise are those of the metric information; aliasing is not"
+    " included.",
 )
 def neq_against_frequency(quanta: Mapping[str, NeqCurve]) -> Drawing:
     """Draw the NEQ of sensors, by their labels, up to their Nyquist frequencies."""

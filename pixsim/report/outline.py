@@ -102,7 +102,7 @@ def _light_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if share is not None and share > TOLERATED_SHARE:
         yield (
             "errors",
-            f"of the film alone, at least {percent(share)} of mean ΔE: it has too few samples",
+            f"at least {percent(share)} of mean ΔE from the film alone: it has too few samples",
         )
 
 

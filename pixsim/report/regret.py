@@ -65,7 +65,7 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
 @figure(
     "metrics",
     "Each metric in its own unit. Points: means over sensors with 95 % intervals; lines: fitted"
-    " curves, where a metric tells a best size; triangles: the best sizes.",
+    " curves, where a metric has a best size; triangles: the best sizes.",
 )
 def metrics_against_pitch(curve: Curve) -> Drawing:
     """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve

@@ -148,8 +148,8 @@ def colour_rows(
 COLOUR = (
     "Both pictures are in colour: black level and dark charge are subtracted, white is balanced,"
     " the channels are interpolated to each pixel, and one matrix, fitted to a ColorChecker under"
-    " the scene's lamp, leads to the light of the display's primaries. The larger its noise gains,"
-    " the more of the sensor's noise is seen as colour."
+    " the scene's lamp, converts them to the light of the display's primaries. The larger its"
+    " noise gains, the more of the sensor's noise is seen as colour."
 )
 
 
@@ -455,7 +455,7 @@ def facts(result: RunResult) -> Iterator[Block]:
                 ", with a mean ΔE of"
                 f" {span(estimate(result.delta_e.min()), estimate(result.delta_e.max()))}"
             )
-        yield Fact(f"{words}; pictures and frames are of the first")
+        yield Fact(f"{words}; pictures and frames are those of the first")
     if (frames := result.prepared.frames) > 1:
         yield Fact(
             f"{frames} frames of this sensor: raw.exr to {_raw_stem(frames)}.exr; the first is"
@@ -502,7 +502,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
             " are small"
         )
     return (
-        f"no factor of its contrast leads to {threshold:g}: {reason}"
+        f"no multiple of its contrast reaches {threshold:g}: {reason}"
         if d_prime >= threshold
         else f"not seen: {reason}"
     )

@@ -100,7 +100,7 @@ def sfr_parts(data: Mapping[str, Any]) -> list[str]:
             f"edge at {data['angle_deg']:.2f}°{bow}, ±{data['half_window_px']:g} px,"
             f" {data['rows_used']} lines, contrast {data['contrast']:.2f}"
         ),
-        f"in brackets {percent(data['interval_coverage'])} by the picture's noise",
+        f"in brackets: {percent(data['interval_coverage'])} intervals from the picture's noise",
     ]
 
 

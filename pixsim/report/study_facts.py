@@ -158,7 +158,7 @@ def _undefined_notes(result: StudyResult) -> list[Note]:
                 reason = next(
                     (f": {reason}" for name, _, reason in curve.missing if name == metric.name), ""
                 )
-                where = "where it has no number, or is 0 or below, or beyond such sizes"
+                where = "where it is undefined, or 0 or below, or beyond such sizes"
                 words = f"the fitted curve of {metric.words} leaves out {sizes} µm, {where}{reason}"
                 note = Note("undefined_metric", words=words)
                 notes.append(note.of([curve.label]) if curve.label else note)

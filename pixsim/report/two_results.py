@@ -23,7 +23,7 @@ def results_document(result: ResultsComparison) -> Document:
     """
     sentences = verdicts(result)
     unpaired = (
-        [Fact(f"{result.only_in_one} rows are in one of the results only")]
+        [Fact(f"{result.only_in_one} rows are in only one of the results")]
         if result.only_in_one
         else []
     )
@@ -106,7 +106,7 @@ def verdicts(result: ResultsComparison) -> list[str]:
         first, other, neither = (f"{count} of {len(signs)}" for count in counts)
         places = (
             f"{result.names[0]} is better at {first} places, {result.names[1]} at {other}, neither"
-            f" surely at {neither}"
+            f" clearly at {neither}"
         )
         sentences.append(
             pair_sentence(pairs, film) if len(signs) == 1 else f"{pairs.metric.words}: {places}"

@@ -23,8 +23,8 @@ TYPES_EXPLAINED = (
 )
 _SHARES_EXPLAINED = (
     "Shares of the variance that inputs explain, each with its standard error. The share of the"
-    " scatter is an upper end: the interval of each type's optimum includes errors that all types"
-    " have in common."
+    " scatter is an upper bound: the interval of each type's optimum includes errors that all"
+    " types have in common."
 )
 
 
@@ -157,9 +157,9 @@ def pair_words(distribution: PairUncertainty) -> str:
     judge = "" if metric.is_delta_e else f"{metric.words}: "
     unit = " ΔE" if metric.is_delta_e else metric.unit and f" {metric.unit}"
     return (
-        f"{judge}over {better.draws} sensor types {first} is better than {other} with the"
-        f" probability {better}; difference {middle}{unit} in the median, nine tenths from {low} to"
-        f" {high}; {_largest_share_words(distribution)}"
+        f"{judge}over {better.draws} sensor types {first} is better than {other} with probability"
+        f" {better}; difference {middle}{unit} in the median, nine tenths from {low} to {high};"
+        f" {_largest_share_words(distribution)}"
     )
 
 

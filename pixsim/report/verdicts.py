@@ -168,7 +168,7 @@ def better_cases_words(result: Comparison, other: str) -> str:
     words = {
         1: f"{first} is better than {other}",
         -1: f"{other} is better than {first}",
-        0: "neither is surely better",
+        0: "neither is clearly better",
     }
     parts = []
     for sign, values in places.items():

@@ -49,7 +49,8 @@ def weighted_answer(regrets: Regrets) -> Answer:
     weighted = weighted_criterion(regrets)
     if weighted is None:
         return Answer(
-            f"{regrets.label}: the conditions share too few pixel sizes for one that suits all"
+            f"{regrets.label}: the conditions have too few pixel sizes in common to find one that"
+            " suits all"
         )
     best, metric = weighted.optimum, weighted.metric
     low, high = best.value_interval
@@ -77,7 +78,7 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
         return []
     first = f"{NOT_CONVERGED}: {'; '.join(exceeded_words(error, limit))}"
     if film is None:
-        return [f"{first}. To be surer: a render of its own, with more samples"]
+        return [f"{first}. For more certainty: render it again, with more samples"]
 
     remedies = []
     if "film_delta_e" in exceeded_errors:
@@ -85,7 +86,7 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     if "noise_delta_e" in exceeded_errors:
         remedies.append(f"a longer {setting('max_seconds')}")
     remedies.append(f"or a smaller part of the die ({setting('window_mm')}, in mm)")
-    return [f"{first}. To be surer: {', '.join(remedies)}"]
+    return [f"{first}. For more certainty: {', '.join(remedies)}"]
 
 
 def lens_words(camera: Camera) -> str:

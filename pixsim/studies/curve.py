@@ -207,7 +207,7 @@ class Curve(Result):
             return self
         if metric not in self.optima:
             raise invalid(
-                "metric", f"'{metric}'", f"one that tells a best size: {', '.join(self.optima)}"
+                "metric", f"'{metric}'", f"one with a best size: {', '.join(self.optima)}"
             )
         first = next(other for other in self.metrics if other.name == metric)
         metrics = first, *(other for other in self.metrics if other is not first)

@@ -60,7 +60,10 @@ class Cost:
             f" {_counted(self.evaluations, 'evaluation')}{processes}"
         )
         time = duration(float(f"{self.seconds:.1g}"))
-        return f"{made}; about {time}, to a factor of 3; {self.memory_bytes / 1e9:.2g} GB of memory"
+        return (
+            f"{made}; about {time}, within a factor of 3; {self.memory_bytes / 1e9:.2g} GB of"
+            " memory"
+        )
 
 
 def _counted(number: int, noun: str) -> str:

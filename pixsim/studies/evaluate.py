@@ -681,7 +681,7 @@ class Counts:
             " frames"
         )
         reused = (
-            f"{self.evaluations_reused} evaluations known before, {self.frames_reused} frames"
+            f"{self.evaluations_reused} evaluations from earlier runs, {self.frames_reused} frames"
             " reused"
         )
         return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {reused}"

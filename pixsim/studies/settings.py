@@ -564,8 +564,8 @@ class Study(Setting):
         True,
         description=(
             "without target_ci_um, add a few sizes and sensors where the interval of the optimum"
-            " has an open end, or is long for want of sizes near the best (not to pitch.values_um,"
-            " nor beyond the range, nor in studies of more than 64 cases)"
+            " has an open end, or is wide because few sizes lie near the best (not to"
+            " pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)"
         ),
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(

@@ -381,7 +381,7 @@ def draw_types(
     for metric in drawn_metrics(result.study):
         curves = [curve for base in result.cases for curve in base.curves]
         if not all(metric.name in curve.optima for curve in curves):
-            reason = "it tells no best size of some of the study's own sensors"
+            reason = "it gives no best size for some of the study's own sensors"
             words = f"sensor types for {metric.words}: nothing is drawn, since {reason}"
             warn(Note("no_effect", words=words))
             continue

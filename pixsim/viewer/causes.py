@@ -204,7 +204,7 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
 def _contrast(low: float, high: float, white: str) -> Cause | None:
     if high - low >= _SEEN_LIGHTNESS:
         return None
-    hint = "its mean ΔE is that of noise and offsets alone; a scene with detail judges a sensor"
+    hint = "its mean ΔE comes from noise and offsets alone; judge a sensor by a scene with detail"
     if high < _SEEN_LIGHTNESS:
         hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
     elif low > ALL - _SEEN_LIGHTNESS:

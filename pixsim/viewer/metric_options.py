@@ -57,7 +57,7 @@ class Detectability(Record):
         None,
         description=(
             "parameter of the scene, as contrast, size_mm or lux, whose value at this threshold a"
-            " run looks for, from its own on (absent: none)"
+            " run searches for, starting from its own (absent: none)"
         ),
     )
 

@@ -63,9 +63,9 @@ class Effort(Record):
     max_seconds: Seconds | None = Field(
         None,
         description=(
-            "time after which a render ends, with a warning that states its noise; what is"
-            " unfinished then is given up (absent: a number of samples limits it, which does not"
-            " depend on the machine)"
+            "time after which a render ends, with a warning that states its noise; unfinished"
+            " work is discarded (absent: a number of samples limits it, which does not depend on"
+            " the machine)"
         ),
     )
     window_mm: DieWidth | None = Field(
@@ -109,16 +109,15 @@ class Setting(Effort):
     metrics: MetricNames = Field(
         ("delta_e",),
         description=(
-            "metrics that judge each frame; a study looks for the best pixel by each, and reports"
-            " the first"
+            "metrics of each frame; a study finds the best pixel by each, and reports the first"
         ),
     )
     metric: MetricOptions = Field(METRIC_OPTIONS, description="settings of the metrics")
     noise_budget: bool = Field(
         False,
         description=(
-            "also tell electrons and ΔE by cause, of the first sensor, each cause switched off in"
-            " turn"
+            "also report electrons and ΔE by cause for the first sensor, each cause switched off"
+            " in turn"
         ),
     )
 

@@ -702,10 +702,13 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
         ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
         ("[pixel]\ndark_current = 3", "Write dark_current_e_per_s = 3, or"),
-        ("[pixel]\npitch_um = 3,45", "A number has a decimal point and no unit, as 3.45 or 10500."),
+        (
+            "[pixel]\npitch_um = 3,45",
+            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500.",
+        ),
         (
             "[pixel]\nfull_well_e = 10500 e-",
-            "A number has a decimal point and no unit, as 3.45 or 10500.",
+            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500.",
         ),
     ],
 )

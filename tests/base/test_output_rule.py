@@ -225,7 +225,7 @@ def test_a_lock_that_is_not_pixsims_is_neither_waited_for_nor_removed(
 ) -> None:
     os.mkfifo(tmp_path / LOCK) if kind == "pipe" else (tmp_path / LOCK).write_text("mine")
     with (
-        pytest.raises(PixsimError, match=r"'\.pixsim\.lock' is no lock of pixsim"),
+        pytest.raises(PixsimError, match=r"'\.pixsim\.lock' is not a lock of pixsim"),
         output_folder(tmp_path),
     ):
         pass

@@ -350,7 +350,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         (
             "run csf my.toml",
             (
-                "further word 'my.toml'; allowed: SCENE and options. Such a file goes after"
+                "extra word 'my.toml'; allowed: SCENE and options. Such a file goes after"
                 " --config: --config my.toml"
             ),
         ),
@@ -358,16 +358,16 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ("template sensor my.toml", "goes after -o: -o my.toml"),
         ("template sensor --out my.toml", "Unknown option: --out. Did you mean -o?"),
         ("study pixel-size my.xml", "goes after --scene: --scene my.xml"),
-        ("run csf flat", "further word 'flat'; allowed: SCENE and options."),  # it takes one
+        ("run csf flat", "extra word 'flat'; allowed: SCENE and options."),  # it takes one
         ("run csf my.zmx", "goes after --lens: --lens my.zmx"),
         (
             "run csf -D spp=64 luminance_cd_per_m2=10",
-            "after a -D of its own: -D luminance_cd_per_m2=10",
+            "needs its own -D: -D luminance_cd_per_m2=10",
         ),
         ("run csf camera.f_number=4", "Did you mean --camera.f-number=4?"),
-        ("run csf --camera.pixels 1936 1216", "a pair of numbers is written as 1936x1216"),
+        ("run csf --camera.pixels 1936 1216", "write a pair of numbers as 1936x1216"),
         ("cache clear", "allowed: options. Did you mean --clear?"),
-        ("run csf a b c", "further words 'a' and 2 more"),
+        ("run csf a b c", "extra words 'a' and 2 more"),
         (
             "run --seed 3",
             "run: got no SCENE; allowed: An XML file, or the name of a packaged scene: csf,",
@@ -387,7 +387,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ),
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
         ("run csf --pixel.prnu 0.5", "In per cent? Write prnu = 0.005."),
-        ("study pixel-size --pitch.values-um 2.4 3.45", "and a list as 2.4,3.45 without blanks."),
+        ("study pixel-size --pitch.values-um 2.4 3.45", "and a list as 2.4,3.45, without spaces."),
         (
             "study pixel-size --scene star.png",
             "A picture is the chart of a scene: csf with -D chart=star.png.",

@@ -751,7 +751,7 @@ def test_read_irradiance_absurd_size_raises(tmp_path):
                 np.lib.format.write_array_header_1_0(
                     member, {"descr": "<f4", "fortran_order": False, "shape": shape}
                 )
-    refused(tmp_path / "a.npz", "more memory than there is", "a readable file from numpy.savez")
+    refused(tmp_path / "a.npz", "more memory than is available", "a readable file from numpy.savez")
     whole = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT).read_bytes()
     window = np.array([0, 0, 4, 3], "<i4").tobytes()
     assert whole.count(window) == 2  # of the data and of the display

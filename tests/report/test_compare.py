@@ -204,11 +204,11 @@ def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(
             [1, -1, 0],
             (
                 "a is better than b at light 100, b is better than a at light 0.05, neither is"
-                " surely better at light 1"
+                " clearly better at light 1"
             ),
         ),
         ([1, 1, 1], "a is better than b in all 3 cases"),
-        ([0, 0, 0], "neither is surely better in all 3 cases"),
+        ([0, 0, 0], "neither is clearly better in all 3 cases"),
     ],
 )
 def test_headline_over_axes_says_where_which_is_better(

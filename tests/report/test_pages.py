@@ -318,7 +318,7 @@ def test_dry_run_foresees_the_least_error_of_a_coarse_film(ran: Path) -> None:
         score["film"]["delta_e"] / score["mean_delta_e"],
     )
     assert 0.02 < share < 1.02 * measured, "2 % between the means of two sensors"
-    assert f"of the film alone, at least {percent(share)} of mean ΔE" in done(
+    assert f"at least {percent(share)} of mean ΔE from the film alone" in done(
         f"{RUN} {ran} --dry-run"
     )
 

@@ -118,7 +118,7 @@ def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
         "black_level",
     ]
     other, bright, dark = (note["text"] for note in score["notes"])
-    assert other.startswith("the irradiance was rendered with another camera")
+    assert other.startswith("the irradiance was rendered with a camera of different")
     assert "of the ideal image is brighter than display white" in bright
     assert err.startswith(f"warning: {other}")
     assert [err.count(note) for note in (other, bright)] == [1, 1]
@@ -404,7 +404,7 @@ def test_dry_run_says_what_limits_the_render_noise(more, rays):
         for line in map(str, outline_document("run", outline, Path("out")).terminal)
         if line.startswith("errors")
     )
-    assert "of the film alone, at least" in line
+    assert "of mean ΔE from the film alone" in line
 
 
 @pytest.mark.parametrize(

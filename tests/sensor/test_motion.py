@@ -384,7 +384,7 @@ def test_cases_that_score_other_parts_are_told(margin_um: float | None) -> None:
     told = [
         str(each.message)
         for each in caught
-        if "motion.margin_um = 50 lets all score the same" in str(each.message)
+        if "with motion.margin_um = 50 all cases score the same part" in str(each.message)
     ]
     assert len(told) == (0 if margin_um else 1)
     borders = [

@@ -127,7 +127,7 @@ def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
         of_pair = result.as_dict()["uncertainty"]["b"]
         assert of_pair["metrics"][found.metric.name] == found.as_dict()
         assert pair_words(found).startswith(
-            f"{found.metric.words}: over 8 sensor types a is better than b with the probability "
+            f"{found.metric.words}: over 8 sensor types a is better than b with probability "
         )
     pixsim.write_report(result, tmp_path / "out")
 
@@ -213,7 +213,7 @@ def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(
     (words,) = [
         line
         for line in out.splitlines()
-        if "over 8 sensor types a is better than b with the probability" in line
+        if "over 8 sensor types a is better than b with probability" in line
     ]
     assert "a read_noise_e" in words or "not told" in words
     assert first["b"]["draws"] == 8

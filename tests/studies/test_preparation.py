@@ -433,7 +433,7 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     assert not steep.fit.logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
-    least = f"least at {steep.optimum.pitch_um:.2f} µm (95 %: unknown beside the steep flank)"
+    least = f"lowest at {steep.optimum.pitch_um:.2f} µm (95 %: unknown beside the steep flank)"
     assert f"from {low:.3g} to {high:.3g} µm; {least}" in line
     assert "within 1 %" not in line
     assert "unknown" not in optimum_line(curve_through(WIDE_UM, EVEN, 1e-6))
@@ -454,7 +454,7 @@ def test_no_difference_um_narrow_range_is_not_named() -> None:
 def test_study_line_says_that_sizes_look_alike() -> None:
     curve = curve_through(np.geomspace(1.4, 10.0, 8), 0.18 + 0.002 * np.arange(8.0), 1e-5)
     words = "no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm"
-    assert optimum_line(curve).startswith(f"data sheet: {words}; least at ")
+    assert optimum_line(curve).startswith(f"data sheet: {words}; lowest at ")
     assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
 
 
@@ -573,12 +573,13 @@ def test_study_cost_holds_one_light_and_takes_one_report(plan: Plan) -> None:
 
 def test_cost_is_text_with_a_rough_time() -> None:
     words = (
-        "1 render, 240 evaluations on 4 processes; about 60 s, to a factor of 3; 1.3 GB of memory"
+        "1 render, 240 evaluations on 4 processes; about 60 s, within a factor of 3; 1.3 GB of"
+        " memory"
     )
     assert str(Cost(1, 240, 61.7, 1.26e9, 4)) == words
     assert (
         str(Cost(2, 1, 754.0, 1e9, 1))
-        == "2 renders, 1 evaluation; about 13 min, to a factor of 3; 1 GB of memory"
+        == "2 renders, 1 evaluation; about 13 min, within a factor of 3; 1 GB of memory"
     )
 
 

@@ -215,7 +215,7 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert low < score["sensors_mean_delta_e"] == np.mean(score["delta_e"]) < high
     assert (tmp_path / "out/raw_002.npz").is_file()
     ends = " to ".join(estimate(end) for end in (min(score["delta_e"]), max(score["delta_e"])))
-    line = f"3 sensors, with a mean ΔE of {ends}; pictures and frames are of the first"
+    line = f"3 sensors, with a mean ΔE of {ends}; pictures and frames are those of the first"
     assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
     settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
     assert "--repeats 3 --frames 2" in settings.splitlines()[1]

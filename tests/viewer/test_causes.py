@@ -232,7 +232,7 @@ def test_header_of_another_program_states_no_share(found: Any) -> None:
 @pytest.mark.parametrize(
     ("picture", "hint"),
     [
-        (0.5, "its mean ΔE is that of noise and offsets alone"),
+        (0.5, "its mean ΔE comes from noise and offsets alone"),
         (1e-5, r"all of it is black: lower Display\(white_cd_per_m2=…\)"),
         (3.0, r"raise Display\(white_cd_per_m2=…\) if it clips"),
     ],

@@ -171,7 +171,7 @@ def test_picture_of_a_render_is_not_made_surer_by_options():
     rendered.
     """
     (line,) = unconverged({"render_noise": NOISY}, None)
-    assert line.endswith("To be surer: a render of its own, with more samples")
+    assert line.endswith("For more certainty: render it again, with more samples")
 
 
 @pytest.mark.parametrize(

@@ -28,5 +28,5 @@ def test_review_names_what_the_settings_and_the_light_do_not_say_themselves() ->
 
     doubtful = imaging(CAMERA, plain.pixel.model_copy(update={"prnu": 0.2}))
     other_camera, slip = review(doubtful, SceneLight(light(Camera(die_mm=0.32, f_number=2.0))))
-    assert other_camera.endswith("another camera than the one given, of another f_number")
+    assert other_camera.endswith("rendered with a camera of different f_number")
     assert slip == "pixel: prnu = 0.2 is unusual. In per cent? Write prnu = 0.002"

@@ -36,12 +36,14 @@ DRIVER_SETTINGS = (
 )
 _PICTURE_S = 90.0  # the first picture on a card compiles everything
 KIND = "cards"
-NO_CARD = "no NVIDIA card is here (no /dev/nvidiactl)"
+NO_CARD = "there is no NVIDIA card (no /dev/nvidiactl)"
 NEEDS = (
     "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1,"
     " and compute capability 7.5"
 )
-NOT_CACHED = f"the cache cannot hold the result of a trial; --variant {CUDA} takes the card untried"
+NOT_CACHED = (
+    f"the cache cannot store the result of a trial; --variant {CUDA} uses the card without one"
+)
 
 
 @dataclass(frozen=True)
