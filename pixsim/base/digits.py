@@ -96,21 +96,21 @@ def duration(seconds: float) -> str:
 
 
 def interval(ends: tuple[float | None, float | None]) -> str:
-    """Return an interval of pixel sizes to two decimals at most, of which each end may be open.
+    """Return an interval of pixel sizes, of which each end may be open, to two decimals at most,
+    and to as many at both ends.
 
-    >>> interval((2.5, 3.0)), interval((None, 3.014)), interval((2.5, None))
-    ('2.5 to 3 µm', 'below 3.01 µm', 'above 2.5 µm')
+    >>> interval((2.5, 3.0)), interval((None, 3.014)), interval((1.0, 5.0))
+    ('2.5 to 3.0 µm', 'below 3.01 µm', '1 to 5 µm')
     """
     low, high = ends
     if low is None:
         return (
             "no limit among the sizes tried" if high is None else f"below {_micrometres(high)} µm"
         )
-    return (
-        f"above {_micrometres(low)} µm"
-        if high is None
-        else span(_micrometres(low), _micrometres(high), unit=" µm")
-    )
+    if high is None:
+        return f"above {_micrometres(low)} µm"
+    decimals = max(len(_micrometres(end).partition(".")[2]) for end in (low, high))
+    return span(low, high, f".{decimals}f", " µm")
 
 
 def span(low: float | str, high: float | str, form: str = "", unit: str = "") -> str:
