@@ -769,9 +769,10 @@ class Spectrum:
         index = np.clip(np.searchsorted(x, position_nm, side="right") - 1, 0, x.size - 2)
         distance_nm = position_nm - x[index]
         width = np.maximum(x[index + 1] - x[index], np.finfo(float).tiny)
-        integral = cumulative[index] + distance_nm * (
-            y[index] + distance_nm / width * (y[index + 1] - y[index]) / 2
-        )
+
+        # The mean between the node below and the edge, by the line between the nodes.
+        mean = y[index] + distance_nm / width * (y[index + 1] - y[index]) / 2
+        integral = cumulative[index] + distance_nm * mean
         return np.diff(integral) / np.diff(edges_nm)
 
     def integral(self, low_nm: float = LOW_NM, high_nm: float = HIGH_NM) -> float:

@@ -414,10 +414,13 @@ def spatial_parts(
     columns_dn2 = float(mean.mean(axis=0).var()) - noise / rows
     rows_dn2 = float(mean.mean(axis=1).var()) - noise / columns
     row_noise_dn2 = row_noise.in_mean(images.frames).variance_dn2
+
+    # The means of columns hold a part of the variances of rows and pixels, and the reverse.
     freedom = rows * columns - rows - columns
     column_dn2 = ((rows * columns - rows) * columns_dn2 - columns * (total - rows_dn2)) / freedom
     row_dn2 = ((rows * columns - columns) * rows_dn2 - rows * (total - columns_dn2)) / freedom
     pixel_dn2 = rows * columns * (total - columns_dn2 - rows_dn2) / freedom
+
     return (
         # Temporal noise adds to the means themselves, with what single pixels leave in them.
         Estimate(column_dn2, _spatial_error(columns_dn2, noise / rows, columns)),

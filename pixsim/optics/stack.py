@@ -523,8 +523,8 @@ def _coordinate(
 
 
 def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slope: Array) -> Array:
-    """Return the angle within each step at which a coordinate turns, or else any, (n, STEPS), from
-    its slope at the nodes.
+    """Return the angle within each step at which a coordinate turns, by its slope at the nodes,
+    (n, STEPS); any angle in steps without a turn.
 
     Two steps of the false position err by 1e-6. An edge that crosses twice within that error cuts
     off 1e-18 of the pupil.
@@ -533,12 +533,15 @@ def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slo
     before, after = slope[:, :-1], slope[:, 1:]
     turning = before * after < 0
 
+    # Where the straight line between the slopes at the ends is 0; the middle of other steps.
     def false_position() -> Array:
         share = np.divide(before, before - after, out=np.full(before.shape, 0.5), where=turning)
         return np.asarray(low + (high - low) * share)
 
     middle = false_position()
-    middle_slope = _coordinate(stack, pupil, axis, middle)[1]
+    _, middle_slope = _coordinate(stack, pupil, axis, middle)
+
+    # The turn lies on one side of the middle: go on there.
     is_later = middle_slope * before > 0
     low = np.where(is_later, middle, low)
     high = np.where(is_later, high, middle)
@@ -564,14 +567,17 @@ def _crossings(
     angle = (low + high) / 2
     for _ in range(NEWTON_STEPS if angle.size else 0):
         at, slope = (part[:, 0] for part in _coordinate(stack, pupil, axis, angle[:, None]))
+
+        # Narrow the brackets.
         is_later = (at <= edge) == rises
         low = np.where(is_later, angle, low)
         high = np.where(is_later, high, angle)
+
+        # Newton's step where it stays within the bracket; else halve the bracket.
         with np.errstate(divide="ignore", invalid="ignore"):
-            next_angle = angle - (at - edge) / slope
-        next_angle = np.where(
-            (next_angle >= low) & (next_angle <= high), next_angle, (low + high) / 2
-        )
+            newton = angle - (at - edge) / slope
+        is_within = (newton >= low) & (newton <= high)
+        next_angle = np.where(is_within, newton, (low + high) / 2)
         converged = np.abs(next_angle - angle) <= _CONVERGED_RAD
         angle = next_angle
         if converged.all():

@@ -272,3 +272,12 @@ def test_damaged_catalogue_is_named(tmp_path: Path, change: str, message: str) -
     (tmp_path / "mine.agf").write_text(text.replace(old, new, 1))
     with pytest.raises(PixsimError, match=message):
         read_catalogue(tmp_path / "mine.agf")
+
+
+def test_damaged_glass_before_another_one_is_named(tmp_path: Path) -> None:
+    coefficients, square = AGF[2]
+    text = agf(2, coefficients, math.sqrt(square(LINES_UM["d"], coefficients)))
+    damaged = text.replace("GLASS1 2", "GLASS0 14")
+    (tmp_path / "mine.agf").write_text(damaged + text)
+    with pytest.raises(PixsimError, match=r"'GLASS0' \(line 2\): formula: got 14"):
+        read_catalogue(tmp_path / "mine.agf")
