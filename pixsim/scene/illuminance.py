@@ -34,10 +34,12 @@ def strength(
     Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or
     invisible.
     """
-    before, after = luminances(as_written), luminances(now)
     got = f"'{lux:g}' beside {', '.join(parameters)}" if parameters else f"'{lux:g}'"
-    if not _ALLOWED_LUX[0] <= lux <= _ALLOWED_LUX[1]:
-        raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{_ALLOWED_LUX[0]:g} to {_ALLOWED_LUX[1]:g} lx")
+    low, high = _ALLOWED_LUX
+    if not low <= lux <= high:
+        raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{low:g} to {high:g} lx")
+
+    before, after = luminances(as_written), luminances(now)
     is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
     if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
         raise invalid(
@@ -45,33 +47,30 @@ def strength(
             f"{got}, but the light of the emitters is unknown or 0",
             "emitters of visible light, in tables",
         )
-    ratios = [
-        after[index] / before[index] for index in before.keys() & after.keys() if before[index] > 0
-    ]
-    same = before.keys() == after.keys() and all(
-        after[index] == 0 for index in before if before[index] == 0
-    )
-    if not same or max(ratios) - min(ratios) > _BALANCE * max(ratios):
-        allowed = (
-            "the balance of the lamps in the scene's file, at whose place alone the illuminance is"
-            " known"
-        )
+
+    # One factor for all lamps: the same ones shine, in the same ratios.
+    shine_before = {index for index, luminance in before.items() if luminance > 0}
+    ratios = [after[index] / before[index] for index in shine_before & after.keys()]
+    dark_stay_dark = all(after.get(index) == 0 for index in before.keys() - shine_before)
+    same_lamps = before.keys() == after.keys() and dark_stay_dark
+    if not same_lamps or max(ratios) - min(ratios) > _BALANCE * max(ratios):
         raise invalid(
             ILLUMINANCE,
             f"{got}, with another balance of the lamps",
-            allowed,
+            "the balance of the lamps in the scene's file, at whose place alone the illuminance is"
+            " known",
             "Set the lamps' own parameters alone.",
         )
     return lux / stated_lux / max(ratios)
 
 
 def luminances(lamps: Sequence[Lamp]) -> dict[int, float]:
-    """Return the luminance of each emitter, by its node; of a picture that of texel value 1; of
-    distant ones the illuminance.
+    """Return emitter node -> luminance: of a picture where its texel value is 1; of distant
+    emitters the illuminance.
     """
-    luminance_of_emitter = {}
+    emitter_luminance = {}
     for lamp in lamps:
         luminance = lamp.luminance_cd_per_m2
         for index, (_, power) in lamp.pictures.items():
-            luminance_of_emitter[index] = luminance * (power if isinstance(power, float) else 1.0)
-    return luminance_of_emitter
+            emitter_luminance[index] = luminance * (power if isinstance(power, float) else 1.0)
+    return emitter_luminance

@@ -45,7 +45,7 @@ from pixsim.scene.tree import Node, Tree, nodes_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.spectral_range import CENTRES_NM, NOTED_SHARE, cells_in, span_of
 
-_ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
+_MIN_END_SHARE = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
 _LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
 _SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
 _SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
@@ -98,22 +98,16 @@ class Inspection:
         Its luminance in cd/m², or the radiance of light without one in W m⁻² sr⁻¹.
         """
         emitters = nodes_of(self.state, "Emitter")
-        if (
-            len(emitters) != 1
-            or len(self.bodies) != 1
-            or emitters[0][1].plugin != "area"
-            or self.lamps[0].spectrum is None
-        ):
+        spectrum = self.lamps[0].spectrum
+        is_chart = len(emitters) == 1 and len(self.bodies) == 1 and emitters[0][1].plugin == "area"
+        if not is_chart or spectrum is None:
             return {}
-        luminance, radiance = (
-            self.lamps[0].luminance_cd_per_m2,
-            self.lamps[0].spectrum.integral(*astuple(self.span)),
-        )
-        name, value = (
-            (LUMINANCE, luminance)
-            if luminance > MIN_LM_PER_W * radiance
-            else (WHITE_RADIANCE, radiance)
-        )
+
+        luminance_cd_per_m2 = self.lamps[0].luminance_cd_per_m2
+        radiance = spectrum.integral(*astuple(self.span))
+        name, value = WHITE_RADIANCE, radiance
+        if luminance_cd_per_m2 > MIN_LM_PER_W * radiance:
+            name, value = LUMINANCE, luminance_cd_per_m2
         return {name: float(f"{value:.9g}")} if value > 0 else {}
 
     @property
@@ -176,53 +170,19 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
 
 
 def _light_that_ends(inspection: Inspection) -> list[str]:
-    """Return what to say of lamps whose data end where a sensor sees light, with the share of its
-    electrons that may lack.
+    """Return warnings of lamps whose data end where a sensor sees light, with the share of its
+    electrons that may be missing.
     """
-    span, channels = (
-        inspection.span,
-        [channel for physics in inspection.pixels for channel in physics.channels],
-    )
-
-    def share(light: Array, beyond: NDArray[np.bool_]) -> float:
-        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from
-        the cells beyond.
-        """
-        shares = [0.0]
-        for channel in channels:
-            electrons = (
-                light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
-            )
-            if electrons.sum() > 0:
-                shares.append(float(electrons[beyond].sum() / electrons.sum()))
-        return max(shares)
-
-    warnings = []
-    for lamp in inspection.lamp_spectra:
-        nodes, values = lamp.nodes_nm, lamp.values
-        if nodes[-1] - nodes[0] < _LINE_NM:
-            continue
-
-        min_value = _ENDS_LIT * values.max()
-        held_light = np.where(cells_in(span), np.interp(CENTRES_NM, nodes, values), 0.0)
-        for word, end_nm, value, beyond in (
-            ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
-            ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
-        ):
-            if value > min_value and (part := share(held_light, beyond)) > NOTED_SHARE:
-                warnings.append(
-                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken"
-                    f" as 0 beyond; if it stayed so, {percent(part)} of the electrons would come"
-                    " from there"
-                )
-
     pictures = [
         inspection.state.nodes[index]
         for lamp in inspection.all_lamps
         if lamp.spectrum is None
         for index in lamp.pictures
     ]
-    if pictures and span != VISIBLE:
+    warnings = [
+        text for lamp in inspection.lamp_spectra for text in _table_that_ends(inspection, lamp)
+    ]
+    if pictures and inspection.span != VISIBLE:
         names = ", ".join(dict.fromkeys(f"'{node.plugin}'" for node in pictures))
         warnings.append(
             f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts"
@@ -231,15 +191,54 @@ def _light_that_ends(inspection: Inspection) -> list[str]:
 
     if any(node.plugin == "sunsky" for node in pictures):
         # Air lets little of the sun through below 320 nm.
-        part = share(planck(CENTRES_NM, _SUN_K), _SKY_NM[1] < CENTRES_NM)
-        if part > NOTED_SHARE:
+        share = _largest_share(inspection, planck(CENTRES_NM, _SUN_K), _SKY_NM[1] < CENTRES_NM)
+        if share > NOTED_SHARE:
             warnings.append(
                 f"a sunsky has data from {_SKY_NM[0]:g} to {_SKY_NM[1]:g} nm, and is 0 beyond: of"
-                f" sunlight (a black body of {_SUN_K:g} K), {percent(part, 1)} of the electrons come"
-                " from there; a filter keeps it out"
+                f" sunlight (a black body of {_SUN_K:g} K), {percent(share, 1)} of the electrons"
+                " come from there; a filter keeps it out"
                 f" ({setting('pixel.infrared_cut_nm', _SKY_NM[1])})"
             )
     return list(dict.fromkeys(warnings))
+
+
+def _table_that_ends(inspection: Inspection, lamp: Spectrum) -> list[str]:
+    """Return warnings of a lamp's table that begins or ends with light."""
+    nodes_nm, values = lamp.nodes_nm, lamp.values
+    if nodes_nm[-1] - nodes_nm[0] < _LINE_NM:
+        return []
+
+    min_value = _MIN_END_SHARE * values.max()
+    held = np.where(cells_in(inspection.span), np.interp(CENTRES_NM, nodes_nm, values), 0.0)
+    warnings = []
+    for verb, end_nm, value, beyond in (
+        ("begins", nodes_nm[0], values[0], nodes_nm[0] > CENTRES_NM),
+        ("ends", nodes_nm[-1], values[-1], nodes_nm[-1] < CENTRES_NM),
+    ):
+        if not value > min_value:
+            continue
+        share = _largest_share(inspection, held, beyond)
+        if share > NOTED_SHARE:
+            warnings.append(
+                f"the light of a lamp {verb} at {end_nm:g} nm, where it is not 0: it is taken"
+                f" as 0 beyond; if it stayed so, {percent(share)} of the electrons would come"
+                " from there"
+            )
+    return warnings
+
+
+def _largest_share(inspection: Inspection, light: Array, beyond: NDArray[np.bool_]) -> float:
+    """Return the largest share of the electrons in any channel, of a spectrum (cells,), that comes
+    from the cells beyond an end.
+    """
+    shares = [0.0]
+    for physics in inspection.pixels:
+        for channel in physics.channels:
+            efficiency = channel.quantum_efficiency(CENTRES_NM)
+            electrons = light * efficiency * photons_per_joule(CENTRES_NM)
+            if electrons.sum() > 0:
+                shares.append(float(electrons[beyond].sum() / electrons.sum()))
+    return max(shares)
 
 
 def _unknown_beyond(surfaces: Surfaces) -> PixsimError:

@@ -111,31 +111,33 @@ class Scene:
     plate: tuple[float, ...] | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
-    def text(self, **more: object) -> SceneText:
-        """Return the inspected text of the scene, with `more` parameters unless the user set
-        them.
+    def text(self, **defaults: object) -> SceneText:
+        """Return the inspected text of the scene.
+
+        defaults : values of parameters that the user did not set
         """
-        values = {**{k: str(v) for k, v in more.items()}, **self.parameters}
-        for name in chain.from_iterable(
-            _PARAMETERS_OF_CHARTS.values()
-        ):  # of pixsim: `for_camera` makes the chart
+        values = {name: str(value) for name, value in defaults.items()} | self.parameters
+        # Parameters of pixsim alone: `for_camera` makes the chart.
+        for name in chain.from_iterable(_PARAMETERS_OF_CHARTS.values()):
             values.pop(name, None)
         if self.strength is not None:
             values.pop(ILLUMINANCE, None)
         if self.own_chart:
-            values[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
+            values[CHART] = str(defaults.get(CHART) or self.own_chart.texture(1.0))
+
         key = _key_of_text(values, self.strength, self.plate)
-        if key not in self._texts:  # a render asks ten times
+        if key not in self._texts:  # a render needs it ten times
             self._texts[key] = open_scene(
                 self.path, values, strength=self.strength, plate=self.plate
             )
         return self._texts[key]
 
-    def parse(self, **more: object) -> Tree:
-        """Return the parsed tree of the inspected text, with `more` parameters unless the user set
-        them.
+    def parse(self, **defaults: object) -> Tree:
+        """Return the parsed tree of the inspected text.
+
+        defaults : values of parameters that the user did not set
         """
-        return self._tree(self.text(**more))
+        return self._tree(self.text(**defaults))
 
     def camera(
         self, options: CameraOptions | None = None, lens: LensOptions | None = None
@@ -150,26 +152,25 @@ class Scene:
         Raises PixsimError if the lens is invalid, and as `camera_with_lens` does.
         """
         options = options or CameraOptions()
-        fixed = any(name not in self.names or name in self.parameters for name in _LENS_PARAMETERS)
-        die_mm = options.die_mm if fixed and options.die_mm else Camera().die_mm
+        lens = lens or LensOptions()
+        lens_is_fixed = any(
+            name not in self.names or name in self.parameters for name in _LENS_PARAMETERS
+        )
+        die_mm = options.die_mm if lens_is_fixed and options.die_mm else Camera().die_mm
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
+
         # A real lens replaces the aperture as an option does.
-        usual = (
-            {"f_number": Camera().f_number}
-            if lens and lens.file and options.f_number is None
-            else {}
-        )
-        scene_camera = _read_camera(
-            sensor, die_mm, width / max(height, 1), options.model_copy(update=usual)
-        )
+        scene_options = options
+        if lens.file and options.f_number is None:
+            scene_options = options.model_copy(update={"f_number": Camera().f_number})
+        scene_camera = _read_camera(sensor, die_mm, width / max(height, 1), scene_options)
+
         if options.die_height_mm is None and height != width and height > 0:
-            height_mm = (
-                (scene_camera.die_mm if options.die_mm is None else options.die_mm) * height / width
-            )
-            options = options.model_copy(update={"die_height_mm": height_mm})
-        return camera_with_lens(options.over(scene_camera), options, lens or LensOptions())
+            width_mm = scene_camera.die_mm if options.die_mm is None else options.die_mm
+            options = options.model_copy(update={"die_height_mm": width_mm * height / width})
+        return camera_with_lens(options.over(scene_camera), options, lens)
 
     def for_camera(self, camera: Camera) -> Tree:
         """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
@@ -186,46 +187,45 @@ class Scene:
 
     def text_for_camera(self, camera: Camera) -> SceneText:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""
-        lens = dict(
-            zip(
-                _LENS_PARAMETERS,
-                (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m),
-                strict=True,
-            )
-        )
-        named = {name: repr(value) for name, value in lens.items() if name in self.names}
-        film_camera = camera
-        if camera.die_height_mm is not None or self.shows_target:
-            height, width = self.film_shape(camera, self.parse(**named))
-        if (
-            camera.die_height_mm is not None
-        ):  # whole cells of the film may end a little beyond the die
-            film_camera = camera.model_copy(
-                update={"die_height_mm": camera.die_mm * height / max(width, 1)}
-            )
-        named |= {
+        # Lens
+        lens_values = (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m)
+        values = {
             name: repr(value)
-            for name, value in _chart_parameters(film_camera).items()
+            for name, value in zip(_LENS_PARAMETERS, lens_values, strict=True)
             if name in self.names
         }
+
+        # Film. Its whole cells may end a little beyond the die.
+        film_camera = camera
+        shape = (1, 1)
+        if camera.die_height_mm is not None or self.shows_target:
+            shape = self.film_shape(camera, self.parse(**values))
+        if camera.die_height_mm is not None:
+            height_mm = camera.die_mm * shape[0] / max(shape[1], 1)
+            film_camera = camera.model_copy(update={"die_height_mm": height_mm})
+
+        # Chart
+        for name, length in _chart_parameters(film_camera).items():
+            if name in self.names:
+                values[name] = repr(length)
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            height_mm = (
-                film_camera.height_mm if CHART_HALF_HEIGHT in self.names else film_camera.die_mm
-            )
-            named[CHART] = str(self.own_chart.texture(film_camera.die_mm / height_mm, warn=True))
+            follows_height = CHART_HALF_HEIGHT in self.names
+            height_mm = film_camera.height_mm if follows_height else film_camera.die_mm
+            picture = self.own_chart.texture(film_camera.die_mm / height_mm, warn=True)
+            values[CHART] = str(picture)
         if charts.MAX_LP_PER_MM in self.parameters:
-            width_mm = camera.die_mm
-            if CHART_HALF_WIDTH in self.parameters:
-                width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
-            named[CHART] = str(
-                charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm)
-            )
+            values[CHART] = str(self._csf_file(camera))
         if self.shows_target:
-            named[CHART] = str(
-                self._target_file(camera, _chart_parameters(film_camera), (height, width))
-            )
-        return self.text(**named)
+            values[CHART] = str(self._target_file(camera, _chart_parameters(film_camera), shape))
+        return self.text(**values)
+
+    def _csf_file(self, camera: Camera) -> Path:
+        """Return the texture of its CSF chart, which ends at the frequency of its parameter."""
+        width_mm = camera.die_mm
+        if CHART_HALF_WIDTH in self.parameters:
+            width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
+        return charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm)
 
     def _target_file(
         self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]
@@ -234,33 +234,31 @@ class Scene:
 
         fitting : parameters of a chart that fills the film; a larger one has more texels
         """
-        half_m = {
-            name: float(self.parameters.get(name, fitting[name]))
-            for name in (CHART_HALF_HEIGHT, CHART_HALF_WIDTH)
-        }
         for side in film:
             check_resolution(side)
-        counts = (
-            round(count * half_m[name] / fitting[name])
-            for count, name in zip(film, half_m, strict=True)
-        )
-        height, width = (min(max(count, 1), _ALLOWED_RESOLUTION[1]) for count in counts)
-        down_mm, across_mm = (2e3 * half_side_m for half_side_m in half_m.values())
-        target, size_mm = self.target, self.target.size_in_scene_mm(camera)
+
+        # Sides of the chart in texels and in mm, height first
+        texels = []
+        sides_mm = []
+        for cells, name in zip(film, (CHART_HALF_HEIGHT, CHART_HALF_WIDTH), strict=True):
+            half_m = float(self.parameters.get(name, fitting[name]))
+            count = round(cells * half_m / fitting[name])
+            texels.append(min(max(count, 1), _ALLOWED_RESOLUTION[1]))
+            sides_mm.append(2e3 * half_m)
+
+        target = self.target
+        size_mm = target.size_in_scene_mm(camera)
         content = [
             "target",
             target.shape,
             target.direction,
             target.contrast,
             size_mm,
-            down_mm,
-            across_mm,
-            height,
-            width,
+            *sides_mm,
+            *texels,
         ]
-        return charts.texture_file(
-            content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm)
-        )
+        shape, lengths_mm = (texels[0], texels[1]), (sides_mm[0], sides_mm[1])
+        return charts.texture_file(content, partial(target.texels, shape, lengths_mm, size_mm))
 
     @property
     def target(self) -> Target:
@@ -286,11 +284,10 @@ class Scene:
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
             return height, width
-        ratio = (
-            height / max(width, 1)
-            if camera.die_height_mm is None
-            else camera.height_mm / camera.die_mm
-        )
+
+        ratio = height / max(width, 1)
+        if camera.die_height_mm is not None:
+            ratio = camera.height_mm / camera.die_mm
         film_width = width if self.resolution is None else self.resolution
         return max(1, math.ceil(film_width * ratio - FILM_ROUNDING)), film_width
 
@@ -298,12 +295,10 @@ class Scene:
         """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 
-    def with_parameters(self, **more: object) -> Scene:
-        """Return the scene with other values of some parameters, `more`."""
-        return replace(
-            self,
-            parameters={**self.parameters, **{name: str(value) for name, value in more.items()}},
-        )
+    def with_parameters(self, **values: object) -> Scene:
+        """Return the scene with other values of some parameters."""
+        texts = {name: str(value) for name, value in values.items()}
+        return replace(self, parameters=self.parameters | texts)
 
     @property
     def shown_parameters(self) -> dict[str, str]:
@@ -358,40 +353,35 @@ def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
 
     files : absolute paths of those that its text names
     """
-    allowed_folders = [
-        Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())
-    ]
-    places = [Path(os.path.realpath(file)) for file in files]
-    return text.content in _packaged_texts() and all(
-        any(place.is_relative_to(folder) for folder in allowed_folders) for place in places
-    )
+    if text.content not in _packaged_texts():
+        return False
+    folders = [Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())]
+    targets = [Path(os.path.realpath(file)) for file in files]
+    return all(any(target.is_relative_to(folder) for folder in folders) for target in targets)
 
 
 def scene_path(scene: str | os.PathLike[str]) -> Path:
     """Return the file of a scene, which may be a packaged one. Raises PixsimError if there is
     none.
     """
-    path = packaged_scenes().get(str(scene)) or Path(scene)
+    names = packaged_scenes()
+    path = names.get(str(scene)) or Path(scene)
+    allowed = f"an XML file, or one of {', '.join(names)}"
     if path.suffix == ".toml":
         hint = f"To use a parameter file: pixsim run csf --config {path}"
-        raise invalid(
-            "scene",
-            f"'{scene}', a TOML file",
-            f"an XML file, or one of {', '.join(packaged_scenes())}",
-            hint,
-        )
-    if not os.path.lexists(path) or path.is_dir():
-        names, is_path = packaged_scenes(), path.parent != Path() or path.suffix
-        got = (
-            f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
-        )
-        hint = did_you_mean(str(scene), names)
-        if path.suffix.lower() in SUFFIXES:
-            hint = (
-                f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
-            )
-        raise invalid("scene", got, f"an XML file, or one of {', '.join(names)}", hint)
-    return path
+        raise invalid("scene", f"'{scene}', a TOML file", allowed, hint)
+    if os.path.lexists(path) and not path.is_dir():
+        return path
+
+    got = f"'{scene}'"
+    if path.is_dir():
+        got = f"'{scene}', a folder"
+    elif path.parent != Path() or path.suffix:
+        got = missing(path)
+    hint = did_you_mean(str(scene), names)
+    if path.suffix.lower() in SUFFIXES:
+        hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
+    raise invalid("scene", got, allowed, hint)
 
 
 def load_scene(
@@ -427,6 +417,8 @@ def load_scene(
     3.86
     """
     path = scene_path(scene)
+
+    # Parameters that pixsim reads itself, and those of the XML
     special = {
         name: parameters.pop(name, None)
         for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)
@@ -437,75 +429,89 @@ def load_scene(
     picture = _picture_of_chart(path, values)
     text = open_scene(path, values)
     special[ILLUMINANCE] = None if ILLUMINANCE in text.names else values.pop(ILLUMINANCE, None)
-    packaged_chart = (
-        Path(text.defaults.get(CHART, "")).name
-        if CHART in text.names and CHART not in values
-        else ""
-    )
-    _check_names(
-        text,
-        [*values, *(name for name, value in special.items() if value is not None)],
-        packaged_chart,
-    )
-    luminance, white, lamps, highest_lp_per_mm, lux = special.values()
-    if lux is not None and luminance is not None:
-        raise invalid(
-            ILLUMINANCE,
-            f"'{lux}' beside {LUMINANCE}",
-            "one of them",
-            "A white diffuser in E lx has E / π cd/m².",
-        )
-    if (
-        lux is not None and ILLUMINANCE not in text.defaults
-    ):  # a chart, whose white a diffuser is as bright as
-        luminance = _positive(ILLUMINANCE, lux) / math.pi
-        lux = None
+    packaged_chart = ""
+    if CHART in text.names and CHART not in values:
+        packaged_chart = Path(text.defaults.get(CHART, "")).name
+    special_names = [name for name, value in special.items() if value is not None]
+    _check_names(text, [*values, *special_names], packaged_chart)
+    luminance, lux = _light_of_white(text, special[LUMINANCE], special[ILLUMINANCE])
 
-    # The scene with its chart
+    # The scene with its chart. Its text is that of the resolved file, unless a link's folder has
+    # the files that it names.
     choice = variants.choose(variant)
+    white = special[WHITE]
     stated_white = text.defaults.get(WHITE) if white is None else white
-    white_cd_per_m2 = None if stated_white is None else _positive(WHITE, stated_white)
-    # The text is that of the resolved file, unless a link's folder has the files that it names.
-    texts = {_key_of_text(values): text} if picture is None and path == path.resolve() else {}
-    shows_csf = packaged_chart == "csf.exr"
     loaded = Scene(
-        path.resolve(),
-        values,
-        text.names,
-        sensor,
-        choice,
-        white_cd_per_m2,
-        shows_csf=shows_csf,
-        _texts=texts,
+        path=path.resolve(),
+        parameters=values,
+        names=text.names,
+        sensor_id=sensor,
+        choice=choice,
+        white_cd_per_m2=None if stated_white is None else _positive(WHITE, stated_white),
+        shows_csf=packaged_chart == "csf.exr",
+        _texts={_key_of_text(values): text} if picture is None and path == path.resolve() else {},
     )
-    loaded = _with_target(loaded) if packaged_chart == TARGET_FILE else loaded
+    if packaged_chart == TARGET_FILE:
+        loaded = _with_target(loaded)
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
-    state = loaded.parse()
-    lamp_names = text.defaults.get(WHITE_LAMPS, "") if lamps is None else str(lamps)
-    white_lamps = tuple(dict.fromkeys(lamp_names.replace(",", " ").split()))
-    if white_lamps:
-        white_of(state, find_lamps(state, choice.reading), white_lamps)
-        loaded = replace(loaded, white_lamps=white_lamps)
-
-    # What cannot be rendered
-    sensor_of_scene = sensor_node(state, sensor)[1]
-    _read_camera(
-        sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number)
-    )  # others may be chosen
-    film_size(state, sensor_of_scene)
-    sample_count(state, sensor_of_scene)
-    _check_supported(state)
-    check_textures(state)
+    loaded = _with_white_lamps(loaded, text, special[WHITE_LAMPS])
+    _check_renderable(loaded.parse(), sensor)
 
     # Parameters that scale it
     if luminance is not None:
         loaded = _with_luminance(loaded, text, luminance, keeps_white=white is not None)
     if lux is not None:
         loaded = _with_illuminance(loaded, text, lux, keeps_white=white is not None)
-    if highest_lp_per_mm is not None:
-        highest = _positive(charts.MAX_LP_PER_MM, highest_lp_per_mm)
-        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(highest)})
+    highest = special[charts.MAX_LP_PER_MM]
+    if highest is not None:
+        highest_lp_per_mm = repr(_positive(charts.MAX_LP_PER_MM, highest))
+        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: highest_lp_per_mm})
     return loaded
+
+
+def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[object, object]:
+    """Return the luminance and the illuminance that scale a scene; at most one is not None.
+
+    The illuminance of a chart is that of a white diffuser as bright as its white.
+    """
+    if lux is None:
+        return luminance, None
+    if luminance is not None:
+        raise invalid(
+            ILLUMINANCE,
+            f"'{lux}' beside {LUMINANCE}",
+            "one of them",
+            "A white diffuser in E lx has E / π cd/m².",
+        )
+    if ILLUMINANCE in text.defaults:
+        return None, lux
+    return _positive(ILLUMINANCE, lux) / math.pi, None
+
+
+def _with_white_lamps(scene: Scene, text: SceneText, names: object) -> Scene:
+    """Return the scene with the ids of the emitters that are its white.
+
+    names : of the user; None takes those of the file
+    """
+    state = scene.parse()
+    words = text.defaults.get(WHITE_LAMPS, "") if names is None else str(names)
+    white_lamps = tuple(dict.fromkeys(words.replace(",", " ").split()))
+    if not white_lamps:
+        return scene
+    white_of(state, find_lamps(state, scene.choice.reading), white_lamps)
+    return replace(scene, white_lamps=white_lamps)
+
+
+def _check_renderable(state: Tree, sensor_id: str | None) -> None:
+    """Raise PixsimError for what cannot be rendered."""
+    sensor = sensor_node(state, sensor_id)[1]
+    # Another f-number may be chosen.
+    options = CameraOptions(f_number=Camera().f_number)
+    _read_camera(sensor, Camera().die_mm, options=options)
+    film_size(state, sensor)
+    sample_count(state, sensor)
+    _check_supported(state)
+    check_textures(state)
 
 
 def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> None:
@@ -523,56 +529,53 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     stated = text.names | text.defaults.keys()
     allowed = text.names | {name for name, others in needed.items() if others & stated}
     allowed |= {ASSETS, *_PARAMETERS_OF_CHARTS.get(packaged_chart, ())}
-    wrong = next((name for name in names if name not in allowed), None)
-    if wrong is not None:
-        settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong)]
-        hint = (
-            f"The setting of this name is {' or '.join(settings)}, beside the scene."
-            if settings
-            else ""
-        )
-        raise invalid(
-            "scene parameter",
-            f"'{wrong}'",
-            ", ".join(sorted(allowed)),
-            did_you_mean(wrong, allowed) or hint,
-        )
+    unknown = [name for name in names if name not in allowed]
+    if not unknown:
+        return
+
+    hint = did_you_mean(unknown[0], allowed)
+    settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], unknown[0])]
+    if settings and not hint:
+        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene."
+    raise invalid("scene parameter", f"'{unknown[0]}'", ", ".join(sorted(allowed)), hint)
 
 
 def _picture_of_chart(path: Path, values: dict[str, str]) -> Path | None:
     """Return the file that the parameter `chart` names, if it is a picture to convert."""
-    name, folder = values.get(CHART, ""), Path(os.path.realpath(path)).parent
-    file = (
-        next((place for place in (folder / name, Path(name)) if place.is_file()), None)
-        if name and "\0" not in name
-        else None
-    )
-    return Path(os.path.abspath(file)) if file is not None and is_own_chart(file) else None
+    name = values.get(CHART, "")
+    if not name or "\0" in name:
+        return None
+    folder = Path(os.path.realpath(path)).parent
+    for file in (folder / name, Path(name)):
+        if file.is_file():
+            return Path(os.path.abspath(file)) if is_own_chart(file) else None
+    return None
 
 
 def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear: bool) -> Scene:
     """Return the scene with a picture as its chart, where the scene takes neutral textures
     there.
     """
-    is_own = False
+    takes_picture = False
     if picture:
-        nodes = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
-        is_own = any(
-            is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture)
+        textures = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
+        takes_picture = any(
+            is_neutral(node) and str(node.get("filename", "")) == str(picture)
+            for _, node in textures
         )
-    if linear and not (is_own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
+
+    is_encoded = picture is not None and picture.suffix.lower() not in LINEAR_SUFFIXES
+    if linear and not (takes_picture and is_encoded):
         name = scene.parameters.get(CHART, "")
-        got = (
-            f"1 (--linear) with the chart '{Path(name).name}'"
-            if name
-            else "1 (--linear) without a chart"
-        )
+        chart = f"with the chart '{Path(name).name}'" if name else "without a chart"
         raise invalid(
             CHART_LINEAR,
-            got,
+            f"1 (--linear) {chart}",
             "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already",
         )
-    return replace(scene, own_chart=OwnChart(picture, linear)) if is_own and picture else scene
+    if not takes_picture or picture is None:
+        return scene
+    return replace(scene, own_chart=OwnChart(picture, linear))
 
 
 def _with_target(scene: Scene) -> Scene:
@@ -597,36 +600,32 @@ def _beyond(value: object) -> Beyond | None:
 
 
 def _flag(name: str, value: object) -> bool:
-    words = {
-        "1": True,
-        "1.0": True,
-        "true": True,
-        "0": False,
-        "0.0": False,
-        "false": False,
-    }  # TOML's true may come as 1.0
-    if str(value).lower() not in words:
-        raise invalid(name, repr(value), "1 or 0")
-    return words[str(value).lower()]
+    words = str(value).lower()
+    if words in ("1", "1.0", "true"):  # TOML's true may come as 1.0
+        return True
+    if words in ("0", "0.0", "false"):
+        return False
+    raise invalid(name, repr(value), "1 or 0")
 
 
 def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_white: bool) -> Scene:
-    """Return the scene with the luminance of texel value 1, which a white of its file follows."""
+    """Return the scene with the luminance of texel value 1, which a white of its file follows.
+
+    keeps_white : whether the user set the luminance of white
+    """
     value = _positive(LUMINANCE, luminance)
     unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
     lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
-        raise invalid(
-            LUMINANCE,
-            f"{value:g}, but the luminance of the emitters is unknown",
-            "emitters of one spectrum, above 0",
-        )
-    scale, white = value / lamp.luminance_cd_per_m2, scene.white_cd_per_m2
-    if white is not None and not keeps_white and EMITTER_SCALE in text.defaults:
-        white *= scale / _positive(EMITTER_SCALE, text.defaults[EMITTER_SCALE])
-    return replace(
-        scene, white_cd_per_m2=white, parameters={**scene.parameters, EMITTER_SCALE: repr(scale)}
-    )
+        got = f"{value:g}, but the luminance of the emitters is unknown"
+        raise invalid(LUMINANCE, got, "emitters of one spectrum, above 0")
+
+    scale = value / lamp.luminance_cd_per_m2
+    white_cd_per_m2 = scene.white_cd_per_m2
+    if white_cd_per_m2 is not None and not keeps_white and EMITTER_SCALE in text.defaults:
+        white_cd_per_m2 *= scale / _positive(EMITTER_SCALE, text.defaults[EMITTER_SCALE])
+    scaled = scene.with_parameters(**{EMITTER_SCALE: repr(scale)})
+    return replace(scaled, white_cd_per_m2=white_cd_per_m2)
 
 
 def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: bool) -> Scene:
@@ -636,24 +635,24 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     text : of the scene
     keeps_white : whether the user set the luminance of white, which otherwise follows the light
     """
-    value, stated = (
-        _positive(ILLUMINANCE, lux),
-        _positive(f"{ILLUMINANCE} in '{scene.path.name}'", text.defaults[ILLUMINANCE]),
-    )
+    value = _positive(ILLUMINANCE, lux)
+    place = f"{ILLUMINANCE} in '{scene.path.name}'"
+    stated = _positive(place, text.defaults[ILLUMINANCE])
+
     reading, parameter_names = scene.choice.reading, list(scene.parameters)
     lamps = find_lamps(scene.parse(), reading)
-    as_written = (
-        find_lamps(replace(scene, parameters={}).parse(), reading) if parameter_names else lamps
-    )
+    as_written = lamps
+    if parameter_names:
+        as_written = find_lamps(replace(scene, parameters={}).parse(), reading)
     factor = strength(value, stated, as_written, lamps, parameter_names)
-    white = scene.white_cd_per_m2
-    if white is not None and not keeps_white:
-        white *= value / stated
+
+    white_cd_per_m2 = scene.white_cd_per_m2
+    if white_cd_per_m2 is not None and not keeps_white:
+        white_cd_per_m2 *= value / stated
     scaled = replace(
-        scene,
+        scene.with_parameters(**{ILLUMINANCE: lux}),
         strength=factor,
-        white_cd_per_m2=white,
-        parameters={**scene.parameters, ILLUMINANCE: str(lux)},
+        white_cd_per_m2=white_cd_per_m2,
     )
     scaled.text()  # raises for lamps without a number to scale
     return scaled
@@ -678,7 +677,6 @@ def _check_supported(state: Tree) -> None:
     """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a
     cropped film.
     """
-    integrators = [node.plugin for _, node in nodes_of(state, "Integrator")]
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].kind == "Medium" for index in children(node, state).values()):
             raise invalid(
@@ -687,68 +685,58 @@ def _check_supported(state: Tree) -> None:
                 "a camera in air",
                 "Let the medium begin in front of the lens.",
             )
+
     for _, node in nodes_of(state, "Film"):
-        cropped = [name for name in node if name.startswith("crop_")]
-        if cropped:
-            raise invalid(
-                "film",
-                ", ".join(cropped),
-                "an uncropped film",
-                "Remove the crop: the film is the die.",
-            )
+        crop = ", ".join(name for name in node if name.startswith("crop_"))
+        if crop:
+            hint = "Remove the crop: the film is the die."
+            raise invalid("film", crop, "an uncropped film", hint)
+
+    integrators = [node.plugin for _, node in nodes_of(state, "Integrator")]
     if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
         got = f"a participating medium with {integrators or 'no integrator'}"
-        raise invalid(
-            "scene", got, "volpath or volpathmis for media", 'Write <integrator type="volpath"/>.'
-        )
+        hint = 'Write <integrator type="volpath"/>.'
+        raise invalid("scene", got, "volpath or volpathmis for media", hint)
+
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
             if name in node and node.kind_of(name) not in ("Float", "Integer", "String"):
-                allowed = "one index for all wavelengths, as Mitsuba's dielectrics have"
-                what, hint = f"{node.plugin}.{name}", "Give the index at 589 nm."
-                raise invalid(what, "a spectrum: dispersive glass", allowed, hint)
+                raise invalid(
+                    f"{node.plugin}.{name}",
+                    "a spectrum: dispersive glass",
+                    "one index for all wavelengths, as Mitsuba's dielectrics have",
+                    "Give the index at 589 nm.",
+                )
 
 
 def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
-    """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin
-    lens.
+    """Return the index and the node of the scene's sensor. Raises PixsimError if it is missing,
+    ambiguous or not a thin lens.
     """
     sensors = nodes_of(state, "Sensor")
     ids = ", ".join(f"'{node.id}'" for _, node in sensors)
     if sensor_id is not None:
         sensors = [(index, node) for index, node in sensors if node.id == sensor_id]
     if len(sensors) != 1:
-        got = (
-            "no sensor"
-            if not ids
-            else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
-        )
-        raise invalid(
-            "scene", got, "one thinlens sensor", "Choose one with --sensor ID." if ids else ""
-        )
+        got = f"sensors {ids}" if ids else "no sensor"
+        if ids and sensor_id:
+            got += f", none named '{sensor_id}'"
+        hint = "Choose one with --sensor ID." if ids else ""
+        raise invalid("scene", got, "one thinlens sensor", hint)
+
     index, node = sensors[0]
-    plugin = node.plugin
-    if plugin != "thinlens":
-        raise invalid(
-            "sensor",
-            f"'{plugin}'",
-            "thinlens, since exposure and blur need an aperture",
-            REASONS["sensor"],
-        )
-    for offset in ("principal_point_offset_x", "principal_point_offset_y"):
-        if sensor_offset := float(node.get(offset, 0.0)):
-            raise invalid(
-                "sensor",
-                f"{offset} = {sensor_offset:g}",
-                "0, since the die is centred on the lens axis",
-            )
-    for needed in ("aperture_radius", "focus_distance"):
-        if needed not in node:
-            raise invalid(
-                "sensor",
-                f"a thinlens without {needed}",
-                "fov, aperture_radius and focus_distance, in metres",
-            )
+    if node.plugin != "thinlens":
+        allowed = "thinlens, since exposure and blur need an aperture"
+        raise invalid("sensor", f"'{node.plugin}'", allowed, REASONS["sensor"])
+    for name in ("principal_point_offset_x", "principal_point_offset_y"):
+        offset = float(node.get(name, 0.0))
+        if offset:
+            allowed = "0, since the die is centred on the lens axis"
+            raise invalid("sensor", f"{name} = {offset:g}", allowed)
+    for name in ("aperture_radius", "focus_distance"):
+        if name not in node:
+            allowed = "fov, aperture_radius and focus_distance, in metres"
+            raise invalid("sensor", f"a thinlens without {name}", allowed)
     return index, node
 
 
@@ -783,14 +771,10 @@ def sample_count(state: Tree, sensor: Node) -> int:
 
 def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
     """Return the sensor's film or sampler, or None."""
-    return next(
-        (
-            state.nodes[index]
-            for index in children(sensor, state).values()
-            if state.nodes[index].kind == kind
-        ),
-        None,
-    )
+    for index in children(sensor, state).values():
+        if state.nodes[index].kind == kind:
+            return state.nodes[index]
+    return None
 
 
 def _whole(node: Node | None, name: str, default: int) -> int:
@@ -805,24 +789,32 @@ def _whole(node: Node | None, name: str, default: int) -> int:
 def _fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm
     equivalent).
+
+    aspect : width of the film over its height
     """
     axis = str(sensor.get("fov_axis", "x"))
     if "focal_length" in sensor:
         equivalent_mm = _positive("focal_length", str(sensor["focal_length"]).removesuffix("mm"))
-        half = math.hypot(*_FILM_35_MM) / 2 / equivalent_mm
+        tangent = math.hypot(*_FILM_35_MM) / 2 / equivalent_mm
         axis = "diagonal"
     elif "fov" in sensor:
         fov_deg = _positive("fov", sensor["fov"])
         if fov_deg >= 180:
             raise invalid("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
-        half = math.tan(math.radians(fov_deg) / 2)
+        tangent = math.tan(math.radians(fov_deg) / 2)
     else:
         raise invalid("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
-    vertical = (
-        axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
-    )
-    factor = aspect if vertical else 1 / math.hypot(1, 1 / aspect) if axis == "diagonal" else 1.0
-    return math.degrees(2 * math.atan(half * factor))
+
+    if axis == "smaller":
+        axis = "y" if aspect > 1 else "x"
+    elif axis == "larger":
+        axis = "y" if aspect < 1 else "x"
+    factor = 1.0
+    if axis == "y":
+        factor = aspect
+    elif axis == "diagonal":
+        factor = 1 / math.hypot(1, 1 / aspect)
+    return math.degrees(2 * math.atan(tangent * factor))
 
 
 def _read_camera(
@@ -831,22 +823,19 @@ def _read_camera(
     """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the
     field of view.
 
+    aspect : width of the film over its height
     options : whose values replace those of the node, before these are checked
     """
-    aperture, focus = (
-        _positive(name, sensor[name]) for name in ("aperture_radius", "focus_distance")
-    )
-    replaced = (
-        options.model_dump(
-            exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}
-        )
-        if options
-        else {}
-    )
-    geometry = values_of_lens_geometry(_fov_x_deg(sensor, aspect), aperture, focus, die_mm)
-    rounded = {name: float(f"{geometry[name]:.6g}") for name in ("focal_length_mm", "f_number")}
+    aperture_m = _positive("aperture_radius", sensor["aperture_radius"])
+    focus_m = _positive("focus_distance", sensor["focus_distance"])
+    geometry = values_of_lens_geometry(_fov_x_deg(sensor, aspect), aperture_m, focus_m, die_mm)
+    for name in ("focal_length_mm", "f_number"):
+        geometry[name] = float(f"{geometry[name]:.6g}")
+    if options:
+        names = {"focal_length_mm", "f_number", "object_distance_m"}
+        geometry |= options.model_dump(exclude_none=True, include=names)
     try:
-        return Camera(**geometry | rounded | replaced)
+        return Camera(**geometry)
     except PixsimError as error:
         raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error}") from None
 
@@ -857,22 +846,17 @@ def hash_of_tree(state: Tree) -> str:
     """
     tree = []
     for node in state.nodes:
-        # Not the folder of a file, such as the cache of charts: the bytes of the files follow.
-        values = sorted(
-            (
-                name,
-                (
-                    Path(str(value)).name
-                    if name == "filename" and os.path.isabs(str(value))
-                    else _in_full(value)
-                ),
-            )
-            for name, value in plain(node, numbers_only=False)
-        )
-        tree.append([node.kind, node.plugin, values, sorted(children(node, state).items())])
+        values = []
+        for name, value in plain(node, numbers_only=False):
+            text = _all_digits(value)
+            if name == "filename" and os.path.isabs(text):
+                # Not the folder of a file, such as the cache of charts: its bytes follow.
+                text = Path(text).name
+            values.append((name, text))
+        tree.append([node.kind, node.plugin, sorted(values), sorted(children(node, state).items())])
     return content_hash([tree, [digest_of(path) for path in named_files(state)]])
 
 
-def _in_full(value: object) -> str:
+def _all_digits(value: object) -> str:
     """Return a property with all its digits."""
     return f"{value.wavelengths} {value.values}" if isinstance(value, SpectrumTable) else str(value)

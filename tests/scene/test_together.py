@@ -165,7 +165,16 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
         )
         draws = mi.PCG32(spp * count)
         jitter = mi.Point2f(draws.next_float32(), draws.next_float32())
-        places = _spread(mi, number, spp, group, count, mi.UInt32(5), mi.UInt32(1), jitter)
+        places = _spread(
+            mi,
+            number=number,
+            spp=spp,
+            group=group,
+            count=count,
+            cell=mi.UInt32(5),
+            seed=mi.UInt32(1),
+            jitter=jitter,
+        )
         dr.eval(places)
         x, y = (np.array(axis, float).reshape(count, spp) for axis in places)
         for axis in (x, y):

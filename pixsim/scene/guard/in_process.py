@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pixsim.scene.job import MESHES, WAVELENGTHS, Lamps, Passes, TraceJob
 from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
 from pixsim.scene.textures import is_exr
-from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
+from pixsim.scene.tree import REFERENCES, Tree, children, nodes_of, tree_of
 
 if TYPE_CHECKING:
     from mitsuba import (
@@ -38,9 +38,8 @@ _SCALAR_BLOCK = 32
 OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
 
 
-_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = (
-    None  # of the last job
-)
+# Scenes and integrators of the last job, and what they depend on
+_loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | None = None
 
 
 class InProcessTracer:
@@ -48,10 +47,10 @@ class InProcessTracer:
 
     def __init__(self, job: TraceJob) -> None:
         self.job = job
-        self._sensor: tuple[Sensor, object] | None = None  # the last one, and what describes it
-        self._tables: dict[
-            int, tuple[UInt32, Float, Float, Float]
-        ] = {}  # in Mitsuba, of the passes of each scene
+        # The last sensor, and what describes it
+        self._sensor: tuple[Sensor, object] | None = None
+        # Tables in Mitsuba, of the passes of each scene
+        self._tables: dict[int, tuple[UInt32, Float, Float, Float]] = {}
 
     @property
     def _scalar(self) -> bool:
@@ -69,11 +68,9 @@ class InProcessTracer:
         if _loaded is None or _loaded[0] != self.job.scenes_key:
             _loaded = None
             with speaking_mitsuba(self.job.variant) as mi:
-                built = [self._build(mi, lamps) for lamps in self.job.lamps]
-                _loaded = (
-                    self.job.scenes_key,
-                    [(scene, self._integrator(mi, scene)) for scene in built],
-                )
+                scenes = [self._build(mi, lamps) for lamps in self.job.lamps]
+                pairs = [(scene, self._integrator(mi, scene)) for scene in scenes]
+                _loaded = self.job.scenes_key, pairs
         return _loaded[1]
 
     @cached_property
@@ -88,47 +85,36 @@ class InProcessTracer:
         return {key: props[key] for key in names} | self.job.lens
 
     def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
-        """Build the scene, with some emitters only, each as its neutral picture or power."""
+        """Build the scene, with some emitters only, each as its neutral picture or power.
+
+        lamps : that shine; None leaves all as they are
+        """
         state = parse(self.job.text, self.job.variant)
         tree = tree_of(state)
-        emitters = [index for index, _ in nodes_of(tree, "Emitter")] if lamps else []
-        dark = set(emitters) - (lamps.pictures.keys() if lamps else set())
-        for parent, node in zip(state.nodes, tree.nodes, strict=True) if dark else ():
-            for name, child in children(node, tree).items():
-                if child in dark:
-                    del parent.props[name]
-        for index in emitters:
-            if lamps and lamps.neutral and index in lamps.pictures:
-                props = state.nodes[index].props
-                name, picture = lamps.pictures[index]
-                if isinstance(picture, int):
-                    props[name] = mi.Properties.ResolvedReference(picture)
-                else:
-                    props[name] = mi.load_dict(
-                        {"type": "uniform", "value": picture}
-                    )  # a plain number would be a d65
+        if lamps:
+            _keep_lamps(mi, state, tree, lamps)
         for index, node in nodes_of(tree, "Integrator"):
             if self._scalar and "block_size" not in node:
                 state.nodes[index].props["block_size"] = _SCALAR_BLOCK
         for index, name, table in self.job.tables:
             state.nodes[index].props[name] = mi.load_dict(table)
+
         config = mi.parser.ParserConfig(self.job.variant)
         mi.parser.transform_all(config, state)
         built = _instantiated(mi, config, state)
-        return (
-            next(item for item in built if isinstance(item, mi.Scene))
-            if isinstance(built, list)
-            else built
-        )
+        if isinstance(built, list):
+            return next(item for item in built if isinstance(item, mi.Scene))
+        return built
 
     def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
         scene_integrator: Any = None if self.job.integrator else scene.integrator()
-        return scene_integrator or mi.load_dict(
-            {"type": "path", "block_size": _SCALAR_BLOCK} | (self.job.integrator or {})
-        )
+        if scene_integrator:
+            return scene_integrator
+        default = {"type": "path", "block_size": _SCALAR_BLOCK}
+        return mi.load_dict(default | (self.job.integrator or {}))
 
     def sample_count(self, sampler: str, samples: int) -> int:
-        """Return the samples that a sampler takes where `samples` are asked for."""
+        """Return the samples that a sampler takes where a render needs `samples`."""
         with speaking_mitsuba(self.job.variant) as mi:
             return int(mi.load_dict({"type": sampler, "sample_count": samples}).sample_count())
 
@@ -141,15 +127,20 @@ class InProcessTracer:
         with speaking_mitsuba(self.job.variant) as mi:
             sensor = self._sensor_with(mi, film, sampler, spp)
             world, integrator = self.loaded[scene]
-            rendered = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
-            return np.array(rendered, np.float32)
+            picture = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+            return np.array(picture, np.float32)
 
     def _sensor_with(self, mi: ModuleType, film: dict[str, Any], sampler: str, spp: int) -> Sensor:
-        described = film, sampler, spp
-        if self._sensor is None or self._sensor[1] != described:
+        description = film, sampler, spp
+        if self._sensor is None or self._sensor[1] != description:
             parts = {"sampler": {"type": sampler, "sample_count": spp}, "film": film}
-            self._sensor = mi.load_dict(self._lens | parts), described
+            self._sensor = mi.load_dict(self._lens | parts), description
         return self._sensor[0]
+
+    def _whole_film(self) -> dict[str, Any]:
+        """Describe the film of passes that are traced together."""
+        height, width = self.job.size
+        return {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
 
     def trace_together(
         self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int
@@ -163,51 +154,53 @@ class InProcessTracer:
         assert passes is not None
         with speaking_mitsuba(self.job.variant) as mi:
             dr = drjit()
-            film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-            sensor, (world, integrator) = (
-                self._sensor_with(mi, film, sampler, spp),
-                self.loaded[scene],
-            )
+            sensor = self._sensor_with(mi, self._whole_film(), sampler, spp)
+            world, integrator = self.loaded[scene]
             if scene not in self._tables:
                 self._tables[scene] = _tables(mi, passes)
             lanes, shifts, density, share = self._tables[scene]
-            count, cells = len(passes.groups), (rows[1] - rows[0]) * width
-            draws = sensor.sampler().clone()
-            draws.set_samples_per_wavefront(spp)
-            draws.seed(dr.opaque(mi.UInt32, seed), cells * count * spp)
-            index = dr.arange(mi.UInt32, cells * count * spp)
-            # Of samples that the sampler stratifies: those of a pass in a cell.
+
+            # Samples: spp of each pass of each cell, which the sampler stratifies together.
+            pass_count, cells = len(passes.groups), (rows[1] - rows[0]) * width
+            random = sensor.sampler().clone()
+            random.set_samples_per_wavefront(spp)
+            random.seed(dr.opaque(mi.UInt32, seed), cells * pass_count * spp)
+            index = dr.arange(mi.UInt32, cells * pass_count * spp)
             sequence = index // spp
-            cell = sequence // count
-            group, row = sequence - cell * count, cell // width
+            cell = sequence // pass_count
+            group = sequence - cell * pass_count
+
+            # Rays, whose random numbers are drawn in the order of Mitsuba's own integrators.
+            row = cell // width
             corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
-            # In the order of Mitsuba's own integrators.
-            inside = _spread(
+            offset = _spread(
                 mi,
-                index - sequence * spp,
-                spp,
-                group,
-                count,
-                cell,
-                dr.opaque(mi.UInt32, seed),
-                draws.next_2d(),
+                number=index - sequence * spp,
+                spp=spp,
+                group=group,
+                count=pass_count,
+                cell=cell,
+                seed=dr.opaque(mi.UInt32, seed),
+                jitter=random.next_2d(),
             )
-            place = (corner + inside) * mi.ScalarVector2f(1 / width, 1 / height)
-            aperture = draws.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+            place = (corner + offset) * mi.ScalarVector2f(1 / width, 1 / height)
+            aperture = random.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
             time_s = mi.Float(sensor.shutter_open())
             if sensor.shutter_open_time() > 0:
-                time_s += draws.next_1d() * sensor.shutter_open_time()
-            at = draws.next_1d()
+                time_s += random.next_1d() * sensor.shutter_open_time()
+            area = random.next_1d()
             ray, _ = sensor.sample_ray(time_s, mi.Float(0.5), place, aperture)
+
+            # Wavelengths: each of the four has a share of the area of its pulse below it.
             wavelengths_nm = []
             for lane in range(WAVELENGTHS):
                 pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
-                shifted = at + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
-                wavelengths_nm.append(
-                    _inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes)
-                )
+                shifted = area + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
+                below = shifted - dr.floor(shifted)
+                wavelengths_nm.append(_inverted(mi, density, share, pulse, below, passes))
             ray.wavelengths = mi.Spectrum(*wavelengths_nm)
-            light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
+
+            light = _radiance(mi, integrator, world, random, mi.RayDifferential3f(ray))
             dr.eval(light)
             pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
             return pictures.reshape(rows[1] - rows[0], width, -1)
@@ -219,22 +212,45 @@ class InProcessTracer:
         They are infinite beyond all shapes, and NaN where a surface shows something at another
         depth: behind it, or in a mirror.
         """
-        height, width = self.job.size
         middles = (np.arange(side) + 0.5) / side
         x, y = (middle.ravel().astype(np.float32) for middle in np.meshgrid(middles, middles))
         with speaking_mitsuba(self.job.variant) as mi:
-            film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-            sensor, (world, _) = self._sensor_with(mi, film, "independent", 1), self.loaded[0]
+            sensor = self._sensor_with(mi, self._whole_film(), "independent", 1)
+            world, _ = self.loaded[0]
             if self._scalar:
-                places = zip(x.tolist(), y.tolist(), strict=True)
-                depths_m = np.array(
-                    [_depth(mi, world, sensor, mi.Point2f(*place)) for place in places], np.float32
-                )
+                depths_m = [
+                    _depth(mi, world, sensor, mi.Point2f(*place))
+                    for place in zip(x.tolist(), y.tolist(), strict=True)
+                ]
             else:
-                depths_m = np.array(
-                    _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y))), np.float32
-                )
-            return depths_m.reshape(side, side, 1)
+                depths_m = _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y)))
+            return np.array(depths_m, np.float32).reshape(side, side, 1)
+
+
+def _keep_lamps(mi: ModuleType, state: ParserState, tree: Tree, lamps: Lamps) -> None:
+    """Remove all emitters but the lamps from a parser state, in place, and put neutral pictures or
+    powers in the place of their spectra.
+
+    tree : of the same state
+    """
+    emitters = [index for index, _ in nodes_of(tree, "Emitter")]
+    dark = set(emitters) - lamps.pictures.keys()
+    for parser_node, node in zip(state.nodes, tree.nodes, strict=True) if dark else ():
+        for name, child in children(node, tree).items():
+            if child in dark:
+                del parser_node.props[name]
+    if not lamps.neutral:
+        return
+
+    for index in emitters:
+        if index not in lamps.pictures:
+            continue
+        props = state.nodes[index].props
+        name, picture = lamps.pictures[index]
+        if isinstance(picture, int):
+            props[name] = mi.Properties.ResolvedReference(picture)
+        else:  # a plain number would be a d65
+            props[name] = mi.load_dict({"type": "uniform", "value": picture})
 
 
 def _instantiated(mi: ModuleType, config: ParserConfig, state: ParserState) -> Any:
@@ -290,22 +306,25 @@ def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Floa
         mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5)
     )
     hit = world.ray_intersect(mi.Ray3f(ray))
-    in_camera = sensor.world_transform().inverse() @ hit.p
+    is_hit = hit.is_valid()
+    if mi.variant().startswith("scalar") and not is_hit:  # there is no surface to ask
+        return mi.Float(math.inf)
 
     # A surface that scatters light, and lets none through, is seen where it is.
-    kinds, valid = mi.BSDFFlags, hit.is_valid()
-    if mi.variant().startswith("scalar") and not valid:  # there is no surface to ask
-        return mi.Float(math.inf)
+    kinds = mi.BSDFFlags
     flags = hit.bsdf().flags()
     scatters = mi.has_flag(flags, kinds.Diffuse) | mi.has_flag(flags, kinds.GlossyReflection)
-    passes = mi.has_flag(flags, kinds.Null) | mi.has_flag(flags, kinds.DeltaTransmission)
-    passes |= mi.has_flag(flags, kinds.GlossyTransmission)
-    depth = dr.select(scatters, dr.select(passes, math.nan, in_camera.z), math.nan)
-    return dr.select(valid, depth, math.inf)
+    transmits = mi.has_flag(flags, kinds.Null) | mi.has_flag(flags, kinds.DeltaTransmission)
+    transmits |= mi.has_flag(flags, kinds.GlossyTransmission)
+
+    in_camera = sensor.world_transform().inverse() @ hit.p
+    depth = dr.select(scatters, dr.select(transmits, math.nan, in_camera.z), math.nan)
+    return dr.select(is_hit, depth, math.inf)
 
 
 def _spread(
     mi: ModuleType,
+    *,
     number: UInt32,
     spp: int,
     group: UInt32,
@@ -320,19 +339,23 @@ def _spread(
     As in Kensler's correlated multi-jittered sampling (Pixar technical memo 13-01), the `spp`
     samples of a pass have one in each part of a cell, and one in each of `spp` rows and columns.
     The `count` passes share out each of these rows and columns.
+
+    number : of a sample in its pass
+    group : number of the pass
     """
+    # Parts of the cell
     rows = max(divisor for divisor in range(1, math.isqrt(spp) + 1) if spp % divisor == 0)
     columns = spp // rows
     row = number // columns
     column = number - row * columns
+
+    # Rows and columns within the parts, which differ by cell and pass
     shifts = mi.sample_tea_32(cell, seed)
-    beside, above = (row + group + shifts[0]) % rows, (column + group + shifts[1]) % columns
+    beside = (row + group + shifts[0]) % rows
+    above = (column + group + shifts[1]) % columns
     shares = [
-        mi.sample_tea_32(cell * spp + place, shift)[0]
-        for place, shift in (
-            (column * rows + beside, shifts[0]),
-            (row * columns + above, shifts[1]),
-        )
+        mi.sample_tea_32(cell * spp + column * rows + beside, shifts[0])[0],
+        mi.sample_tea_32(cell * spp + row * columns + above, shifts[1])[0],
     ]
     x, y = (
         (mi.Float((group + share) % count) + offset) / count
@@ -348,35 +371,39 @@ def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float
     arrays of Dr.Jit.
     """
     density = passes.densities
-    running = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
-    share = np.concatenate([np.zeros((len(density), 1)), running / running[:, -1:]], axis=1)
-    numbers = (
-        np.ascontiguousarray(array.ravel(), np.float32)
-        for array in (passes.shifts, density / running[:, -1:], share)
+    area = np.cumsum((density[:, 1:] + density[:, :-1]) / 2, axis=1)
+    whole = area[:, -1:]
+    share = np.concatenate([np.zeros((len(density), 1)), area / whole], axis=1)
+
+    lanes = mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32))
+    shifts, density_of_area, share_of_area = (
+        mi.Float(np.ascontiguousarray(array.ravel(), np.float32))
+        for array in (passes.shifts, density / whole, share)
     )
-    return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(
-        mi.Float(array) for array in numbers
-    )
+    return lanes, shifts, density_of_area, share_of_area
 
 
 def _inverted(
-    mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, passes: Passes
+    mi: ModuleType, density: Float, share: Float, pulse: UInt32, below: Float, passes: Passes
 ) -> Float:
-    """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to
-    1) of its area, in nm.
+    """Return the wavelength below which a pulse, linear between its nodes, has a share of its area,
+    in nm.
 
     density : of all pulses, per step: a share of the area, so that it is `share` in a step of
         constant density
+    share : of the area below each node
+    below : the share to find, 0 to 1
     """
     dr = drjit()
     nodes = passes.nodes
     first = pulse * nodes
     above = dr.binary_search(
-        1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at
+        1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= below
     )
     before = first + above - 1
     left, right = dr.gather(mi.Float, density, before), dr.gather(mi.Float, density, before + 1)
-    missing = dr.maximum(at - dr.gather(mi.Float, share, before), 0.0)
+    missing = dr.maximum(below - dr.gather(mi.Float, share, before), 0.0)
+
     # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0
     # where nothing is missing.
     root = left + dr.safe_sqrt(dr.square(left) + 2 * (right - left) * missing)
