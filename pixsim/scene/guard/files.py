@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 
 from pixsim.base.caller import parameter
-from pixsim.base.errors import PLAIN_WORD, excerpt, invalid
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
 from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
@@ -77,9 +78,9 @@ class SceneFiles:
     defaults: dict[str, str] = field(default_factory=dict)
     root: SceneElement | None = None
     _values: dict[str, str] = field(default_factory=dict)
-    _left_bytes: int = _MAX_XML
-    _left_expanded: int = _MAX_EXPANDED
-    _left_substituted: int = _MAX_SUBSTITUTED
+    _bytes_left: int = _MAX_XML
+    _characters_left: int = _MAX_EXPANDED
+    _substitutions_left: int = _MAX_SUBSTITUTED
     _includes: int = 0
 
     @property
@@ -92,11 +93,9 @@ class SceneFiles:
         directory; none without it.
         """
         name = self.parameters.get(ASSETS)
-        return (
-            []
-            if name is None
-            else [place for place in (self.folder / name, Path(name)) if os.path.isdir(place)]
-        )
+        if name is None:
+            return []
+        return [folder for folder in (self.folder / name, Path(name)) if os.path.isdir(folder)]
 
     @cached_property
     def roots(self) -> tuple[Path, ...]:
@@ -107,18 +106,15 @@ class SceneFiles:
         folder: whoever wrote the scene decides where a link there leads.
         """
         folder = self.folder
-        values = [
-            value
-            for name, value in self.parameters.items()
-            if value and (name == ASSETS or not NUMBER.fullmatch(value))
-        ]
-        places = [
-            Path(os.path.abspath(base / value)) for value in values for base in (folder, Path())
-        ]
-        named = [
-            place for place in places if os.path.exists(place) and not place.is_relative_to(folder)
-        ]
-        return tuple(Path(os.path.realpath(place)) for place in (folder, packaged_folder(), *named))
+        roots = [folder, packaged_folder()]
+        for name, value in self.parameters.items():
+            if not value or (name != ASSETS and NUMBER.fullmatch(value)):
+                continue
+            for base in (folder, Path()):
+                path = Path(os.path.abspath(base / value))
+                if os.path.exists(path) and not path.is_relative_to(folder):
+                    roots.append(path)
+        return tuple(Path(os.path.realpath(root)) for root in roots)
 
     def locate(self, name: str, including: Path, what: str, place: str) -> Path:
         """Return the absolute path of a file that the scene names.
@@ -128,25 +124,26 @@ class SceneFiles:
 
         Raises PixsimError if there is none, and for one that is not within `roots`.
         """
-        folders = (including, self.folder, *self.assets, Path(), packaged_folder())
-        allowed = f"a file in '{self.folder}', its subfolders or the packaged scenes"
         if not name or "\0" in name:
             raise invalid(what, f"{name!r} in {place}", "the name of a file")
+
+        allowed = f"a file in '{self.folder}', its subfolders or the packaged scenes"
+        folders = (including, self.folder, *self.assets, Path(), packaged_folder())
         candidates = [folder / name for folder in folders]
         file = next((path for path in candidates if os.path.lexists(path)), None)
         if file is None:
-            got = (
-                f"'{name}', which does not exist"
-                if any(path.parent.is_dir() for path in candidates)
-                else missing(Path(name))
-            )
+            got = missing(Path(name))
+            if any(path.parent.is_dir() for path in candidates):
+                got = f"'{name}', which does not exist"
             raise invalid(what, f"{got}, in {place}", allowed)
+
         absolute, target = Path(os.path.abspath(file)), Path(os.path.realpath(file))
         if not any(target.is_relative_to(root) for root in self.roots):
+            got = f"'{absolute}', of another folder, in {place}"
             hint = (
                 f"If you trust the scene with it, name its folder: {parameter(ASSETS, 'FOLDER')}."
             )
-            raise invalid(what, f"'{absolute}', of another folder, in {place}", allowed, hint)
+            raise invalid(what, got, allowed, hint)
         if not is_utf8(absolute):
             raise invalid(
                 what,
@@ -156,46 +153,51 @@ class SceneFiles:
             )
         return absolute
 
-    def put_in(self, value: str, path: Path, line: int) -> str:
+    def substituted(self, value: str, path: Path, line: int) -> str:
         """Substitute the parameters of an attribute as Mitsuba does: the longest name that fits,
         each once.
+
+        path, line : of the attribute, for messages
         """
         if "$" not in value:
             return value
         size = len(value)
 
-        def put(match: re.Match[str]) -> str:
+        def parameter_value(match: re.Match[str]) -> str:
             nonlocal size
             if match[1] is None:  # an escaped dollar
                 return "$"
             word: str = match[1]
-            name = max(
-                (name for name in self._values if name and word.startswith(name)),
-                key=len,
-                default=None,
-            )
+            fitting = (name for name in self._values if name and word.startswith(name))
+            name = max(fitting, key=len, default=None)
             if name is None:
                 self.names.update(re.findall(r"^\w+", word))
-                is_plain = PLAIN_WORD.fullmatch(word) is not None
-                what = f"'${word}'" if is_plain else f"a parameter, {excerpt(word)},"
-                got = f"no value for {what} in line {line}"
-                placeholder = word if is_plain else "NAME"
-                raise invalid(
-                    f"scene '{path}'",
-                    got,
-                    f'<default name="{placeholder}" value="…"/> before it, or -D {placeholder}=…',
-                )
+                raise _no_value(word, path, line)
+
             self.names.add(name)
             size += len(self._values[name])
-            self._left_substituted -= 1
-            if self._left_substituted < 0 or size > self._left_expanded:
+            self._substitutions_left -= 1
+            if self._substitutions_left < 0 or size > self._characters_left:
                 allowed = f"{_MAX_SUBSTITUTED} of them, {_MAX_EXPANDED} characters in total"
                 raise invalid(f"scene '{path}'", "too many substitutions of parameters", allowed)
             return self._values[name] + word[len(name) :]
 
-        value = _DOLLAR.sub(put, value)
-        self._left_expanded -= len(value)
+        value = _DOLLAR.sub(parameter_value, value)
+        self._characters_left -= len(value)
         return value
+
+
+def _no_value(word: str, path: Path, line: int) -> PixsimError:
+    """Return the error for a word after `$` that begins with no parameter."""
+    if PLAIN_WORD.fullmatch(word) is not None:
+        what, placeholder = f"'${word}'", word
+    else:
+        what, placeholder = f"a parameter, {excerpt(word)},", "NAME"
+    return invalid(
+        f"scene '{path}'",
+        f"no value for {what} in line {line}",
+        f'<default name="{placeholder}" value="…"/> before it, or -D {placeholder}=…',
+    )
 
 
 def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
@@ -209,14 +211,15 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
         raise invalid(
             "scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder."
         )
-    if bad := next((name for name, value in parameters.items() if "\0" in value), None):
-        raise invalid(f"scene parameter '{bad}'", repr(parameters[bad]), "text without NUL")
+    for name, value in parameters.items():
+        if "\0" in value:
+            raise invalid(f"scene parameter '{name}'", repr(value), "text without NUL")
+
     scene = SceneFiles(path, parameters, _values=dict(parameters))
     if ASSETS in parameters and not scene.assets:
-        raise invalid(
-            f"scene.{ASSETS}", f"'{parameters[ASSETS]}'", "a folder, whose files the scene may name"
-        )
-    scene.root = _read(path, scene, 0, 0)
+        got = f"'{parameters[ASSETS]}'"
+        raise invalid(f"scene.{ASSETS}", got, "a folder, whose files the scene may name")
+    scene.root = _FileReader(path, scene).read()
     return scene
 
 
@@ -229,75 +232,108 @@ def _without_comments(text: str) -> str:
     return "".join(pieces) + text[at:]
 
 
-def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> SceneElement:
-    """Return the root of a file; `deep` elements and `includes_deep` files are around it."""
-    text = read_text(path, "scene", ALLOWED, max(scene._left_bytes, 0))
-    scene._left_bytes -= len(text)
-    if not includes_deep:
-        scene.content = text
-    text = _without_comments(text)
-    parser = expat.ParserCreate("utf-8")
-    # For each element that is open: what it will be, and its children so far.
-    open_elements: list[tuple[str, dict[str, str], int, list[SceneElement]]] = [("", {}, 0, [])]
+class _FileReader:
+    """Reads an XML file of a scene, and the files that it includes.
 
-    def begins(tag: str, written: dict[str, str]) -> None:
-        line = parser.CurrentLineNumber
-        if deep + len(open_elements) > MAX_DEPTH:
-            raise invalid(
-                f"scene '{path}'",
-                f"elements nested more than {MAX_DEPTH} deep",
-                f"at most {MAX_DEPTH}",
-            )
-        attributes = {name: scene.put_in(value, path, line) for name, value in written.items()}
+    include_depth, depth : files and elements around it
+    """
+
+    def __init__(
+        self, path: Path, scene: SceneFiles, include_depth: int = 0, depth: int = 0
+    ) -> None:
+        self.path = path
+        self.scene = scene
+        self.include_depth = include_depth
+        self.depth = depth
+        # For each element that is open: what it will be, and its children so far.
+        self.open_elements: list[tuple[str, dict[str, str], int, list[SceneElement]]] = [
+            ("", {}, 0, [])
+        ]
+
+    def read(self) -> SceneElement:
+        """Return the root of the file."""
+        text = read_text(self.path, "scene", ALLOWED, max(self.scene._bytes_left, 0))
+        self.scene._bytes_left -= len(text)
+        if not self.include_depth:
+            self.scene.content = text
+
+        parser = expat.ParserCreate("utf-8")
+
+        def begins(tag: str, attributes: dict[str, str]) -> None:
+            self._begin(tag, attributes, parser.CurrentLineNumber)
+
+        parser.StartElementHandler = begins
+        parser.EndElementHandler = self._end
+        parser.StartDoctypeDeclHandler = self._refuse_document_type
+        try:
+            parser.Parse(_without_comments(text).encode(), True)
+        except expat.ExpatError as error:
+            raise invalid("scene", f"'{self.path}' ({error})", ALLOWED) from None
+        finally:
+            # They refer to the parser: the tree would stay in memory until Python looks for
+            # circles.
+            parser.StartElementHandler = None
+            parser.EndElementHandler = None
+            parser.StartDoctypeDeclHandler = None
+
+        root = next(iter(self.open_elements[0][-1]), None)
+        if root is None:
+            raise invalid(f"scene '{self.path}'", "no element", ALLOWED)
+        _check_version(root)
+        return root
+
+    def _begin(self, tag: str, written: dict[str, str], line: int) -> None:
+        if self.depth + len(self.open_elements) > MAX_DEPTH:
+            got = f"elements nested more than {MAX_DEPTH} deep"
+            raise invalid(f"scene '{self.path}'", got, f"at most {MAX_DEPTH}")
+
+        attributes = {
+            name: self.scene.substituted(value, self.path, line) for name, value in written.items()
+        }
         if tag == "default":
-            _take_default(attributes, path, scene)
+            _take_default(attributes, self.path, self.scene)
         elif tag == "include":
-            file = _included(attributes.get("filename", ""), path, line, scene, includes_deep)
-            root = _read(file, scene, includes_deep + 1, deep + len(open_elements) - 1)
-            if root.tag != "scene":  # an object takes the name that the include gives it
-                named = {
-                    key: value
-                    for key, value in root.attributes.items()
-                    if key not in ("version", "name")
-                }
-                named |= {"name": attributes["name"]} if "name" in attributes else {}
-                root = SceneElement(root.tag, named, root.children, root.file, root.line)
-            open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
+            self.open_elements[-1][-1].extend(self._included(attributes, line))
         elif tag == "path":
-            hint = f"Name the folder of its files: {parameter(ASSETS, 'FOLDER')}."
             raise invalid(
-                f"scene '{path}'",
+                f"scene '{self.path}'",
                 f"a <path> in line {line}",
                 "files by their path from the scene's folder",
-                hint,
+                f"Name the folder of its files: {parameter(ASSETS, 'FOLDER')}.",
             )
-        open_elements.append((tag, attributes, line, []))
+        self.open_elements.append((tag, attributes, line, []))
 
-    def ends(_: str) -> None:
-        tag, attributes, line, children = open_elements.pop()
+    def _included(self, attributes: dict[str, str], line: int) -> Sequence[SceneElement]:
+        """Return the elements that take the place of an include: the children of a scene, or an
+        object.
+        """
+        name = attributes.get("filename", "")
+        file = _included_file(name, self.path, line, self.scene, self.include_depth)
+        depth = self.depth + len(self.open_elements) - 1
+        root = _FileReader(file, self.scene, self.include_depth + 1, depth).read()
+        if root.tag == "scene":
+            return root.children
+
+        # An object takes the name that the include gives it.
+        object_attributes = {
+            key: value for key, value in root.attributes.items() if key not in ("version", "name")
+        }
+        if "name" in attributes:
+            object_attributes["name"] = attributes["name"]
+        return (replace(root, attributes=object_attributes),)
+
+    def _end(self, _: str) -> None:
+        tag, attributes, line, children = self.open_elements.pop()
         if tag not in ("default", "include"):
-            open_elements[-1][-1].append(SceneElement(tag, attributes, tuple(children), path, line))
+            element = SceneElement(tag, attributes, tuple(children), self.path, line)
+            self.open_elements[-1][-1].append(element)
         elif children:
-            raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
+            got = f"an element within <{tag}> in line {line}"
+            raise invalid(f"scene '{self.path}'", got, "none")
 
-    def has_document_type(*_: object) -> None:
-        raise invalid(f"scene '{path}'", "a DOCTYPE", "none", "Remove it and its entities.")
-
-    parser.StartElementHandler, parser.EndElementHandler = begins, ends
-    parser.StartDoctypeDeclHandler = has_document_type
-    try:
-        parser.Parse(text.encode(), True)
-    except expat.ExpatError as error:
-        raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
-    finally:  # they refer to the parser: the tree would stay in memory until Python looks for circles
-        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = (
-            None
-        )
-    root = next(iter(open_elements[0][-1]), None)
-    if root is None:
-        raise invalid(f"scene '{path}'", "no element", ALLOWED)
-    _check_version(root)
-    return root
+    def _refuse_document_type(self, *_: object) -> None:
+        hint = "Remove it and its entities."
+        raise invalid(f"scene '{self.path}'", "a DOCTYPE", "none", hint)
 
 
 def _check_version(root: SceneElement) -> None:
@@ -313,31 +349,26 @@ def _check_version(root: SceneElement) -> None:
 def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> None:
     name, value = attributes.get("name", ""), attributes.get("value", "")
     if not re.fullmatch(r"[\w.-]+", name):
-        raise invalid(
-            f"scene '{path}'",
-            f"a <default> whose name is {excerpt(name)}",
-            "a name of letters, digits and _",
-        )
+        got = f"a <default> whose name is {excerpt(name)}"
+        raise invalid(f"scene '{path}'", got, "a name of letters, digits and _")
     scene.defaults.setdefault(name, value)
     scene._values.setdefault(name, value)
     if len(scene._values) > _MAX_PARAMETERS:
-        raise invalid(
-            f"scene '{path}'", f"more than {_MAX_PARAMETERS} parameters", f"up to {_MAX_PARAMETERS}"
-        )
+        got = f"more than {_MAX_PARAMETERS} parameters"
+        raise invalid(f"scene '{path}'", got, f"up to {_MAX_PARAMETERS}")
 
 
-def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
+def _included_file(name: str, path: Path, line: int, scene: SceneFiles, include_depth: int) -> Path:
     """Return the file that a line of an XML includes."""
     scene._includes += 1
-    if scene._includes > _MAX_INCLUDES or includes_deep >= _MAX_INCLUDE_DEPTH:
-        got = (
-            "includes nested too deep"
-            if includes_deep >= _MAX_INCLUDE_DEPTH
-            else f"more than {_MAX_INCLUDES} includes"
-        )
-        raise invalid(
-            f"scene '{path}'", got, f"at most {_MAX_INCLUDES}, nested {_MAX_INCLUDE_DEPTH} deep"
-        )
+    got = ""
+    if include_depth >= _MAX_INCLUDE_DEPTH:
+        got = "includes nested too deep"
+    elif scene._includes > _MAX_INCLUDES:
+        got = f"more than {_MAX_INCLUDES} includes"
+    if got:
+        allowed = f"at most {_MAX_INCLUDES}, nested {_MAX_INCLUDE_DEPTH} deep"
+        raise invalid(f"scene '{path}'", got, allowed)
     return scene.locate(name, path.parent, "include", f"line {line} of '{path.name}'")
 
 
@@ -345,7 +376,7 @@ def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
     """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction,
     include or parameter.
 
-    Also return, for each of its lines, the place of its element in the user's files, and the file
+    For each of its lines, return the place of its element in the user's files too, and the file
     that the element names.
     """
     lines: list[str] = []
@@ -355,16 +386,14 @@ def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
 
 
 def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
+    place = node.place
+    for child in node.children:
+        if child.attributes.get("name") == "filename":
+            place = f"{node.place}, '{Path(child.attributes['value']).name}'"
+            break
+    places.append(place)
+
     attributes = "".join(f' {name}="{escaped(value)}"' for name, value in node.attributes.items())
-    file = next(
-        (
-            child.attributes["value"]
-            for child in node.children
-            if child.attributes.get("name") == "filename"
-        ),
-        None,
-    )
-    places.append(node.place if file is None else f"{node.place}, '{Path(file).name}'")
     if not node.children:
         lines.append(f"<{node.tag}{attributes}/>\n")
         return

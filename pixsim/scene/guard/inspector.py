@@ -133,7 +133,7 @@ class _Inspector:
 
     def __init__(self, files: SceneFiles) -> None:
         self.files = files
-        self.left_of_tables = MAX_TABLES
+        self.table_characters_left = MAX_TABLES
 
     def scene(self, root: SceneElement) -> SceneElement:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
@@ -229,8 +229,8 @@ class _Inspector:
                 attributes["filename"], node.file.parent, "spectrum", node.place
             )
             value = spectrum_value(path)
-            self.left_of_tables -= len(value)
-            if self.left_of_tables < 0:
+            self.table_characters_left -= len(value)
+            if self.table_characters_left < 0:
                 got = f"files of spectra of more than {MAX_TABLES} characters"
                 raise invalid(
                     "scene",

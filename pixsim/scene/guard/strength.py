@@ -30,37 +30,27 @@ def _with_scaled(
     node: SceneElement, name: str | None, emitter: SceneElement, factor: float
 ) -> tuple[SceneElement, ...]:
     """Return the children of an emitter or texture with that of one name scaled."""
-    at = next(
-        (
-            index
-            for index, child in enumerate(node.children)
-            if name and child.attributes.get("name") == name
-        ),
-        None,
-    )
-    if at is None and name == POWERS["d65"]:
-        return (
-            *node.children,
-            replace(
-                node, tag="float", attributes={"name": name, "value": repr(factor)}, children=()
-            ),
-        )
-    child = node.children[at] if at is not None else None
-    if child is None or child.tag == "ref" or (child.children and "type" not in child.attributes):
+    children = list(node.children)
+    names = [child.attributes.get("name") for child in children]
+    if name not in names and name == POWERS["d65"]:
+        scale = {"name": name, "value": repr(factor)}
+        return (*children, replace(node, tag="float", attributes=scale, children=()))
+    if not name or name not in names:
         raise _unscaled(emitter)
-    if "type" not in child.attributes:
-        scaled = replace(child, tag="float" if child.tag == "integer" else child.tag)
-        scaled = replace(
-            scaled,
-            attributes={**child.attributes, "value": _times(child.attributes["value"], factor)},
-        )
-    elif child.attributes["type"] in POWERS:
-        scaled = replace(
-            child, children=_with_scaled(child, POWERS[child.attributes["type"]], emitter, factor)
-        )
+
+    index = names.index(name)
+    child = children[index]
+    plugin = child.attributes.get("type")
+    if plugin in POWERS and child.tag != "ref":
+        scaled = _with_scaled(child, POWERS[plugin], emitter, factor)
+        children[index] = replace(child, children=scaled)
+    elif plugin is None and child.tag != "ref" and not child.children:
+        tag = "float" if child.tag == "integer" else child.tag
+        value = _times(child.attributes["value"], factor)
+        children[index] = replace(child, tag=tag, attributes=child.attributes | {"value": value})
     else:
         raise _unscaled(emitter)
-    return tuple(scaled if index == at else other for index, other in enumerate(node.children))
+    return tuple(children)
 
 
 def _times(value: str, factor: float) -> str:
