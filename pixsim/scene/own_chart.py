@@ -10,7 +10,7 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from pixsim.base.files import check_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
 from pixsim.scene.textures import inspect_radiance
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
@@ -133,19 +136,16 @@ def with_border(picture: NDArray[np.float32], aspect: float) -> tuple[NDArray[np
     Raises PixsimError if the result would be too large.
     """
     height, width = picture.shape
-    rows, columns = max(height, round(width / aspect)), max(width, round(height * aspect))
+    rows = max(height, round(width / aspect))
+    columns = max(width, round(height * aspect))
     if rows * columns > _MAX_TEXELS:
-        raise invalid(
-            "chart picture",
-            f"{columns} × {rows} texels with its border",
-            f"up to {_MAX_TEXELS}",
-            "Scale it down.",
-        )
+        got = f"{columns} × {rows} texels with its border"
+        raise invalid("chart picture", got, f"up to {_MAX_TEXELS}", "Scale it down.")
+
     above, left = (rows - height) // 2, (columns - width) // 2
     margins = (above, rows - height - above), (left, columns - width - left)
-    return np.pad(picture, margins, constant_values=np.float32(GREY)), 1 - height * width / (
-        rows * columns
-    )
+    texels = np.pad(picture, margins, constant_values=np.float32(GREY))
+    return texels, 1 - height * width / (rows * columns)
 
 
 def _luminance(values: Array) -> Array:
@@ -160,7 +160,7 @@ def _luminance(values: Array) -> Array:
 
 def _codes(path: Path) -> Array:
     """Return the values of a PNG, JPEG or TIFF, in [0, 1], upright: (H, W) or (H, W, 3)."""
-    from PIL import Image, ImageOps
+    from PIL import Image
 
     check_picture(path)
     try:
@@ -169,41 +169,45 @@ def _codes(path: Path) -> Array:
             opened(path, "chart picture", ALLOWED) as file,
             Image.open(file) as image,
         ):
-            mode = image.mode
-            if mode in _ALPHA_MODES or "transparency" in image.info:
-                low = image.convert("RGBA").getchannel("A").getextrema()[0]
-                if not isinstance(low, int | float) or low < 255:
-                    hint = "Flatten it onto a background."
-                    raise invalid(
-                        f"chart picture '{path}'", "transparent parts", "an opaque picture", hint
-                    )
-            if mode in SIXTEEN_BIT_MODES:
-                return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
-            if mode not in (*GREY_MODES, *_ALPHA_MODES):
-                raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
-            if (
-                image.format == "PNG" and _png_depth(path) == 16
-            ):  # in colour, which Pillow cuts to 8 bits
-                return np.asarray(_of_mitsuba(path)) / 65535
-
-            has_16_bits = 16 in np.atleast_1d(
-                getattr(image, "tag_v2", {}).get(258, 8)
-            )  # BitsPerSample
-            grey = mode in ("1", "L", "LA")
-            codes = (
-                np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(
-                    float
-                )
-                / 255
-            )
+            _check_opaque(path, image)
+            codes, cuts_bits = _codes_of_image(path, image)
     except PixsimError:
         raise
     except Exception as error:  # a decoder may raise anything for a damaged file
         raise invalid(f"chart picture '{path}'", reason(error), "a readable picture") from None
-    if has_16_bits:
+
+    if cuts_bits:
         words = f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them"
         notes.warn(notes.Note("file_as_read", words=words))
     return codes
+
+
+def _check_opaque(path: Path, image: Image.Image) -> None:
+    """Raise PixsimError for a picture with transparent parts."""
+    if image.mode not in _ALPHA_MODES and "transparency" not in image.info:
+        return
+    lowest = image.convert("RGBA").getchannel("A").getextrema()[0]
+    if not isinstance(lowest, int | float) or lowest < 255:
+        hint = "Flatten it onto a background."
+        raise invalid(f"chart picture '{path}'", "transparent parts", "an opaque picture", hint)
+
+
+def _codes_of_image(path: Path, image: Image.Image) -> tuple[Array, bool]:
+    """Return the values of an open picture, in [0, 1], and whether bits of it are lost."""
+    from PIL import ImageOps
+
+    if image.mode in SIXTEEN_BIT_MODES:
+        return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535, False
+    if image.mode not in (*GREY_MODES, *_ALPHA_MODES):
+        raise invalid(f"chart picture '{path}'", f"values of mode {image.mode}", ALLOWED)
+    # Pillow cuts a PNG of 16 bits in colour to 8 bits.
+    if image.format == "PNG" and _png_depth(path) == 16:
+        return np.asarray(_of_mitsuba(path)) / 65535, False
+
+    bits_per_sample = getattr(image, "tag_v2", {}).get(258, 8)  # a tag of TIFF
+    mode = "L" if image.mode in ("1", "L", "LA") else "RGB"
+    codes = np.asarray(ImageOps.exif_transpose(image).convert(mode)).astype(float) / 255
+    return codes, 16 in np.atleast_1d(bits_per_sample)
 
 
 def _png_depth(path: Path) -> int:

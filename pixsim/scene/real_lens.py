@@ -45,22 +45,27 @@ def decide_real_lens(
     aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film
         without one
     """
-    if camera.lens is None or camera.chief_ray_angle is None:
+    lens = camera.lens
+    if lens is None or camera.chief_ray_angle is None:
         return None, []
+
+    # Light as the sensor sees it, on cells that are as wide as half a photodiode, or as the film's
+    # if these are wider than a photodiode.
     weight = photons_per_joule(SEEN_NM) * (pixel.quantum_efficiency(SEEN_NM) if pixel else 1.0)
     film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
     aperture_um = aperture_um or (pixel.aperture_side_um if pixel else SAMPLES_PER_DETAIL * film_um)
     pitch_um = film_um if film_um > aperture_um else aperture_um / SAMPLES_PER_DETAIL
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
-    name = (
-        f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm"
-        f" {f_stop(camera.lens.f_number)}"
-    )
+
+    # A thin lens in its place
+    name = f"'{lens.file}' at {lens.focal_length_mm:.4g} mm {f_stop(lens.f_number)}"
     if not full:
         error = thin_lens_error(camera, pitch_um, SEEN_NM, weight, aperture_um)
         if error <= tolerance_e * _THIN_LENS_SHARE:
             reason = f"{name}: a thin lens gives the same electrons"
             return None, [Decision("real lens", False, reason, "distortion and tiles", error)]
+
+    # Its blur by tiles
     target = _BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(
         camera,
@@ -71,9 +76,9 @@ def decide_real_lens(
         aperture_um,
         target,
     )
-    tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
     blur = f"no blur, on film cells of {pitch_um:.3g} µm"
     if tiling.psf_um:
+        tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
         blur = (
             f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to"
             f" {percent(tiling.lacking, 1)} of the light"

@@ -71,18 +71,20 @@ class Target(Record):
     ) -> Target:
         """Return the target that the user gave, from parameters of a scene and their defaults.
 
-        A given size takes the place of the default, in whatever unit that is. A shape may lack what
-        a default states.
+        A stated size takes the place of the default, in whatever unit that is. A shape may lack
+        what a default states.
 
         Raises PixsimError for values that are no target.
         """
         shape = stated.get("shape", defaults.get("shape", cls.model_fields["shape"].default))
-        unused = {*SIZES} if shape == "edge" or any(name in stated for name in SIZES) else set()
-        unused |= {"direction"} if shape == "disc" else set()
-        fields = {name: value for name, value in defaults.items() if name not in unused} | {
-            **stated
-        }
-        return cls(**{name: fields[name] for name in cls.model_fields if name in fields})
+        unused = set()
+        if shape == "edge" or any(name in stated for name in SIZES):
+            unused |= {*SIZES}
+        if shape == "disc":
+            unused.add("direction")
+        values = {name: value for name, value in defaults.items() if name not in unused}
+        values |= stated
+        return cls(**{name: values[name] for name in cls.model_fields if name in values})
 
     def size_in_scene_mm(self, camera: Camera) -> float:
         """Return the size in the plane in focus of a camera; 0 for an edge."""
@@ -103,57 +105,57 @@ class Target(Record):
         Raises PixsimError if the target is larger than the field, or if its contrast in a texel is
         lost in float32.
         """
-        half = size_mm / 2
-        ends = [
-            (-half, half),
-            (-half, half),
-        ]  # downwards and to the right, from the middle of the field
-        if self.shape == "edge":
-            ends = [(-np.inf, np.inf), (0.0, np.inf)]
-        elif self.shape == "bar":
-            ends[0] = -half * _BAR_LENGTH, half * _BAR_LENGTH
-        if self.direction == "horizontal":
-            ends.reverse()
-        if self.shape != "edge" and any(
-            2 * high > side for (_, high), side in zip(ends, sides_mm, strict=True)
-        ):
-            extent = f"{2 * ends[1][1]:.4g} × {2 * ends[0][1]:.4g} mm"
-            got = (
-                f"{extent} in the plane in focus, in a field of {sides_mm[1]:.4g} ×"
-                f" {sides_mm[0]:.4g} mm"
-            )
-            raise invalid(
-                "size of the target", got, "a target within the field", "Choose a smaller size."
-            )
-        axes = [
+        down_mm, across_mm = self._ends_mm(size_mm)
+        if self.shape != "edge":
+            self._check_size((2 * down_mm[1], 2 * across_mm[1]), sides_mm)
+
+        rows_mm, columns_mm = (
             np.linspace(-side / 2, side / 2, count + 1)
             for side, count in zip(sides_mm, shape, strict=True)
-        ]
+        )
         if self.shape == "disc":
-            cover = disc_cover(axes[0], axes[1], half)
+            cover = disc_cover(rows_mm, columns_mm, size_mm / 2)
         else:
-            cover = np.outer(
-                *(
-                    _share_between(edges, *between)
-                    for edges, between in zip(axes, ends, strict=True)
-                )
-            )
-        if 0 < (step := abs(self.contrast) * float(cover.max())) < _MIN_STEP:
-            got = (
-                f"{self.contrast:g}, which changes the light of no film cell by more than"
-                f" {step:.2g}"
-            )
-            hint = (
-                "The signal is linear in the contrast: choose a larger one and scale its result, or"
-                " a finer film."
-            )
+            down = _share_between(rows_mm, *down_mm)
+            cover = np.outer(down, _share_between(columns_mm, *across_mm))
+
+        step = abs(self.contrast) * float(cover.max())
+        if 0 < step < _MIN_STEP:
             raise invalid(
                 "contrast",
-                got,
+                f"{self.contrast:g}, which changes the light of no film cell by more than"
+                f" {step:.2g}",
                 f"0, or a change of at least {_MIN_STEP:g}, which float32 holds",
-                hint,
+                "The signal is linear in the contrast: choose a larger one and scale its result, or"
+                " a finer film.",
             )
         return (1 + self.contrast * cover).astype(np.float32)
+
+    def _ends_mm(self, size_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return where the target begins and ends, downwards and to the right from the middle of
+        the field; of a disc its bounding box.
+        """
+        half_mm = size_mm / 2
+        along, across = (-half_mm, half_mm), (-half_mm, half_mm)
+        if self.shape == "edge":
+            along, across = (-np.inf, np.inf), (0.0, np.inf)
+        elif self.shape == "bar":
+            along = -half_mm * _BAR_LENGTH, half_mm * _BAR_LENGTH
+        return (across, along) if self.direction == "horizontal" else (along, across)
+
+    def _check_size(
+        self, target_mm: tuple[float, float], sides_mm: tuple[Positive, Positive]
+    ) -> None:
+        """Raise PixsimError if a target is larger than its field, both (height, width)."""
+        if target_mm[0] <= sides_mm[0] and target_mm[1] <= sides_mm[1]:
+            return
+        got = (
+            f"{target_mm[1]:.4g} × {target_mm[0]:.4g} mm in the plane in focus, in a field of"
+            f" {sides_mm[1]:.4g} × {sides_mm[0]:.4g} mm"
+        )
+        raise invalid(
+            "size of the target", got, "a target within the field", "Choose a smaller size."
+        )
 
 
 def _share_between(edges: Array, low: float, high: float) -> Array:
@@ -171,26 +173,30 @@ def disc_cover(rows: Array, columns: Array, radius: float) -> Array:
     The area of the disc to the left of and above each corner is a closed form, and cells are its
     differences.
     """
+    cover = np.zeros((rows.size - 1, columns.size - 1))
+
+    # Cells that the disc touches
     y, x = np.clip(rows / radius, -1, 1), np.clip(columns / radius, -1, 1)
     down, across = (
         slice(max(np.searchsorted(edges, -1, "right") - 1, 0), np.searchsorted(edges, 1) + 1)
         for edges in (y, x)
     )
-    cover = np.zeros((rows.size - 1, columns.size - 1))
+    y, x = y[down, None], x[across]
 
-    def half(x: Array) -> Array:
+    def half_area(x: Array) -> Array:
         """Area between the x axis and the circle, from -1 to x."""
         return (x * np.sqrt(1 - x * x) + np.arcsin(x)) / 2 + np.pi / 4
 
-    y, x = y[down, None], x[across]
-    end = np.sqrt(1 - y * y)  # where the circle has this height
-    under = (
-        half(np.minimum(x, -end))
+    # The area between the x axis and the height of each corner, to the left of it: the circle is
+    # lower than the corner beyond `end`.
+    end = np.sqrt(1 - y * y)
+    between = (
+        half_area(np.minimum(x, -end))
         + np.abs(y) * (np.clip(x, -end, end) + end)
-        + half(np.maximum(x, end))
-        - half(end)
+        + half_area(np.maximum(x, end))
+        - half_area(end)
     )
-    corner = half(x) + np.sign(y) * under
+    corner = half_area(x) + np.sign(y) * between
     areas = np.diff(np.diff(corner, axis=0), axis=1) * radius**2
     cells = np.outer(np.diff(rows[down]), np.diff(columns[across]))
     cover[down.start : down.stop - 1, across.start : across.stop - 1] = areas / cells

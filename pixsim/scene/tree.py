@@ -176,25 +176,39 @@ def _check_tree(tree: Tree) -> Tree:
     deep, which Mitsuba would follow without limit.
     """
     for node in tree.nodes:
-        for name, (kind, value, text) in node.properties.items():
-            match kind:
-                case "Spectrum":
-                    values = np.array([*value.wavelengths, *value.values], float)
-                case "Float" | "Integer" | "Vector" | "Transform":
-                    values = np.array(value, float)
-                case "Color":
-                    values = np.array(numbers(text))
-                case _:
-                    continue
-            what = f"{node.plugin}.{name}"
-            wrong = values[~(np.abs(values) <= LARGEST)]
-            if wrong.size:
-                raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
-            if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < _MIN_VOLUME:
-                raise invalid(what, value, "an invertible transform")
-            if kind == "Spectrum" and not value.uniform:
-                _check_unit(what, value.wavelengths)
+        for name, node_property in node.properties.items():
+            _check_numbers(node_property, f"{node.plugin}.{name}")
+    _check_references(tree)
+    return tree
 
+
+def _check_numbers(node_property: Property, what: str) -> None:
+    """Raise PixsimError for numbers of a property that Mitsuba must not take.
+
+    what : plugin and name of the property, for messages
+    """
+    kind, value, text = node_property
+    match kind:
+        case "Spectrum":
+            values = np.array([*value.wavelengths, *value.values], float)
+        case "Float" | "Integer" | "Vector" | "Transform":
+            values = np.array(value, float)
+        case "Color":
+            values = np.array(numbers(text))
+        case _:
+            return
+
+    wrong = values[~(np.abs(values) <= LARGEST)]
+    if wrong.size:
+        raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
+    if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < _MIN_VOLUME:
+        raise invalid(what, value, "an invertible transform")
+    if kind == "Spectrum" and not value.uniform:
+        _check_unit(what, value.wavelengths)
+
+
+def _check_references(tree: Tree) -> None:
+    """Raise PixsimError for references that are circular or nested too deep."""
     references = {
         index: list(children(node, tree).values()) for index, node in enumerate(tree.nodes)
     }
@@ -208,7 +222,6 @@ def _check_tree(tree: Tree) -> Tree:
         ) from None
     if max(depth) > _MAX_NESTED:
         raise invalid("scene", f"references nested {max(depth)} deep", f"at most {_MAX_NESTED}")
-    return tree
 
 
 def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:

@@ -40,18 +40,15 @@ def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
     meshes.
     """
     lens, axis = matrix_of(sensor)[:3, 3], matrix_of(sensor)[:3, 2]
-    tried_m = np.linspace(0.0, focus_m, STEPS + 1)
+    steps_m = np.linspace(0.0, focus_m, STEPS + 1)
     nearest_m = focus_m
     for _, node in nodes_of(state, "Shape"):
         if node.plugin in FLAT:
-            nearest_m = min(nearest_m, _met_m(node, lens, axis))
+            nearest_m = min(nearest_m, _intersection_m(node, lens, axis))
         elif node.plugin in _SOLID:
-            within = _contains(node, lens + tried_m[:, None] * axis)
-            nearest_m = (
-                nearest_m
-                if within[0] or not within.any()
-                else min(nearest_m, float(tried_m[within.argmax() - 1]))
-            )
+            within = _contains(node, lens + steps_m[:, None] * axis)
+            if within.any() and not within[0]:
+                nearest_m = min(nearest_m, float(steps_m[within.argmax() - 1]))
     return nearest_m * (1 - BEFORE)
 
 
@@ -59,35 +56,30 @@ def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[flo
     """Return the transform of a rectangle of half side 1 to the plate, 16 numbers, row by row; its
     front faces the lens.
     """
-    side = HALF_SIDE * focus_m
-    plate = np.diag(
-        [-side, side, -side, 1.0]
-    )  # the front of a rectangle is at its +z, and a camera looks along its own
+    # The front of a rectangle is at its +z, and a camera looks along its own.
+    side_m = HALF_SIDE * focus_m
+    plate = np.diag([-side_m, side_m, -side_m, 1.0])
     plate[2, 3] = distance_m
     return tuple((matrix_of(sensor) @ plate).ravel().tolist())
 
 
 def _in_node(node: Node, points: Array, last: float = 1.0) -> Array:
     """Return points (..., 3) of the world, or directions (`last` = 0), in the frame of a shape."""
-    return np.asarray(
-        (
-            np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1)
-            @ np.linalg.inv(matrix_of(node)).T
-        )[..., :3]
-    )
+    homogeneous = np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1)
+    return np.asarray((homogeneous @ np.linalg.inv(matrix_of(node)).T)[..., :3])
 
 
-def _met_m(node: Node, lens: Array, axis: Array) -> float:
+def _intersection_m(node: Node, lens: Array, axis: Array) -> float:
     """Return how far from the lens the axis meets a rectangle or a disc; infinity where it does
     not.
     """
     origin, direction = _in_node(node, lens), _in_node(node, axis, 0.0)
-    away_m = -origin[2] / direction[2] if direction[2] else math.inf
-    if not 0 < away_m < math.inf:
+    distance_m = -origin[2] / direction[2] if direction[2] else math.inf
+    if not 0 < distance_m < math.inf:
         return math.inf
-    x, y = np.abs(origin + away_m * direction)[:2]
-    inside = math.hypot(x, y) <= 1 if node.plugin == "disk" else max(x, y) <= 1
-    return float(away_m) if inside else math.inf
+    x, y = np.abs(origin + distance_m * direction)[:2]
+    radius = math.hypot(x, y) if node.plugin == "disk" else max(x, y)
+    return float(distance_m) if radius <= 1 else math.inf
 
 
 def _contains(node: Node, points: Array) -> Array:
@@ -95,37 +87,26 @@ def _contains(node: Node, points: Array) -> Array:
     local = _in_node(node, points)
     if node.plugin == "cube":
         return np.asarray(np.abs(local).max(axis=1) <= 1)
+
     radius = float(node.get("radius", 1.0))
     if node.plugin == "sphere":
-        return np.asarray(
-            np.linalg.norm(
-                local - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1
-            )
-            <= radius
-        )
+        centre = np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel()
+        return np.asarray(np.linalg.norm(local - centre, axis=1) <= radius)
+
     first, last = (np.array(node.get(f"p{end}", [0.0, 0.0, end]), float).ravel() for end in (0, 1))
     axis = last - first
     along = (local - first) @ axis / (axis @ axis)
-    return np.asarray(
-        (along >= 0)
-        & (along <= 1)
-        & (np.linalg.norm(local - first - along[:, None] * axis, axis=1) <= radius)
-    )
+    from_axis = np.linalg.norm(local - first - along[:, None] * axis, axis=1)
+    return np.asarray((along >= 0) & (along <= 1) & (from_axis <= radius))
 
 
 def dark_plate(distance_m: float) -> PixsimError:
     """Return the error for a plate that no light reaches."""
-    got = (
-        f"'diffuser', but a white plate {distance_m:.4g} m before the lens, which faces it, gets no"
-        " light"
-    )
-    hint = (
-        f"State the white: {setting('display.white_cd_per_m2')} or"
-        f" {setting('display.white_w_per_m2_sr')}."
-    )
     return invalid(
         "display.white",
-        got,
+        f"'diffuser', but a white plate {distance_m:.4g} m before the lens, which faces it, gets no"
+        " light",
         "a scene whose lamps light what faces the lens, or an emissive chart alone",
-        hint,
+        f"State the white: {setting('display.white_cd_per_m2')} or"
+        f" {setting('display.white_w_per_m2_sr')}.",
     )
