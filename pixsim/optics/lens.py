@@ -216,9 +216,8 @@ def lens_of(prescription: Prescription) -> Lens:
     lens = _without_fields(prescription)
     notes = list(prescription.notes)
     largest_deg, limit = _largest_field(lens)
-    notes += (
-        [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=limit)] if limit else []
-    )
+    if limit:
+        notes.append(Note("lens_as_read", lens=lens._label, words=limit))
     lens = lens.with_same_rays(max_field_deg=largest_deg)
     if prescription.vignetting:
         lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
@@ -232,13 +231,12 @@ def _without_fields(prescription: Prescription) -> Lens:
     does.
     """
     bare = Lens(prescription, 1.0, 0.0)
-    lens_name = f"lens '{prescription.name}'"
 
     focal_mm = bare.first_order(prescription.primary_nm).focal_length_mm
     if not 0 < focal_mm < math.inf:
         kind = "afocal, with" if math.isinf(focal_mm) else "virtual, with"
         raise invalid(
-            lens_name,
+            bare._label,
             f"no real image: {kind} a focal length of {focal_mm:g} mm",
             "a positive focal length, of a lens that makes a real image",
         )
@@ -248,7 +246,7 @@ def _without_fields(prescription: Prescription) -> Lens:
         object_mm += bare._entrance_pupil_mm
         if not object_mm > 0:
             raise invalid(
-                lens_name,
+                bare._label,
                 f"an entrance pupil {-object_mm:g} mm in front of the object",
                 "one behind the object",
             )
@@ -257,7 +255,7 @@ def _without_fields(prescription: Prescription) -> Lens:
     f_number = focal_mm / pupil_mm
     if f_number > _FAINTEST_F_NUMBER:
         raise invalid(
-            lens_name,
+            bare._label,
             f"no real image: afocal, with a focal length of {focal_mm:.4g} mm at f/{f_number:.4g}",
             f"an image at f/{_FAINTEST_F_NUMBER:g} or less",
         )
@@ -266,7 +264,7 @@ def _without_fields(prescription: Prescription) -> Lens:
     back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
     if not -_VIRTUAL * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
         raise invalid(
-            lens_name,
+            bare._label,
             f"no real image: a back focal length of {back_mm:.5g} mm",
             "a focus behind the last surface",
             "A lens that makes a virtual image needs another behind it.",
@@ -289,7 +287,8 @@ def _entrance_pupil_diameter_mm(bare: Lens, focal_mm: float, object_mm: float) -
         return focal_mm / aperture
 
     if kind == "working_f_number":
-        # The image's slope of a paraxial ray of slope 1 is the pupil's slope over the image's.
+        # A paraxial ray of slope 1 from the object on the axis has the object's distance as its
+        # height in the pupil, and the slope in the image grows with that height.
         height, slope = np.array([prescription.object_distance_mm]), np.array([1.0])
         indices = bare._indices(np.array([prescription.primary_nm]))
         _, image_slope = paraxial(prescription.surfaces, indices, height, slope)
@@ -298,7 +297,7 @@ def _entrance_pupil_diameter_mm(bare: Lens, focal_mm: float, object_mm: float) -
     if kind == "object_numerical_aperture":
         if not (aperture < 1 and math.isfinite(object_mm)):
             raise invalid(
-                f"lens '{prescription.name}'",
+                bare._label,
                 f"a numerical aperture of {aperture:g}, with the object at {object_mm:g} mm",
                 "below 1, of an object at a finite distance",
             )
@@ -418,7 +417,8 @@ def _notes_of_stopped_light(lens: Lens) -> list[Note]:
     """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do
     stop.
     """
-    prescription, texts = lens.prescription, []
+    prescription = lens.prescription
+    texts = []
     if prescription.fixed:
         texts.append(
             f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they"
@@ -433,7 +433,7 @@ def _notes_of_stopped_light(lens: Lens) -> list[Note]:
             "its vignetting factors are not used, so that nothing is cut twice;"
             ' lens.vignetting_factors = "use" applies them all the same'
         )
-    return [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=text) for text in texts]
+    return [Note("lens_as_read", lens=lens._label, words=text) for text in texts]
 
 
 @checked_methods
@@ -481,7 +481,7 @@ class Lens:
 
     @property
     def _label(self) -> str:
-        """Its name, for notes."""
+        """The lens and its name, for messages."""
         return f"lens '{self.prescription.name}'"
 
     @cached_property
@@ -557,11 +557,7 @@ class Lens:
 
         stop_over_pupil = height_at_stop(1.0, 0.0)
         if not stop_over_pupil:
-            raise invalid(
-                f"lens '{self.prescription.name}'",
-                "an entrance pupil at infinity",
-                "one at a finite distance",
-            )
+            raise invalid(self._label, "an entrance pupil at infinity", "one at a finite distance")
         return stop_over_pupil, height_at_stop(0.0, 1.0) / stop_over_pupil
 
     def _indices(self, wavelength_nm: Array) -> list[float | Array]:
@@ -603,9 +599,7 @@ class Lens:
         if not np.isfinite(stop_y_mm[0, 0]):
             where = at_infinity._where_ray_ends(0.0, self.primary_nm, 0.0, radius_mm)
             raise invalid(
-                f"lens '{self.prescription.name}'",
-                f"a marginal ray that {where}",
-                "an aperture that lets it pass",
+                self._label, f"a marginal ray that {where}", "an aperture that lets it pass"
             )
         return float(abs(stop_y_mm[0, 0]))
 
@@ -858,11 +852,10 @@ class Lens:
         """Return the chief rays in the image plane, (C, 1), and their heights in the entrance pupil
         (C,); NaN if lost.
         """
-        height = self._chief_pupil_heights_mm(field_deg, wavelength_nm)
-        rays, _, _ = self._trace_to_image(
-            field_deg, wavelength_nm, np.zeros((height.size, 1)), height[:, None]
-        )
-        return rays, height
+        y_mm = self._chief_pupil_heights_mm(field_deg, wavelength_nm)
+        x_mm = np.zeros((y_mm.size, 1))
+        rays, _, _ = self._trace_to_image(field_deg, wavelength_nm, x_mm, y_mm[:, None])
+        return rays, y_mm
 
     def _checked_chief_rays(self, field_deg: Array, wavelength_nm: Array) -> Rays:
         """Return the chief rays in the image plane, (C, 1). Raises PixsimError if one does not get
@@ -890,11 +883,11 @@ class Lens:
         that has one, in mm.
         """
         for share in np.linspace(0.95, 0.0, 20):
-            height = self._chief_pupil_heights_mm(
+            (height_mm,) = self._chief_pupil_heights_mm(
                 np.array([share * field_deg]), np.array([wavelength_nm])
-            )[0]
-            if math.isfinite(height):
-                return float(height)
+            )
+            if math.isfinite(height_mm):
+                return float(height_mm)
         return 0.0
 
     def _where_ray_ends(
@@ -1652,34 +1645,32 @@ class Lens:
         """
         if not factor > 0:
             raise invalid("factor", f"{factor:g}", "a finite number above 0")
-        scaled = self.prescription.scaled(factor)
-        rows = tuple(
-            (at_deg, factor * centre, factor * x, factor * y)
-            for at_deg, centre, x, y in self.vignetting
+        ellipses = tuple(
+            (field_deg, factor * centre_mm, factor * across_mm, factor * along_mm)
+            for field_deg, centre_mm, across_mm, along_mm in self.vignetting
         )
         return replace(
             self,
-            prescription=scaled,
+            prescription=self.prescription.scaled(factor),
             entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm,
-            vignetting=rows,
+            vignetting=ellipses,
         )
 
     def stopped_down(self, f_number: FNumberOrPinhole) -> Lens:
         """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number,
         for a larger one.
         """
-        first = self.first_order(self.primary_nm)
-        if not first.f_number * (1 - _WIDEST) <= f_number < math.inf:
-            expected = (
-                f"at least {first.f_number:.6g}, the widest of '{self.prescription.name}', and"
-                " finite"
+        first_order = self.first_order(self.primary_nm)
+        if not first_order.f_number * (1 - _WIDEST) <= f_number < math.inf:
+            raise invalid(
+                "f_number",
+                f"{f_number:g}",
+                f"at least {first_order.f_number:.6g}, the widest of '{self.prescription.name}',"
+                " and finite",
             )
-            raise invalid("f_number", f"{f_number:g}", expected)
+        pupil_mm = first_order.focal_length_mm / f_number
         return replace(
-            self,
-            entrance_pupil_diameter_mm=min(
-                first.focal_length_mm / f_number, first.entrance_pupil_diameter_mm
-            ),
+            self, entrance_pupil_diameter_mm=min(pupil_mm, first_order.entrance_pupil_diameter_mm)
         )
 
     def refocused(
@@ -1705,11 +1696,13 @@ class Lens:
         lens = lens._with_image_plane_moved(lens._paraxial_focus_mm(wavelength_nm))
         if focus == "paraxial":
             return lens
-        largest = (
-            (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
-        )
-        for _ in range(2):  # the second step corrects for what the first one left of a far start
-            lens = lens._with_image_plane_moved(lens._best_focus_mm(largest, wavelength_nm))
+
+        largest_deg = 0.0
+        if focus == "field":
+            largest_deg = self.max_field_deg if field_deg is None else field_deg
+        for _ in range(2):  # the second step corrects the first one, where it was large
+            shift_mm = lens._best_focus_mm(largest_deg, wavelength_nm)
+            lens = lens._with_image_plane_moved(shift_mm)
         return lens
 
     def _with_image_plane_moved(self, shift_mm: float) -> Lens:
@@ -1717,19 +1710,16 @@ class Lens:
         of the last surface.
         """
         *others, last = self.prescription.surfaces
-        distance = last.thickness_mm + shift_mm
-        if not 0 <= distance < math.inf:
-            got = (
-                f"{self.object_distance_mm:g}, whose image is {distance:.4g} mm behind the last"
-                " surface"
-            )
+        image_mm = last.thickness_mm + shift_mm
+        if not 0 <= image_mm < math.inf:
             raise invalid(
                 "object_distance_mm",
-                got,
+                f"{self.object_distance_mm:g}, whose image is {image_mm:.4g} mm behind the last"
+                " surface",
                 "a distance with a real image",
                 "Move the object away from the lens.",
             )
-        surfaces = (*others, replace(last, thickness_mm=distance))
+        surfaces = (*others, replace(last, thickness_mm=image_mm))
         return replace(self, prescription=replace(self.prescription, surfaces=surfaces))
 
     def _paraxial_focus_mm(self, wavelength_nm: float | None = None) -> float:
@@ -1750,7 +1740,7 @@ class Lens:
         """Return the shift of the image plane in mm that leaves the least mean square of the
         wavefront.
 
-        Over points of the stop that pass, the file's wavelengths or a given one, and the picture's
+        Over points of the stop that pass, the file's wavelengths or one alone, and the picture's
         area up to a field; in it, W changes by ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's
         slope))/λ, and a tilt goes with the picture.
         """
@@ -1792,9 +1782,7 @@ class Lens:
             bottom += weights[index] * float((both[:, 1] ** 2).mean())
         if not bottom:
             raise invalid(
-                f"lens '{self.prescription.name}'",
-                "no rays that reach the image",
-                "a lens that lets light through",
+                self._label, "no rays that reach the image", "a lens that lets light through"
             )
         return -top / bottom
 
@@ -1860,9 +1848,9 @@ def _root(
 
 
 def _rays_slice(rays: Rays, rows: slice) -> Rays:
-    return Rays(
-        *(getattr(rays, name)[rows] for name in ("x", "y", "z", "l", "m", "n", "path_mm", "passed"))
-    )
+    """Return some of the rays along their first axis."""
+    names = [part.name for part in dataclass_fields(Rays)]
+    return Rays(**{name: getattr(rays, name)[rows] for name in names})
 
 
 def _flat_conditions(
@@ -1870,12 +1858,10 @@ def _flat_conditions(
 ) -> tuple[tuple[int, ...], Array, Array]:
     """Return the shape that fields and wavelengths broadcast to, and both in one line."""
     shape, fields, wavelengths = _flattened(field_deg=field_deg, wavelength_nm=wavelength_nm)
-    if not np.all(np.abs(fields) < 90):
-        raise invalid(
-            "field_deg",
-            f"{fields.flat[np.argmax(~(np.abs(fields) < 90))]:g}",
-            "above -90 and below 90 degrees",
-        )
+    is_allowed = np.abs(fields) < 90
+    if not is_allowed.all():
+        got = f"{fields[np.argmin(is_allowed)]:g}"
+        raise invalid("field_deg", got, "above -90 and below 90 degrees")
     return shape, fields, wavelengths
 
 
@@ -1884,30 +1870,35 @@ def _flattened(**parts: ArrayLike) -> tuple[Any, ...]:
     names are for messages.
     """
     check_broadcast(**{name: np.shape(value) for name, value in parts.items()})
-    for name, value in parts.items():
-        array = np.asarray(value, float)
-        if not (array.size and np.isfinite(array).all()):
-            got = (
-                f"{array.flat[np.argmin(np.isfinite(array))]:g}" if array.size else "an empty array"
-            )
+    arrays = {name: np.asarray(value, float) for name, value in parts.items()}
+    for name, array in arrays.items():
+        is_finite = np.isfinite(array)
+        if not array.size:
+            raise invalid(name, "an empty array", "finite numbers, at least one")
+        if not is_finite.all():
+            got = f"{array.flat[np.argmin(is_finite)]:g}"
             raise invalid(name, got, "finite numbers, at least one")
-    arrays = np.broadcast_arrays(*(np.asarray(value, float) for value in parts.values()))
-    return arrays[0].shape, *(array.ravel() for array in arrays)
+    same_shape = np.broadcast_arrays(*arrays.values())
+    return same_shape[0].shape, *(array.ravel() for array in same_shape)
 
 
+# Of the monomials x^i y^j odd in x, and even in x.
 _EXPONENTS = tuple(
     np.array([(i, j) for i in range(start, _DEGREE + 1, 2) for j in range(_DEGREE + 1 - i)]).T
     for start in (1, 0)
-)  # of the monomials x^i y^j odd in x and even in x
+)
 
 
 def _monomials(x: Array, y: Array) -> _Bases:
-    """Return the monomials odd in x and those even in x at points (P,), both (P, terms)."""
-    powers_x, powers_y = (
-        np.cumprod([np.ones_like(part), *[part] * _DEGREE], axis=0) for part in (x, y)
-    )
+    """Return the monomials odd in x, and even in x, at points (P,), both (P, terms)."""
+    powers_x, powers_y = _powers(x), _powers(y)
     odd_terms, even_terms = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
     return odd_terms, even_terms
+
+
+def _powers(values: Array) -> Array:
+    """Return the powers 0 to `_DEGREE` of values (P,), (degree + 1, P)."""
+    return np.cumprod([np.ones_like(values), *[values] * _DEGREE], axis=0)
 
 
 def _polynomial_values(terms: Array, basis: Array) -> Array:
@@ -1922,9 +1913,7 @@ def _polynomial_values(terms: Array, basis: Array) -> Array:
 
 def _monomial_slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
     """Return the derivatives of the monomials of `_monomials`, by x and by y."""
-    powers_x, powers_y = (
-        np.cumprod([np.ones_like(part), *[part] * _DEGREE], axis=0) for part in (x, y)
-    )
+    powers_x, powers_y = _powers(x), _powers(y)
     by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in _EXPONENTS]
     by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in _EXPONENTS]
     return (by_x[0], by_x[1]), (by_y[0], by_y[1])
