@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,9 +188,9 @@ class Curve(Result):
         """The optimum in units of the feature size; None for a sensor given by its data sheet,
         which has no process.
         """
-        return (
-            None if self.feature_size_um is None else self.optimum.pitch_um / self.feature_size_um
-        )
+        if self.feature_size_um is None:
+            return None
+        return self.optimum.pitch_um / self.feature_size_um
 
     @property
     def metric(self) -> Metric:
@@ -210,13 +211,14 @@ class Curve(Result):
                 "metric", f"'{metric}'", f"one with a best size: {', '.join(self.optima)}"
             )
         first = next(other for other in self.metrics if other.name == metric)
-        metrics = first, *(other for other in self.metrics if other is not first)
-        fits = {self.metric.name: self.fit} | {
-            name: fit for name, fit in self.fits.items() if name != metric
-        }
-        errors = replace(self.errors, causes=())
+        further_fits = {name: fit for name, fit in self.fits.items() if name != metric}
         return replace(
-            self, metrics=metrics, fit=self.fits[metric], fits=fits, errors=errors, on_displays=()
+            self,
+            metrics=(first, *(other for other in self.metrics if other is not first)),
+            fit=self.fits[metric],
+            fits={self.metric.name: self.fit} | further_fits,
+            errors=replace(self.errors, causes=()),
+            on_displays=(),
         )
 
     @property
@@ -280,13 +282,10 @@ class Curve(Result):
         values = self.statistics[self.metric.columns[0]]
         dead = np.isfinite(values).any(axis=1) & ~self.fittable
         pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
+        fitted = self.metric.from_loss(self.fit.delta_e)
+        along = np.append(fitted, mean_of_sensors(values[dead]))
         order = np.argsort(pitch_um, kind="stable")
-        return (
-            pitch_um[order],
-            np.append(self.metric.from_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[
-                order
-            ],
-        )
+        return pitch_um[order], along[order]
 
     @property
     def means(self) -> dict[str, Array]:
@@ -308,10 +307,10 @@ class Curve(Result):
 
         statistic : its column in results.csv
         """
-        worst = any(statistic in metric.worst for metric in self.metrics)
-        return (
-            over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
-        )
+        is_worst_case = any(statistic in metric.worst for metric in self.metrics)
+        if is_worst_case:
+            return over_sensors(np.nanmin, self.statistics[statistic])
+        return self.mean(statistic)
 
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
@@ -326,18 +325,18 @@ class Curve(Result):
             return None  # the threshold is one of ΔE
         mean, ci95 = mean_and_ci95(self.delta_e)
         largest_differences = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
-        best, widest = int(np.argmin(mean)), None
-        for first in range(best + 1):
-            for last in range(best, mean.size):
-                differ = largest_differences[first : last + 1, first : last + 1].copy()
-                np.fill_diagonal(differ, 0.0)
-                ratio = float(self.pitch_um[last] / self.pitch_um[first])
-                if (
-                    differ.max() < NO_VISIBLE_DELTA_E
-                    and ratio >= WIDE_RATIO
-                    and (widest is None or ratio > widest[1] / widest[0])
-                ):
-                    widest = float(self.pitch_um[first]), float(self.pitch_um[last])
+        np.fill_diagonal(largest_differences, 0.0)
+
+        best = int(np.argmin(mean))
+        widest = None
+        for first, last in product(range(best + 1), range(best, mean.size)):
+            first_um, last_um = float(self.pitch_um[first]), float(self.pitch_um[last])
+            ratio = last_um / first_um
+            if ratio < WIDE_RATIO or (widest is not None and ratio <= widest[1] / widest[0]):
+                continue
+            part = largest_differences[first : last + 1, first : last + 1]
+            if part.max() < NO_VISIBLE_DELTA_E:
+                widest = first_um, last_um
         return widest
 
     @property
@@ -355,11 +354,13 @@ class Curve(Result):
 
     @property
     def doubtful(self) -> Array:
-        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below
-        1.
+        """Whether the model of the microlenses is doubtful at each pitch, (pitches,).
+
+        It is where their Fresnel number is below 1.
         """
-        none = np.full(self.pitch_um.shape, np.inf)
-        return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
+        if self.fresnel_number is None:
+            return np.zeros(self.pitch_um.shape, bool)
+        return np.asarray(self.fresnel_number < 1)
 
     @property
     def doubtful_below_um(self) -> float | None:
@@ -371,17 +372,19 @@ class Curve(Result):
         return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
 
     def fresnel_at(self, pitch_um: Pitch) -> float | None:
-        """Return the Fresnel number of the microlens at any pitch, to whose square it is
-        proportional; None without microlenses.
+        """Return the Fresnel number of the microlens at any pitch, or None without microlenses.
+
+        It is proportional to the square of the pitch.
         """
-        return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
+        if self.doubtful_below_um is None:
+            return None
+        return (pitch_um / self.doubtful_below_um) ** 2
 
     @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
-        return np.max(
-            [np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0
-        )
+        counts = [np.isfinite(values).sum(axis=1) for values in self.statistics.values()]
+        return np.max(counts, axis=0)
 
     @property
     def optimum_fill_factor(self) -> float:
@@ -406,63 +409,56 @@ def curve_of(
     tells no best size.
     """
     metrics = metrics or table.metrics
-    left_out = {
-        float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()
-    }
+    table_um = table.columns["pitch_um"]
+    left_out = {float(table_um[row]): reason for row, reason in table.impossible.items()}
     undefined = {
-        (name, float(table.columns["pitch_um"][row])): reason
+        (name, float(table_um[row])): reason
         for row, reasons in table.undefined.items()
         for name, reason in reasons.items()
     }
     possible = table.possible
-    pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
-    if left_out and pitches.size < MIN_SIZES:
+    pitch_um, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
+    if left_out and pitch_um.size < MIN_SIZES:
         got = (
-            f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a"
+            f"{pitch_um.size} of {pitch_um.size + len(left_out)} pixel sizes are possible, and a"
             f" curve needs {MIN_SIZES}"
         )
-        raise _TooFewSizesError(
-            f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}"
-        )
+        name = label or label_of(technology)
+        raise _TooFewSizesError(f"{name}: {got}. {left_out[max(left_out)]}")
 
+    # A row of the table is an element (pitch, sensor) of each statistic.
     repeat = possible.columns["repeat"]
     statistics = {}
     for name in ("integration_s", *columns_of_metrics(metrics)):
-        values = np.full((pitches.size, 1 + repeat.max()), np.nan)
+        values = np.full((pitch_um.size, 1 + repeat.max()), np.nan)
         values[place, repeat] = possible.columns[name]
         statistics[name] = values
-    fill_factor = np.zeros(pitches.size)
+    fill_factor = np.zeros(pitch_um.size)
     fill_factor[place] = possible.columns["fill_factor"]
 
     width_um = partial(photodiode_widths_um, study, technology)
     columns = {metric.name: (metric, metric.columns[0]) for metric in metrics}
     columns |= {name: (metric, name) for metric in metrics for name in metric.variants}
     fits = {
-        name: fit_of_metric(metric, pitches, statistics[column], width_um)
+        name: fit_of_metric(metric, pitch_um, statistics[column], width_um)
         for name, (metric, column) in columns.items()
     }
     fit = fits.pop(metrics[0].name)
     if fit is None:
-        fittable = int(fittable_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
-        got = (
-            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel"
-            f" sizes of {label_of(technology)}"
-        )
-        hint = "Name another metric first."
-        error = invalid(
-            "metrics", got, f"values above 0 at {MIN_SIZES} neighbouring sizes or more", hint
-        )
-        raise _TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
+        first_values = statistics[metrics[0].columns[0]]
+        words = _no_fit_words(metrics[0], first_values, label_of(technology))
+        raise _TooFewSizesError(" ".join([words, *undefined.values()][:2]))
+
     process = technology_of(study, technology)
-    missing = [("", pitch_um, reason) for pitch_um, reason in left_out.items()]
-    missing += [(name, pitch_um, reason) for (name, pitch_um), reason in undefined.items()]
+    missing = [("", size_um, reason) for size_um, reason in left_out.items()]
+    missing += [(name, size_um, reason) for (name, size_um), reason in undefined.items()]
     return Curve(
-        technology,
-        None if process.name == NO_TECHNOLOGY else process.feature_size_um,
-        pitches,
-        fill_factor,
-        statistics,
-        fit,
+        technology=technology,
+        feature_size_um=None if process.name == NO_TECHNOLOGY else process.feature_size_um,
+        pitch_um=pitch_um,
+        fill_factor=fill_factor,
+        statistics=statistics,
+        fit=fit,
         metrics=metrics,
         fits={name: fitted for name, fitted in fits.items() if fitted is not None},
         case=CaseLabels(developed=developed_words(study.develop, [study.options_of(technology)])),
@@ -470,42 +466,51 @@ def curve_of(
     )
 
 
+def _no_fit_words(metric: Metric, values: Array, name: str) -> str:
+    """Return the message of a first metric whose values (pitches, sensors) have no optimum.
+
+    name : of the sensor
+    """
+    fittable = int(fittable_pitches(metric, values).sum())
+    got = (
+        f"'{metric.name}' first, with values above 0 at {fittable} of {len(values)} pixel sizes of"
+        f" {name}"
+    )
+    allowed = f"values above 0 at {MIN_SIZES} neighbouring sizes or more"
+    return str(invalid("metrics", got, allowed, "Name another metric first."))
+
+
 def first_metric_and_ci95(curve: Curve) -> tuple[Array, Array]:
     """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 %
     interval, NaN where not `fittable`.
     """
-    fittable, values, ci95 = (
-        curve.fittable,
-        curve.mean(curve.metric.columns[0]),
-        np.full(curve.pitch_um.shape, np.nan),
-    )
+    metric = curve.metric
+    fittable = curve.fittable
+    values = curve.mean(metric.columns[0])
+    ci95 = np.full(curve.pitch_um.shape, np.nan)
     mean, half = mean_and_ci95(curve.delta_e[fittable])
-    values[fittable], ci95[fittable] = (
-        curve.metric.from_loss(mean),
-        half if curve.metric.better == "less" else half / mean**2,
-    )
+    values[fittable] = metric.from_loss(mean)
+    ci95[fittable] = half if metric.better == "less" else half / mean**2
     return values, ci95
 
 
 # --- further points -------------------------------------------------------------------------------
 
 ROUND = 4  # additions chosen together from one fitted curve
-SENSORS_PER_ADDITION = (
-    2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
-)
+# A new pitch shows its own scatter with two sensors; an existing pitch gets two more.
+SENSORS_PER_ADDITION = 2
 # Pitches beyond each end of the interval that are candidates too. The slope at a minimum is
 # measured best somewhat away from it: with one such pitch, a tenth of simulated studies stop
 # improving.
 BEYOND = 2
-MAX_OPEN = (
-    48  # evaluations that a study without a target adds to a curve whose interval has an open end
-)
+# Evaluations that a study without a target adds to a curve whose interval has an open end.
+MAX_OPEN = 48
 # A study without a target adds sizes near the best one, one at a time, until half the interval is
-# that short over the size
+# this short relative to the size.
 _NEAR_BEST = 0.01
-MAX_NEAR_BEST = 8  # of them
-# share of the interval's variance that is due to the curve between the sizes, from which sizes are
-# added
+MAX_NEAR_BEST = 8  # such sizes
+# Sizes are added while this share of the interval's variance, or more, is due to the curve between
+# the sizes.
 _MIN_BETWEEN = 0.5
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a new pitch, as of a study's first pitches
@@ -528,10 +533,12 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
         options = additions(fit, chosen, max_sensors)
         if not options:
             break
-        pitch_um = min(
-            options, key=lambda pitch: predicted_variance(fit, chosen | {pitch: options[pitch]})
-        )
-        chosen[pitch_um] = options[pitch_um]
+        variances = {
+            pitch_um: predicted_variance(fit, chosen | {pitch_um: count})
+            for pitch_um, count in options.items()
+        }
+        best_um = min(variances, key=variances.__getitem__)
+        chosen[best_um] = options[best_um]
     return dict(sorted(chosen.items()))
 
 
@@ -577,14 +584,13 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
     if pitches_um[left + 1] < MIN_RATIO**2 * pitches_um[left]:
         return sensors
 
+    # In the gap: at the minimum, but not in an outer quarter; else in the middle.
     quarter = (places[left + 1] - places[left]) / 4
     minimum = fit.places_of(np.array([best.pitch_um]))[0]
-    is_inside = places[left] < minimum < places[left + 1]
-    place = (
-        np.clip(minimum, places[left] + quarter, places[left + 1] - quarter)
-        if is_inside
-        else places[left] + 2 * quarter
-    )
+    if places[left] < minimum < places[left + 1]:
+        place = np.clip(minimum, places[left] + quarter, places[left + 1] - quarter)
+    else:
+        place = places[left] + 2 * quarter
     pitch_um = round(float(fit.pitches_at(np.array([place]))[0]), DIGITS)
     return dict(sorted((sensors | {pitch_um: 1}).items()))
 
@@ -594,53 +600,60 @@ def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> 
     the interval, and midpoints.
     """
     pitches_um = np.array(sorted(sensors))
-    low, high = fit.look_interval_um
-    first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
-    stop = (
-        pitches_um.size
-        if high is None
-        else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
-    )
-    near = pitches_um[first:stop]
-    more = {
-        um: min(sensors[um] + SENSORS_PER_ADDITION, max_sensors)
-        for um in near.tolist()
-        if sensors[um] < max_sensors
+    low_um, high_um = fit.look_interval_um
+    first = 0
+    stop = pitches_um.size
+    if low_um is not None:
+        first = max(0, int(np.searchsorted(pitches_um, low_um)) - BEYOND)
+    if high_um is not None:
+        stop = int(np.searchsorted(pitches_um, high_um, side="right")) + BEYOND
+    near_um = pitches_um[first:stop]
+
+    # More sensors of a pitch.
+    candidates = {
+        pitch_um: min(sensors[pitch_um] + SENSORS_PER_ADDITION, max_sensors)
+        for pitch_um in near_um.tolist()
+        if sensors[pitch_um] < max_sensors
     }
-    halfway = np.round(
-        fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS
-    )
-    for left, middle, right in zip(
-        near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True
-    ):
+
+    # New pitches halfway between neighbours.
+    left_um = near_um[:-1]
+    right_um = near_um[1:]
+    halfway = (fit.places_of(left_um) + fit.places_of(right_um)) / 2
+    middle_um = np.round(fit.pitches_at(halfway), DIGITS)
+    for left, middle, right in np.stack([left_um, middle_um, right_um], axis=1).tolist():
         if middle >= MIN_RATIO * left and right >= MIN_RATIO * middle:
-            more[middle] = min(SENSORS_PER_ADDITION, max_sensors)
-    return more
+            candidates[middle] = min(SENSORS_PER_ADDITION, max_sensors)
+    return candidates
 
 
 def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     """Return the variance, summed over both ends of the interval, of the curve's rise from its
     minimum with so many sensors.
     """
-    pitches_um = np.array(sorted(sensors))
-    u = fit.places_of(pitches_um)
+    pitches_um = sorted(sensors)
+    u = fit.places_of(np.array(pitches_um))
     mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
-    counts = np.array([sensors[um] for um in pitches_um.tolist()])
-    best = fit.likeliest
-    noise = np.array([fit.loud.get(um, fit.noise) for um in pitches_um.tolist()])
+    noise = np.array([fit.loud.get(pitch_um, fit.noise) for pitch_um in pitches_um])
+    likeliest = fit.likeliest
     design = replace(
-        best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts
+        likeliest.design,
+        u=u,
+        noise=noise * noise_scale(mean, fit.logarithmic),
+        sensors=np.array([sensors[pitch_um] for pitch_um in pitches_um]),
     )
-    low, high = fit.look_interval_um
-    ends = np.array(
-        [
-            pitches_um[0] if low is None else low,
-            fit.optimum.pitch_um,
-            pitches_um[-1] if high is None else high,
-        ]
+
+    # The variance of a Gaussian process does not depend on the measured values.
+    posterior = Posterior(
+        design, likeliest.stiffness, likeliest.residual, np.zeros(u.size), likeliest.ripple
     )
-    fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
-    return rise_variance(fit_of_design, fit.places_of(ends))
+    low_um, high_um = fit.look_interval_um
+    ends_um = [
+        pitches_um[0] if low_um is None else low_um,
+        fit.optimum.pitch_um,
+        pitches_um[-1] if high_um is None else high_um,
+    ]
+    return rise_variance(posterior, fit.places_of(np.array(ends_um)))
 
 
 # --- the rounds of a study ------------------------------------------------------------------------
@@ -662,42 +675,43 @@ def next_round(
     """
     chosen = dict(sampling)
     for curve in curves:
-        sensors = sampling[curve.technology]
-        fittable_sensors = {
-            um: sensors[um] for um in curve.pitch_um[curve.fittable].tolist() if um in sensors
-        }
-        sizes, max_sensors = (
-            len(study_pitches_um(study, curve.technology)),
-            max(study.repeats, study.max_repeats),
-        )
-        if study.target_ci_um is None:
-            if not (refine and study.refine) or study.pitch.values_um is not None:
-                continue
-            more = next_where_open(curve.fit, fittable_sensors, sizes * study.repeats, max_sensors)
-            more = (
-                next_near_best(curve.fit, fittable_sensors, sizes)
-                if more == fittable_sensors
-                else more
-            )
-        elif curve.optimum.half_width_um <= study.target_ci_um:
-            continue
-        else:
-            more = next_sensors(curve.fit, fittable_sensors, max_sensors)
-        more = (
-            more
-            if len(fittable_sensors) == len(sensors)
-            else dict(sorted((sensors | more).items()))
-        )
+        sensors = _with_additions(study, curve, sampling[curve.technology], refine)
         if study.max_evaluations is None:
-            within = sum(more.values()) <= sizes * max_sensors
+            sizes = len(study_pitches_um(study, curve.technology))
+            is_within = sum(sensors.values()) <= sizes * max(study.repeats, study.max_repeats)
         else:
-            evaluations = sum(
-                sum(counts.values()) for counts in (chosen | {curve.technology: more}).values()
-            )
-            within = evaluations <= study.max_evaluations
-        if within:
-            chosen[curve.technology] = more
+            counts = (chosen | {curve.technology: sensors}).values()
+            is_within = sum(sum(count.values()) for count in counts) <= study.max_evaluations
+        if is_within:
+            chosen[curve.technology] = sensors
     return chosen
+
+
+def _with_additions(
+    study: Study, curve: Curve, sensors: dict[float, int], refine: bool
+) -> dict[float, int]:
+    """Return the sensors of each pitch, {µm: sensors}, after a round of additions to a curve.
+
+    sensors : of all pitches, of which the fit takes only the fittable ones
+    refine : whether curves without a target may have additions
+    """
+    fittable_um = curve.pitch_um[curve.fittable].tolist()
+    fittable = {pitch_um: sensors[pitch_um] for pitch_um in fittable_um if pitch_um in sensors}
+    sizes = len(study_pitches_um(study, curve.technology))
+    max_sensors = max(study.repeats, study.max_repeats)
+    if study.target_ci_um is not None:
+        if curve.optimum.half_width_um <= study.target_ci_um:
+            return sensors
+        increased = next_sensors(curve.fit, fittable, max_sensors)
+    else:
+        if not (refine and study.refine) or study.pitch.values_um is not None:
+            return sensors
+        increased = next_where_open(curve.fit, fittable, sizes * study.repeats, max_sensors)
+        if increased == fittable:
+            increased = next_near_best(curve.fit, fittable, sizes)
+    if len(fittable) == len(sensors):
+        return increased
+    return dict(sorted((sensors | increased).items()))
 
 
 @dataclass
