@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from PIL.Image import Image
+    from PIL.ImageFile import ImageFile
 
 UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
@@ -274,29 +275,25 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
 
     tags = ImageFileDirectory_v2()
     tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
-    if isinstance(facts.get(BLACK_LEVEL), list):
-        levels = np.array(facts[BLACK_LEVEL])
+    black_level = facts.get(BLACK_LEVEL)
+    if isinstance(black_level, list):
+        levels = np.array(black_level)
         tags.tagtype |= {_BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
-        tags[_BLACK_DIM_TAG], tags[BLACK_LEVEL_TAG] = levels.shape, tuple(levels.ravel().tolist())
-        facts = {name: value for name, value in facts.items() if name != BLACK_LEVEL}
-    for tag, name, kind in (
-        (BLACK_LEVEL_TAG, "black_level_dn", DOUBLE),
-        (WHITE_LEVEL_TAG, "white_level_dn", LONG),
-    ):
-        if name in facts:
-            tags.tagtype[tag] = kind
-            tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
+        tags[_BLACK_DIM_TAG] = levels.shape
+        tags[BLACK_LEVEL_TAG] = tuple(levels.ravel().tolist())
+    elif black_level is not None:
+        tags.tagtype[BLACK_LEVEL_TAG] = DOUBLE
+        tags[BLACK_LEVEL_TAG] = black_level
+    if "white_level_dn" in facts:
+        tags.tagtype[WHITE_LEVEL_TAG] = LONG
+        tags[WHITE_LEVEL_TAG] = round(facts["white_level_dn"])
+
     layout = layout_of(facts, dn.shape)
-    if (
-        layout is not None
-        and not layout.is_stacked
-        and set(layout.channels) <= set(WRITTEN_COLOURS)
-    ):
+    is_mosaic = layout is not None and not layout.is_stacked
+    if layout is not None and is_mosaic and set(layout.channels) <= set(WRITTEN_COLOURS):
         tags.tagtype |= {CFA_DIM_TAG: SHORT, CFA_PATTERN_TAG: BYTE}
         tags[CFA_DIM_TAG] = layout.period
-        tags[CFA_PATTERN_TAG] = bytes(
-            CFA_COLOURS.index(letter) for row in layout.cell for letter in row
-        )
+        tags[CFA_PATTERN_TAG] = bytes(map(CFA_COLOURS.index, "".join(layout.cell)))
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 
@@ -459,36 +456,29 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
 
     def check(array: str, values: NDArray[Any]) -> None:
         if array in stored and path.suffix.lower() == ".npz":
-            return  # what is no such fact is left out behind
-        if (
-            not (values.ndim == 2 or values.shape[2:] in ((3,), (4,)))
-            or values.dtype.kind not in "biuf"
-        ):
-            raise invalid(
-                f"{name} '{path}'",
-                f"{values.dtype} of shape {values.shape}",
-                "real or whole numbers, (rows, columns)",
-            )
+            return  # a value that is no such fact is left out later
+        is_picture = values.ndim == 2 or values.shape[2:] in ((3,), (4,))
+        if not is_picture or values.dtype.kind not in "biuf":
+            got = f"{values.dtype} of shape {values.shape}"
+            raise invalid(f"{name} '{path}'", got, "real or whole numbers, (rows, columns)")
         if values.size > MAX_PICTURE:
-            raise invalid(
-                f"{name} '{path}'",
-                f"{' × '.join(map(str, values.shape))} samples",
-                f"up to {MAX_PICTURE} in all",
-            )
+            got = f"{' × '.join(map(str, values.shape))} samples"
+            raise invalid(f"{name} '{path}'", got, f"up to {MAX_PICTURE} in all")
 
     def choose(names: list[str]) -> list[str]:
         if "dn" not in names and len(names) != 1:
             got = ", ".join(names_in(names[:8])) or "none"
             raise invalid(f"arrays of '{path}'", got, "dn, the digital numbers, or a single array")
-        return ["dn", *(fact for fact in stored if fact in names)] if "dn" in names else names
+        if "dn" not in names:
+            return names
+        return ["dn", *(fact for fact in stored if fact in names)]
 
     if path.suffix.lower() == ".npy":
         return _without_alpha(read_array(path, name, expected, check)), {}
     arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
-    return _without_alpha(arrays[picture]), {
-        fact: arrays[fact] for fact in stored if fact in arrays
-    }
+    facts = {fact: arrays[fact] for fact in stored if fact in arrays}
+    return _without_alpha(arrays[picture]), facts
 
 
 def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
@@ -517,56 +507,12 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         opened(path, name, expected) as file,
         Image.open(file) as image,
     ):
-        is_deep_colour = image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
         tags = getattr(image, "tag_v2", {})
-        if tags.get(PLANAR, 1) == 2 and len(image.getbands()) > 1:
-            raise invalid(
-                f"{name} '{path}'", "a plane for each colour", "the colours of a pixel side by side"
-            )
-        if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
-            hint = (
-                "Images of 8 bits are encoded for a display: write the raw digital numbers, linear"
-                " in light."
-            )
-            if ";16" in str(image.tile):
-                hint = "Save it without its alpha channel."
-            raise invalid(
-                f"{name} '{path}'",
-                f"a picture of mode {image.mode}",
-                "grey or RGB, of 16 bits, or grey float",
-                hint,
-            )
-        if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
-            raise invalid(
-                f"{name} '{path}'",
-                f"3 × {image.width} × {image.height} samples",
-                f"up to {MAX_PICTURE} in all",
-            )
-        if ignored := [tag_name for tag, tag_name in _NOT_APPLIED.items() if tag in tags]:
-            hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
-            raise invalid(
-                f"{name} '{path}'",
-                f"the tags {', '.join(ignored)} of DNG",
-                "a picture without them",
-                hint,
-            )
-        if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
-            hint = "Save it with 0 for black (BlackIsZero)."
-            raise invalid(
-                f"{name} '{path}'",
-                "values whose 0 is white (WhiteIsZero)",
-                "values that grow with the light",
-                hint,
-            )
-
+        _check_image(image, tags, f"{name} '{path}'")
+        is_deep_colour = _is_deep_colour(image)
         tiles = list(image.tile)  # before the texts of a PNG, for which Pillow reads all of it
         metadata: dict[str, Any] = dict(getattr(image, "text", {}))
-        encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
-        if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
-            metadata[ENCODING] = encoded[0]
-        steps = np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))
-        if np.ptp(steps) > 1:  # those of a straight line differ by rounding
-            metadata[ENCODING] = "TransferFunction"
+        metadata |= _encoding_of(image, tags)
         samples = np.asarray(image)
         has_pages = _has_pages(image)
 
@@ -583,6 +529,59 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     if has_pages:
         warn(Note("file_as_read", words=_pages_text(path)))
     return samples, metadata | _metadata_of_tags(path, tags)
+
+
+def _is_deep_colour(image: ImageFile) -> bool:
+    """Return whether a picture has red, green and blue of 16 bits."""
+    return image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
+
+
+def _check_image(image: ImageFile, tags: Mapping[int, Any], subject: str) -> None:
+    """Raise PixsimError if a picture is not linear, as grey or RGB of 16 bits or grey in floating
+    point.
+
+    subject : of the message
+    """
+    if tags.get(PLANAR, 1) == 2 and len(image.getbands()) > 1:
+        raise invalid(subject, "a plane for each colour", "the colours of a pixel side by side")
+
+    is_deep_colour = _is_deep_colour(image)
+    if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
+        hint = (
+            "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in"
+            " light."
+        )
+        if ";16" in str(image.tile):
+            hint = "Save it without its alpha channel."
+        allowed = "grey or RGB, of 16 bits, or grey float"
+        raise invalid(subject, f"a picture of mode {image.mode}", allowed, hint)
+
+    if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
+        got = f"3 × {image.width} × {image.height} samples"
+        raise invalid(subject, got, f"up to {MAX_PICTURE} in all")
+
+    ignored = [tag_name for tag, tag_name in _NOT_APPLIED.items() if tag in tags]
+    if ignored:
+        got = f"the tags {', '.join(ignored)} of DNG"
+        hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
+        raise invalid(subject, got, "a picture without them", hint)
+
+    if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
+        got = "values whose 0 is white (WhiteIsZero)"
+        hint = "Save it with 0 for black (BlackIsZero)."
+        raise invalid(subject, got, "values that grow with the light", hint)
+
+
+def _encoding_of(image: ImageFile, tags: Mapping[int, Any]) -> dict[str, str]:
+    """Return the encoding of a picture's values for a display that it states, if any."""
+    encoding: dict[str, str] = {}
+    names = [name for name in ("srgb", "gamma", "icc_profile") if name in image.info]
+    if names and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
+        encoding[ENCODING] = names[0]
+    steps = np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))
+    if np.ptp(steps) > 1:  # the steps of a straight line differ by rounding
+        encoding[ENCODING] = "TransferFunction"
+    return encoding
 
 
 # Tags of TIFF 6.0.
