@@ -220,7 +220,7 @@ def write_channels(
     named: bool = True,
 ) -> None:
     """Write float32 channels to a losslessly compressed EXR, which is moved into place when
-    complete; `named` is of `replacing`.
+    complete; `named` as for `replacing`.
     """
     with writing(path, named=named) as unfinished:
         fill_channels(unfinished, channels, header)

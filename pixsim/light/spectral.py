@@ -254,15 +254,15 @@ class SpectralImage:
 
     @property
     def identified(self) -> SpectralImage:
-        """The same light with its `digest` in the header, which distinguishes it from others of the
-        same settings.
+        """This light with its `digest` in the header, which distinguishes it from other light of
+        the same settings.
         """
         light = copy(self)
         light.header = self.header | {DIGEST: self.digest()}
         return light
 
     def _set_margin(self, pictures: NDArray[np.float32]) -> None:
-        """Set the pictures with their margin, and without it."""
+        """Store the pictures with their margin and, as factors or data, without it."""
         height, width = pictures.shape[1:] if self.factors else pictures.shape[:2]
         if not 0 < 2 * self.margin < min(height, width):
             raise invalid(

@@ -52,8 +52,8 @@ class PictureFile:
         return StoredImage(image, self, self._offsets[digest])
 
     def mapped(self, offset: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return pictures at a place in the file; the memory holds what of them is read, as long as
-        the array is used.
+        """Return pictures at an offset in the file; memory holds the parts that are read, as long
+        as the array is used.
         """
         assert self._file is not None
         return np.asarray(np.memmap(self._file, np.float32, "r", offset, shape))

@@ -47,8 +47,7 @@ _REDRAWS = 24
 
 @dataclass(frozen=True)
 class _ColourTruth:
-    """What follows from the parameters: the chart under the lamp as the channels record it,
-    crosstalk included.
+    """The chart under the lamp as the channels record it by their parameters, crosstalk included.
 
     rendition : of the chromatic patches
     white_e : (C,) electrons of white in a value of each channel
@@ -187,8 +186,8 @@ def smi(rendition: Rendition) -> float:
 
 
 def noise_gain(rendition: Rendition, primary: int) -> float:
-    """Return by how much the matrix amplifies equal noise of the balanced channels in a primary of
-    the display.
+    """Return the gain of the matrix for equal noise of the balanced channels, in a primary of the
+    display.
     """
     return float(np.sqrt(np.square(matrix_to_display(rendition)[primary]).sum()))
 
@@ -204,7 +203,7 @@ def _opponents(rendition: Rendition) -> Array:
 
 
 def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
-    """Return what follows from the parameters of a colour pixel as it is read.
+    """Return chart and white as a colour pixel records them by its parameters.
 
     Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix
     amplifies noise too much.

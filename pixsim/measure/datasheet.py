@@ -510,7 +510,7 @@ def measure(
 
 
 def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
-    """The colour of a sensor; the problem in words if it has filters that tell no colours apart."""
+    """Measure the colour of a sensor; a sentence if its filters do not distinguish colours."""
     if experiment.physics.layout is None:
         return None
     try:

@@ -275,8 +275,7 @@ def photon_transfer(
     gain_spread: float = 0.0,
     row_noise: RowNoise = _NO_ROW_NOISE,
 ) -> PhotonTransfer:
-    """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with
-    that many pixels.
+    """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor.
 
     row_noise : for the standard errors
     gain_spread : PRNU. Mean gains of sensors of one type differ by gain_spread/√pixels, which the

@@ -155,7 +155,7 @@ class Experiment:
         return series(times_s, pairs)
 
     def warmed(self, temperature_k: float) -> Sensor:
-        """The same device at another temperature: only its dark current changes, not its maps."""
+        """This device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(
             self.physics.pixel.model_dump() | {"temperature_k": temperature_k}
         )
@@ -183,7 +183,7 @@ def _checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
 
 
 def _most_frequent_channel(physics: PixelPhysics) -> PixelPhysics:
-    """A colour pixel with the channel that has the most pixels; a monochrome one as it is."""
+    """Return a colour pixel with its most frequent channel, or a monochrome pixel itself."""
     if physics.layout is None:
         return physics
     return physics.channels[int(np.argmax(physics.layout.shares))]

@@ -222,7 +222,7 @@ def lens_data(
     notes: Sequence[Note] = (),
     reflectance: float | None = None,
 ) -> LensData:
-    """Trace a lens.
+    """Trace a lens, and return its data over the field.
 
     wavelength_nm : of equal weight, by default as in its file
     pitch_um : of a pixel whose Nyquist frequency is looked at

@@ -391,8 +391,8 @@ def _check_saturation(data: Array, saturation: float) -> None:
 def _measured_channels(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
 ) -> tuple[list[_WeightedChannel], tuple[int, int], str | None]:
-    """The pixels to measure, the rows and columns after which they repeat, and the name of their
-    channel, if any.
+    """Return the pixels to measure, the rows and columns after which they repeat, and the name of
+    their channel, if any.
 
     Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an
     unknown channel.
@@ -576,8 +576,8 @@ def _nyquist_cy_per_px(grids: Sequence[_ChannelGrid], period: tuple[int, int]) -
 
 
 def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
-    """The region as float64; raises PixsimError if it is not one channel, too small or not
-    finite.
+    """Return a region of a picture as float64. Raises PixsimError if it is not one channel, too
+    small or not finite.
     """
     data = np.asarray(picture)
     if data.ndim != 2 or data.dtype.kind not in "biuf":
@@ -705,9 +705,7 @@ def _outer_quarters(data: Array) -> tuple[float, float]:
 
 
 def _balanced_channels(channels: list[_WeightedChannel]) -> list[_WeightedChannel]:
-    """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel
-    is left as it is.
-    """
+    """Scale channels to the same levels, their weighted means, on both sides of a grey edge."""
     if len(channels) == 1:
         return channels
     sides = [_side_means(channel.grids) for channel in channels]
@@ -728,7 +726,7 @@ def _balanced_channels(channels: list[_WeightedChannel]) -> list[_WeightedChanne
 
 
 def _sampled_rows(side: Array) -> Array:
-    """Whole rows of a side, of at most `_SAMPLED` pixels, evenly spread pairs of neighbours."""
+    """Return evenly spread pairs of neighbouring rows of a side, about `_SAMPLED` pixels."""
     pairs = side[: len(side) // 2 * 2].reshape(-1, 2, side.shape[1])
     return pairs[:: max(1, -(-side.size // _SAMPLED))].reshape(-1, side.shape[1])
 
@@ -922,7 +920,7 @@ def _check_mosaic(data: Array) -> None:
 
 
 class _EdgeFit(NamedTuple):
-    """The course of a near-vertical edge.
+    """A near-vertical edge as a curve.
 
     curve : x in pixels as a function of the row, with pixel centres at integers
     slope : of the straight line of least squares, in pixels per row
@@ -1189,8 +1187,8 @@ def _rows_and_window(
 
 
 def _bins_a_pixel_to_try(spacing: int) -> list[int]:
-    """Bins a pixel to try: 4, as ISO 12233 has them, to 4 a pixel of the channel, whose pixels are
-    `spacing` apart.
+    """Return numbers of bins a pixel, from 4, as in ISO 12233, down to 4 for each pixel of the
+    channel.
     """
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
@@ -1256,7 +1254,7 @@ def edge_spread(
 
 
 def _smooth_course(centre_px: Array, mean: Array) -> CubicSpline:
-    """The smooth course of which the bins hold the means."""
+    """Return a smooth curve whose means over the bins are `mean`."""
     curvature = np.gradient(np.gradient(mean))
     # A mean over a bin is 1/24 of the curvature above its middle.
     return CubicSpline(centre_px, mean - curvature / 24)
@@ -1378,8 +1376,8 @@ def _warn_of_curve(edge: EdgeResponse) -> None:
 
 
 def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
-    """Warn if the light changes along the normal: the tails on the two sides have slopes that no
-    lens gives them.
+    """Warn if the light changes along the normal, so that the tails on the two sides have slopes
+    that no lens causes.
 
     The tails of a lens are alike on both sides, and leave no difference. A slope of the
     illumination does, as it acts on each side in proportion to its light.
@@ -1406,8 +1404,8 @@ def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None
 def _warn_of_correlation(
     grids: Sequence[_ChannelGrid], fit: _EdgeFit, distance_px: Array, spread: Array
 ) -> None:
-    """Warn if the noise of neighbours in a row is correlated, of which the intervals know
-    nothing.
+    """Warn if the noise of neighbours in a row is correlated, which the intervals do not take into
+    account.
     """
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))

@@ -60,7 +60,6 @@ class Camera(Record):
     With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture
     radius f/2N.
 
-
     At twice the focal length the magnification is 1:
 
     >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)
@@ -103,8 +102,8 @@ class Camera(Record):
 
     @model_serializer(mode="wrap")
     def _without_absent_lens(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A camera without a real lens, veil or fall-off of its own is written, and hashed, as if
-        it had no such fields.
+        """Return the fields that are written and hashed: a real lens, veil or fall-off only if
+        there is one.
         """
         table: dict[str, Any] = handler(self)
         absent = {
@@ -249,8 +248,8 @@ class Camera(Record):
         return tuple(row[0] for row in rows), tuple(row[-1] for row in rows)
 
     def lights_like(self, other: Camera) -> bool:
-        """Whether both give the same irradiance; its directions, which only pixels with a stack
-        see, may differ.
+        """Whether another camera gives the same irradiance; its directions, which only pixels with
+        a stack see, may differ.
         """
         tables = {self.relative_illumination, other.relative_illumination}
         directions = {
@@ -260,13 +259,14 @@ class Camera(Record):
 
     @property
     def without_veil(self) -> Camera:
-        """The same without veiling glare, which no render and no blur depends on."""
+        """This camera without veiling glare, on which no render and no blur depends."""
         return (
             self.model_copy(update=dict.fromkeys(_VEIL_FIELDS, 0.0)) if self.veiling_glare else self
         )
 
     def with_light_of(self, options: LensOptions) -> Camera:
-        """The same with the veil and the fall-off that options of a lens state; others stay.
+        """This camera with the veil and the fall-off of options of a lens; fields without an option
+        stay.
 
         options : of a lens, whose file is not looked at
 
@@ -282,7 +282,7 @@ class Camera(Record):
 
     @property
     def options(self) -> CameraOptions:
-        """The options that make this camera again; with a real lens, beside its `LensOptions`."""
+        """Options that make this camera again, together with `lens_options`."""
         lens_fields = {"lens", *ANY_LENS_FIELDS.values()}
         if self.lens:
             lens_fields |= {"focal_length_mm", "chief_ray_angle"}
@@ -293,7 +293,7 @@ class Camera(Record):
 
     @property
     def lens_options(self) -> LensOptions:
-        """The options of its real lens, if it has one, and of its veil and its fall-off."""
+        """Options of the real lens, if there is one, and of veil and fall-off."""
         options: dict[str, Any] = {}
         if self.lens:
             options = self.lens.model_dump(include=set(PrescriptionOptions.model_fields))
@@ -344,7 +344,7 @@ class Camera(Record):
         return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
     def window(self, width_mm: DieWidth | None) -> Camera:
-        """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
+        """This lens on a central part of the die, `width_mm` wide; the camera itself for None.
 
         Raises PixsimError if the window is wider than the die.
         """
@@ -450,7 +450,7 @@ class CameraOptions(Record):
     )
 
     def over(self, camera: Camera) -> Camera:
-        """The camera with the fields that are set here replaced.
+        """Return a camera with the fields that these options set.
 
         Raises PixsimError for `pixels` without a die (`with_die`).
         """
@@ -505,8 +505,8 @@ class CameraOptions(Record):
         return CameraOptions(**self.model_dump() | die_mm)
 
     def assumption(self, camera: Camera) -> str:
-        """Return that nobody gave the focal length behind a given die, with the field that follows;
-        empty if not so.
+        """Say that the focal length behind a stated die is assumed, with the field of view that
+        follows; empty if it is stated.
 
         camera : that these options make, of a scene
         """

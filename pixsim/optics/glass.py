@@ -215,7 +215,7 @@ def dispersive_coefficients(formula: int, numbers: Sequence[float]) -> Sequence[
 
 @lru_cache
 def catalogue() -> Mapping[str, Glass]:
-    """Full name, such as SCHOTT:N-BK7 -> glass of the packaged table."""
+    """Return the glasses of the packaged table by their full names, such as SCHOTT:N-BK7."""
     text = (resources.files("pixsim") / "data" / "glasses.csv").read_text(encoding="utf-8")
     glasses = {}
     for row in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
@@ -279,8 +279,8 @@ def code_glass(name: str) -> Glass | None:
 
 
 def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
-    """Return a glass whose n_d and V_d are larger by these numbers: n + A + B/λ², as the melt of a
-    data sheet differs.
+    """Return a glass with n_d and V_d increased, by n + A + B/λ²: a melt, which differs from its
+    data sheet.
     """
     if not (n_d or v_d):
         return glass
@@ -502,8 +502,8 @@ def text_of_file(path: Path, name: str, expected: str, max_bytes: int) -> str:
 
 
 def text_lines(text: str) -> list[str]:
-    """Return the lines of a text; a character of an old code page that Unicode takes for the end of
-    a line is none.
+    """Return the lines of a text, which end at line feeds and carriage returns only, not at other
+    characters that Unicode takes for their end.
     """
     return re.split(r"\r\n|\r|\n", text)
 

@@ -171,9 +171,7 @@ class PrescriptionOptions(Record):
 
 
 class LensOptions(PrescriptionOptions):
-    """The lens: the veil and the fall-off of any one, and a real one in place of the thin lens of
-    the camera.
-    """
+    """The lens: its veil and its fall-off, and a real lens in place of the camera's thin one."""
 
     veiling_glare: Share | None = Field(
         None,

@@ -68,8 +68,8 @@ def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ..
 
 
 def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:
-    """Return a picture whose parts have the veil of the whole one; as it is without veiling
-    glare.
+    """Return a picture whose parts have the veil of the whole; without veiling glare, the picture
+    itself.
     """
     if not camera.veiling_glare:
         return irradiance
