@@ -137,7 +137,9 @@ def tells_nothing(
         return True
     if lightest < _SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
         return False
-    exposure, time_s = readout.burst(1), integration_s / readout.exposures
+    # Of a burst each part is read by itself.
+    exposure = readout.burst(1)
+    time_s = integration_s / readout.exposures
     signal_e = white_e * _luminance_of_lightness(lightest) / readout.exposures
     dark_e = exposure.dark_current_e_per_s * time_s
     charge_e = np.minimum(np.array([0.0, signal_e]) + dark_e, exposure.saturation_e)
@@ -174,14 +176,12 @@ def _less_light() -> str:
 
 
 def _codes(readout: Readout, white_e: float, integration_s: float, lightest: float) -> Cause | None:
-    codes, range_e = (
-        _codes_to_white(readout, white_e, integration_s),
-        _range_e(readout, integration_s),
-    )
-    signal = _codes_to_white(readout, white_e * _luminance_of_lightness(lightest), integration_s)
-    if codes >= _MIN_CODES * (1 - ROUNDING) and (
-        signal >= 1 or lightest < _SEEN_LIGHTNESS
-    ):  # black has no contrast
+    range_e = _range_e(readout, integration_s)
+    codes = _codes_to_white(readout, white_e, integration_s)
+    lightest_e = white_e * _luminance_of_lightness(lightest)
+    lightest_codes = _codes_to_white(readout, lightest_e, integration_s)
+    has_step = lightest_codes >= 1 or lightest < _SEEN_LIGHTNESS  # black has no contrast
+    if codes >= _MIN_CODES * (1 - ROUNDING) and has_step:
         return None
     brighter = f"light, time or gain ({setting('exposure.gain_db')})"
     hint = (
@@ -189,7 +189,9 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
     )
     if codes >= _MIN_CODES:
         return Cause(
-            f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint
+            f"the lightest dot is {lightest_codes:.2g} of a step of the ADC above black",
+            lightest,
+            hint,
         )
     words = f"only {codes:.2g} codes of the ADC between black and display white"
     if range_e <= 0:

@@ -109,12 +109,9 @@ class ImagingChain:
     @cached_property
     def development(self) -> Development:
         """How the frames become pictures."""
-        display = self.screen.display
-        imaging = (
-            self.imaging
-            if display is self.imaging.display
-            else self.imaging.changed(display=display)
-        )
+        imaging = self.imaging
+        if self.screen.display is not imaging.display:
+            imaging = imaging.changed(display=self.screen.display)
         return Development(
             imaging,
             self.readout,

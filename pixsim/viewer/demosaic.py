@@ -181,7 +181,8 @@ def demosaic_covariance(
     >>> np.diag(demosaic_covariance("rggb", "bilinear", [1.0, 1.0, 1.0])).tolist()
     [0.5625, 0.625, 0.5625]
     """
-    cell, values = unit_cell(pattern), np.asarray(variance, float)
+    cell = unit_cell(pattern)
+    values = np.asarray(variance, float)
     if correlations is not None:
         per_variance = _correlated_covariance(
             cell, method, dot_px, interpolation, remosaiced, products, correlations
@@ -218,7 +219,8 @@ def demosaic_column_covariance(
     >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()
     [0.75, 0.6875, 0.75]
     """
-    cell, values = unit_cell(pattern), np.asarray(deviation, float)
+    cell = unit_cell(pattern)
+    values = np.asarray(deviation, float)
     per_deviations = _column_products(cell, method, dot_px, interpolation, remosaiced, products)
     return np.asarray(np.einsum("cdkl,...k,...l->...cd", per_deviations, values, values))
 

@@ -130,11 +130,17 @@ def _fitted(
 ) -> Array:
     """Return the matrix from balanced channels to XYZ, (3, C)."""
     count, channels = shape
-    seen, wanted = np.frombuffer(responses).reshape(shape), np.frombuffer(xyz).reshape(count, 3)
-    noise = (
-        None if covariance is None else np.frombuffer(covariance).reshape(count, channels, channels)
+    noise = None
+    if covariance is not None:
+        noise = np.frombuffer(covariance).reshape(count, channels, channels)
+    matrix = fit_matrix(
+        np.frombuffer(responses).reshape(shape),
+        np.frombuffer(xyz).reshape(count, 3),
+        np.array(white_xyz),
+        method,
+        noise,
     )
-    return np.asarray(fit_matrix(seen, wanted, np.array(white_xyz), method, noise))
+    return np.asarray(matrix)
 
 
 def product(left: Array, right: Array) -> Array:

@@ -275,11 +275,9 @@ class Develop(Record):
     @property
     def denoiser(self) -> str:
         """Name of the noise reduction, without the hash of a function."""
-        return (
-            self.denoise.text.partition("#")[0]
-            if isinstance(self.denoise, _UserDenoiser)
-            else self.denoise
-        )
+        if isinstance(self.denoise, _UserDenoiser):
+            return self.denoise.text.partition("#")[0]
+        return self.denoise
 
     @property
     def denoises(self) -> bool:
@@ -307,13 +305,11 @@ class Develop(Record):
         """
         if self.tone_curve == "none":
             return {}
-        parameters = {
-            "gamma": {"tone_gamma": self.tone_gamma},
-            "reinhard": {"tone_white": self.tone_white},
-        }
-        return {"tone_curve": self.tone_curve} | (
-            parameters.get(self.tone_curve, {}) if isinstance(self.tone_curve, str) else {}
-        )
+        if self.tone_curve == "gamma":
+            return {"tone_curve": "gamma", "tone_gamma": self.tone_gamma}
+        if self.tone_curve == "reinhard":
+            return {"tone_curve": "reinhard", "tone_white": self.tone_white}
+        return {"tone_curve": self.tone_curve}
 
     @property
     def words(self) -> str:

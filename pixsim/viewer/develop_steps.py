@@ -161,11 +161,10 @@ class _ChannelNoise:
         dot_px : side of a dot in pixels, or None where dots are pixels
         interpolation : between pixel centres
         """
-        covariance = (
-            self._covariance_of_planes(dot_px, interpolation)
-            if self.method is None
-            else self._covariance_of_mosaic(dot_px, interpolation)
-        )
+        if self.method is None:
+            covariance = self._covariance_of_planes(dot_px, interpolation)
+        else:
+            covariance = self._covariance_of_mosaic(dot_px, interpolation)
         if self.matrix is None:
             return covariance
         return np.asarray(
@@ -548,9 +547,7 @@ STEPS: Mapping[str, Step] = {
             name="demosaic",
             works_on=RAW,
             apply=_demosaic,
-            propagate_noise=lambda noise, raw: replace(
-                noise, method=raw.method
-            ),  # of menon2007 that of malvar2004
+            propagate_noise=lambda noise, raw: replace(noise, method=raw.method),
         ),
         Step(
             name="highlights",

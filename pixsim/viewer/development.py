@@ -77,12 +77,9 @@ class Development:
     @cached_property
     def shading(self) -> Array | None:
         """By what the display divides a frame, (rows, columns), or None for nothing."""
-        corrects = self.screen.display.shading_correction
-        return (
-            shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction)
-            if corrects
-            else None
-        )
+        if not self.screen.display.shading_correction:
+            return None
+        return shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction)
 
     @cached_property
     def matrix(self) -> Array:
@@ -94,14 +91,10 @@ class Development:
         try:
             return self._fitted_matrix()
         except PixsimError as error:
-            hint = (
-                ""
-                if self.collection is None
-                else " Light between neighbours counts: larger pixels mix the channels less."
-            )
-            raise type(error)(
-                f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}{hint}"
-            ) from None
+            words = f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}"
+            if self.collection is not None:
+                words += " Light between neighbours counts: larger pixels mix the channels less."
+            raise type(error)(words) from None
 
     def _fitted_matrix(self) -> Array:
         assert self.rendition is not None
@@ -229,12 +222,21 @@ class Development:
     ) -> Array:
         """Return the light of developed planes on the dots, before the tone curve.
 
-        developing : their frame, with the matrix
+        undeveloped : their frame, with the matrix
         """
         screen, frame = self.screen, undeveloped.frame
-        on_screen = screen.size_um, screen.display, screen.dot_edges_um, frame.registration
-        dots = [displays.on_dots(plane, frame.pitch_um, *on_screen) for plane in planes]
-        light = light_of_dots(dots, undeveloped)
+        means = [
+            displays.on_dots(
+                plane,
+                frame.pitch_um,
+                screen.size_um,
+                screen.display,
+                screen.dot_edges_um,
+                frame.registration,
+            )
+            for plane in planes
+        ]
+        light = light_of_dots(means, undeveloped)
         if window is None:
             return light
         return window(light) if light.ndim == 2 else np.stack([window(plane) for plane in light])
@@ -242,19 +244,16 @@ class Development:
     def score(self, frame: Frame) -> FrameScore:
         """Return the score of a frame as shown on the screen, with ΔE alone."""
         screen = self.screen
-        light, gamut = self.light_before_tone(frame), None
+        light = self.light_before_tone(frame)
+        out_of_gamut = None
         if light.ndim == 3:
-            gamut = (
-                screen.ideal_out_of_gamut,
-                displays.out_of_gamut_share(np.moveaxis(light, 0, -1)),
-            )
+            share = displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+            out_of_gamut = screen.ideal_out_of_gamut, share
         image = display_image(self.toned(light), screen.display, in_place=True)
 
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
-        border_um = (
-            max(0.0, float(screen.dot_edges_um[0][0])),
-            max(0.0, float(screen.dot_edges_um[1][0])),
-        )
+        rows_um, columns_um = screen.dot_edges_um
+        border_um = max(0.0, float(rows_um[0])), max(0.0, float(columns_um[0]))
         return FrameScore(
             screen.delta_e_of(image),
             screen.ideal,
@@ -263,5 +262,5 @@ class Development:
             frame=frame,
             readout=self.readout,
             border_um=border_um,
-            out_of_gamut=gamut,
+            out_of_gamut=out_of_gamut,
         )

@@ -40,11 +40,12 @@ from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
 from pixsim.viewer.without_effect import warn_of_settings
 
 S = TypeVar("S", bound=Score)
-MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
+# Chains that stay in memory.
+MAX_CHAINS = 8
+MAX_CHAIN_BYTES = 1 << 27
 _MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
-_recent_chains: dict[
-    str, tuple[ImagingChain, float]
-] = {}  # the last one last; with `PreparedScene.beyond_white`
+# The last one last; with `PreparedScene.beyond_white`.
+_recent_chains: dict[str, tuple[ImagingChain, float]] = {}
 
 
 def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:

@@ -133,9 +133,10 @@ class Imaging:
         """
         if self.border_um is not None:
             return self.border_um
-        border_um, pixels = self.physics.border_um, (self.pixel.pitch_um, self.pixel.bin_side)
+        border_um = self.physics.border_um
         if not self.motion.is_on:
             return border_um
+        pixels = self.pixel.pitch_um, self.pixel.bin_side
         return border_with_room_um(border_um, self.motion, self.exposure, self.camera, [pixels])
 
     @property

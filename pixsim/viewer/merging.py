@@ -37,19 +37,17 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 def _left_of(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Return the tables of `base` without the words that `over` restates."""
-    gone = {
+    restated = {
         key: words(over[key]) for key, words in _RESTATED.items() if isinstance(over.get(key), dict)
     }
-    gone["camera"] = {*replaced_by_lens(base, over)}
-    return {key: _without(table, gone.get(key, ())) for key, table in base.items()}
+    restated["camera"] = {*replaced_by_lens(base, over)}
+    return {key: _table_without(table, restated.get(key, ())) for key, table in base.items()}
 
 
-def _without(table: object, names: Iterable[str]) -> object:
-    return (
-        {name: value for name, value in table.items() if name not in names}
-        if isinstance(table, dict)
-        else table
-    )
+def _table_without(table: object, names: Iterable[str]) -> object:
+    if not isinstance(table, dict):
+        return table
+    return {name: value for name, value in table.items() if name not in names}
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:

@@ -135,11 +135,9 @@ class Metric:
         """Return what a configuration would need for the metric to mean something; empty if it has
         all.
         """
-        return (
-            _FRAME_REQUIREMENT
-            if self.needs_frame and not context.has_frame
-            else self.requirement(context)
-        )
+        if self.needs_frame and not context.has_frame:
+            return _FRAME_REQUIREMENT
+        return self.requirement(context)
 
     def may_lack(self, column: str, value: float) -> bool:
         """Return whether a column's value is the NaN of a variant that means nothing."""

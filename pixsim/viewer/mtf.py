@@ -86,8 +86,9 @@ def _stack_mtf_terms(
     diffusion : of charge between bare pixels; it changes with the wavelength, as the lens, and so
         is a ratio to the lens's term
     """
-    stack, light = physics.stack, illumination_of(irradiance, camera, physics)
+    stack = physics.stack
     assert stack is not None
+    light = illumination_of(irradiance, camera, physics)
     frequency = np.asarray(frequency_cy_per_mm, float)
     aperture = aperture_mtf(stack, light.pupil.at(0.0, 0.0), frequency.ravel())
     terms = {

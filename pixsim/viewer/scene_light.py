@@ -123,11 +123,9 @@ class LightFacts:
             data=irradiance.mean_spectrum().astype(np.float32)[None, None],
             header=irradiance.header,
         )
-        background = (
-            None
-            if light.background is None
-            else lights_of(light.background, imaging.camera, imaging.physics)
-        )
+        background = None
+        if light.background is not None:
+            background = lights_of(light.background, imaging.camera, imaging.physics)
         return cls(mean, picture, background)
 
     @cached_property

@@ -175,10 +175,8 @@ def filter_transfer(
     terms = _published_terms if view.filters == "published" else _zhang1996_terms
     factors = np.zeros((3, height, width))
     for channel, plane in enumerate(factors):
-        along_y, along_x = (
-            terms(channel, height, view.samples_per_deg),
-            terms(channel, width, view.samples_per_deg),
-        )
+        along_y = terms(channel, height, view.samples_per_deg)
+        along_x = terms(channel, width, view.samples_per_deg)
         for (weight, fy), (_, fx) in zip(along_y, along_x, strict=True):
             plane += (weight * fy)[:, np.newaxis] * fx
     if grey:
@@ -245,9 +243,8 @@ def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
 
 
 def _centred_positions(samples_per_deg: float) -> Floats:
-    half_width = (
-        math.ceil(samples_per_deg / 2) - 1
-    )  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
+    # A kernel has 2⌈samples_per_deg / 2⌉ - 1 samples.
+    half_width = math.ceil(samples_per_deg / 2) - 1
     return np.arange(-half_width, half_width + 1.0)
 
 
@@ -404,7 +401,8 @@ def _differences(reference_lab: Finites, parts: Strips, spectrum: Planes) -> Flo
     """Return the distances (H, W) of a reference (H, W, 3) from strips of CIELAB, in the precision
     of `spectrum` (3, H, W).
     """
-    reference, shape = np.asarray(reference_lab, spectrum.dtype), (*spectrum.shape[1:], 3)
+    reference = np.asarray(reference_lab, spectrum.dtype)
+    shape = (*spectrum.shape[1:], 3)
     if reference.shape != shape:
         raise invalid(
             "reference_lab, shape",
@@ -424,11 +422,11 @@ def _opponent_spectrum(xyz: Planes, view: ViewingConditions, single: bool) -> Pl
     planes = np.moveaxis(xyz, -1, 0)
     opponent = empty_planes(*planes.shape, dtype=_precision(single))
     # A product takes a tenth of the time of `ldexp`, but its factor must be a number.
-    scaled, scale = (
-        (np.multiply, math.ldexp(1.0, -view.exponent))
-        if abs(view.exponent) < _MAX_EXPONENT
-        else (np.ldexp, -view.exponent)
-    )
+    scaled: np.ufunc = np.ldexp
+    scale: float = -view.exponent
+    if abs(view.exponent) < _MAX_EXPONENT:
+        scaled = np.multiply
+        scale = math.ldexp(1.0, -view.exponent)
     for rows, strip in strips_of(planes.shape, opponent.dtype, STRIP_DOTS):
         scaled(planes[:, rows], scale, out=strip, casting="same_kind")
         _apply_matrix(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
@@ -499,14 +497,11 @@ def delta_e(lab_reference: Finites, lab_test: Finites, formula: Formula = "1976"
         return distance.reshape(reference.shape[:-1])[()]
     import colour  # takes 2.6 s, needed for these formulas only
 
-    compare = (
-        colour.difference.delta_E_CIE1994
-        if formula == "1994"
-        else colour.difference.delta_E_CIE2000
-    )
-    with colour.domain_range_scale(
-        "reference"
-    ):  # else a caller's global setting would change the result
+    compare = colour.difference.delta_E_CIE2000
+    if formula == "1994":
+        compare = colour.difference.delta_E_CIE1994
+    # Else a caller's global setting would change the result.
+    with colour.domain_range_scale("reference"):
         return np.asarray(compare(reference, test), np.float64)
 
 

@@ -67,12 +67,11 @@ def perceived_lab(
     """
     view = _viewing_conditions(display) | {"single": single}
     if image.ndim == 3:
-        return filtered_lab(
-            displays.rgb_to_xyz(image.astype(np.float32, copy=False) if single else image), **view
-        )
-    return (
-        filtered_lab(displays.to_xyz(image), **view) if full else filtered_grey_lab(image, **view)
-    )
+        rgb = image.astype(np.float32, copy=False) if single else image
+        return filtered_lab(displays.rgb_to_xyz(rgb), **view)
+    if full:
+        return filtered_lab(displays.to_xyz(image), **view)
+    return filtered_grey_lab(image, **view)
 
 
 def _viewing_conditions(display: Display) -> dict[str, Any]:
@@ -125,19 +124,13 @@ class Screen:
     def delta_e_of(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
         if self.display.delta_e != "1976" or self.full:
-            return delta_e(
-                self.ideal_lab,
-                perceived_lab(image, self.display, self.full, self.single),
-                self.display.delta_e,
-            )
+            lab = perceived_lab(image, self.display, self.full, self.single)
+            return delta_e(self.ideal_lab, lab, self.display.delta_e)
         view = _viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
-        return colour_delta_e_map(
-            self.ideal_lab,
-            displays.rgb_to_xyz(image.astype(np.float32, copy=False) if self.single else image),
-            **view,
-        )
+        rgb = image.astype(np.float32, copy=False) if self.single else image
+        return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(rgb), **view)
 
 
 def display_image(light: Array, display: Display, *, in_place: bool = False) -> Array:
@@ -157,11 +150,9 @@ def screen_rendition(imaging: Imaging, irradiance: SpectralImage) -> Rendition |
     monochrome sensor has None.
     """
     physics = imaging.physics
-    return (
-        None
-        if physics.layout is None
-        else rendition_of(irradiance, physics.channels, imaging.display)
-    )
+    if physics.layout is None:
+        return None
+    return rendition_of(irradiance, physics.channels, imaging.display)
 
 
 def ideal_on_dots(
@@ -314,7 +305,8 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
     say what a white plate shows.
     """
     imaging, irradiance = seen[0]
-    display, name = imaging.display, white_field(irradiance)
+    display = imaging.display
+    name = white_field(irradiance)
     if display.white is not None:
         return _white_of_diffuser(irradiance, display)
     if (
@@ -372,11 +364,9 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
     cd_per_m2, w_per_m2_sr = (
         float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm)
     )
-    name, white = (
-        ("white_cd_per_m2", cd_per_m2)
-        if cd_per_m2 > MIN_LM_PER_W * w_per_m2_sr
-        else ("white_w_per_m2_sr", w_per_m2_sr)
-    )
+    name, white = "white_w_per_m2_sr", w_per_m2_sr
+    if cd_per_m2 > MIN_LM_PER_W * w_per_m2_sr:
+        name, white = "white_cd_per_m2", cd_per_m2
     source = (
         f"a white plate of reflectance {display.diffuser_reflectance:g}, {stated['distance_m']:.4g}"
         " m before the lens"
@@ -432,18 +422,15 @@ class LightLevel(NamedTuple):
         """Return the light level of a scored picture; the display's white takes precedence over the
         scene's.
         """
-        header, times_s = irradiance.header, np.array(list(integration_s), float)
+        header = irradiance.header
+        times_s = np.array(list(integration_s), float)
         stated = [name for name in _UNITS_OF_WHITE if getattr(display, name)]
-        name = (
-            stated[0]
-            if stated
-            else next(
-                field_name for field_name, entry in HEADER_OF_WHITE.items() if entry in header
-            )
-        )
         if stated:
-            white, source = getattr(display, name), f"display.{name}"
+            name = stated[0]
+            white = getattr(display, name)
+            source = f"display.{name}"
         else:
+            name = next(name for name, entry in HEADER_OF_WHITE.items() if entry in header)
             white = header[HEADER_OF_WHITE[name]]
             source = header.get("white_from", "the scene")
             source += ", in the sensor's response" if source == _WHITE_FROM else ""

@@ -136,11 +136,8 @@ def stage_words(setting: Setting) -> list[str]:
     exposure, veil = setting.exposure, setting.lens.veiling_glare
     words = []
     if veil:
-        words.append(
-            f"veiling glare {100 * veil:.3g} %"
-            if isinstance(veil, float)
-            else "veiling glare by wavelength"
-        )
+        amount = f"{100 * veil:.3g} %" if isinstance(veil, float) else "by wavelength"
+        words.append(f"veiling glare {amount}")
     if setting.motion.is_on:
         words.append(motion_words(setting.motion))
     if exposure.line_time_s:

@@ -44,12 +44,13 @@ def settings_path(name: str | os.PathLike[str]) -> Path:
 
     Raises PixsimError for the name of neither.
     """
-    sensors, path = packaged_sensors(), Path(name)
+    sensors = packaged_sensors()
+    path = Path(name)
     if str(path) in sensors:
         return sensors[str(path)]
     if path.parent == Path() and not path.suffix and not os.path.lexists(path):
-        got, allowed = f"'{name}'", f"a TOML file, or a packaged sensor: {', '.join(sensors)}"
-        raise invalid("settings file", got, allowed, did_you_mean(str(name), sensors))
+        allowed = f"a TOML file, or a packaged sensor: {', '.join(sensors)}"
+        raise invalid("settings file", f"'{name}'", allowed, did_you_mean(str(name), sensors))
     return path
 
 

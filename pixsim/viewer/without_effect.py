@@ -619,11 +619,9 @@ class UserSettings:
     def _words(self, name: str) -> list[object]:
         """Return the words that a setting may be."""
         table, *path = name.split(".")
-        record = (
-            self.imaging.metrics.options
-            if table == "metric"
-            else getattr(self.imaging, table, self.imaging.camera)
-        )
+        record: Any = getattr(self.imaging, table, self.imaging.camera)
+        if table == "metric":
+            record = self.imaging.metrics.options
         for part in path[:-1]:
             record = getattr(record, part)
         fields = type(record).model_fields

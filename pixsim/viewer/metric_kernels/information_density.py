@@ -92,7 +92,8 @@ def information_bits_per_mm2(
     >>> information_bits_per_mm2(square, 3.0, 1.0)
     40000.0
     """
-    weights, count = _axis_weights(frequency_cy_per_mm), frequency_cy_per_mm.size
+    weights = _axis_weights(frequency_cy_per_mm)
+    count = frequency_cy_per_mm.size
     for name, values in (("signal", signal), ("noise", noise), ("folded", folded)):
         if np.shape(values) not in ((), (count, count)):
             raise invalid(
@@ -101,12 +102,10 @@ def information_bits_per_mm2(
                 f"({count}, {count}), as the frequencies, or a number",
             )
     with np.errstate(over="ignore"):
-        bits = np.log1p(np.asarray(signal, float) / (np.asarray(noise, float) + folded)) / math.log(
-            2
-        )
-    return float(
-        ((np.broadcast_to(bits, (count, count)) * weights).sum(axis=1) * weights).sum() / 2
-    )
+        ratio = np.asarray(signal, float) / (np.asarray(noise, float) + folded)
+    bits = np.broadcast_to(np.log1p(ratio) / math.log(2), (count, count))
+    along_y = (bits * weights).sum(axis=1)
+    return float((along_y * weights).sum() / 2)
 
 
 def natural_spectrum(
@@ -195,15 +194,13 @@ def folded_spectrum(
 
     Raises PixsimError if the function fails, or returns another shape.
     """
-    along_y, along_x, folded = (
-        frequency_cy_per_mm[:, None],
-        frequency_cy_per_mm,
-        np.zeros((frequency_cy_per_mm.size,) * 2),
-    )
+    count = frequency_cy_per_mm.size
+    folded = np.zeros((count, count))
     for j, i in product(range(-orders, orders + 1), repeat=2):
         if i or j:
-            shifted = along_y + j * _UM_PER_MM / pitch_um, along_x + i * _UM_PER_MM / pitch_um
-            folded += values_of("power", power, folded.shape, *shifted)
+            along_y = frequency_cy_per_mm[:, None] + j * _UM_PER_MM / pitch_um
+            along_x = frequency_cy_per_mm + i * _UM_PER_MM / pitch_um
+            folded += values_of("power", power, folded.shape, along_y, along_x)
     return folded
 
 
