@@ -124,16 +124,17 @@ def camera_with_lens(
     camera = camera.with_light_of(lens_options)
     if lens_options.file is None:
         return camera
-    for name, hint in (
-        ("focal_length_mm", "Set lens.focal_length_mm, to which the whole lens is scaled."),
-        ("chief_ray_angle", ""),
+    for name, allowed, hint in (
+        (
+            "focal_length_mm",
+            "the focal length of the lens",
+            "Set lens.focal_length_mm, to which the whole lens is scaled.",
+        ),
+        ("chief_ray_angle", "the chief rays of the lens", ""),
     ):
         if getattr(camera_options, name) is not None:
             raise invalid(
-                f"camera.{name}",
-                f"a value beside lens.file = '{lens_options.file}'",
-                "that of the lens",
-                hint,
+                f"camera.{name}", f"a value beside lens.file = '{lens_options.file}'", allowed, hint
             )
 
     lens = _lens_record(camera, camera_options, lens_options)
@@ -535,7 +536,7 @@ class Tiling:
     worst : the same where it is largest, for pictures with detail there only
     wavelengths : of a light's blur
     nodes : wavefronts from the axis to the corner, between which others are interpolated
-    cut_error : what of the error comes from the size of the PSFs, with any number of tiles
+    cut_error : the part of the error that the size of the PSFs leaves, with any number of tiles
     lacking : largest share of the light that falls beyond a PSF; it is spread as a veil that falls
         as 1/r³
     """
@@ -551,10 +552,9 @@ class Tiling:
 
     def cells(self, pitch_um: float) -> tuple[int, int]:
         """Return the spacing and the side of the PSFs, an odd number, in film cells."""
-        return (
-            max(1, round(self.spacing_um / pitch_um)),
-            2 * max(1, round(self.psf_um / pitch_um / 2)) + 1,
-        )
+        spacing = max(1, round(self.spacing_um / pitch_um))
+        half = max(1, round(self.psf_um / pitch_um / 2))
+        return spacing, 2 * half + 1
 
 
 @lru_cache(maxsize=16)
@@ -756,11 +756,12 @@ def dark_share(camera: Camera) -> float:
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
 _MAX_CACHED_BLURS, _MAX_CACHED_BYTES = 8, 1 << 28
-# times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
-# for each film
+# Times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
+# for each film.
 _COARSE_FILM = 3.0
 _SPARE_TILES = 4  # beyond the die, for which there are PSFs
-_TRANSFER_CY_PER_MM = np.linspace(0.0, 1000.0, 17)  # by which a transfer behind the lens is known
+# Frequencies whose values identify a transfer behind the lens.
+_TRANSFER_CY_PER_MM = np.linspace(0.0, 1000.0, 17)
 _DARK_CELLS = 512
 
 
@@ -837,13 +838,17 @@ def blur_of(
     key = content_hash([*light_key, shape, pitch_um, cache.version_fingerprint()])
     if key in _BLURS:
         return _BLURS[key]
+
     spacing, cells = tiling.cells(pitch_um)
+    blur = None
     stored = cache.arrays("psfs", key)
-    blur = None if stored is None else blur_from_arrays(stored, shape, pitch_um, spacing, cells)
+    if stored is not None:
+        blur = blur_from_arrays(stored, shape, pitch_um, spacing, cells)
     if blur is None:
         psfs = psfs_of(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
         blur = field_blur(psfs, shape, pitch_um, spacing, cells)
         cache.store_arrays("psfs", key, blur.as_arrays())
+
     if len(_BLURS) >= _MAX_CACHED_BLURS:
         _BLURS.clear()
     _BLURS[key] = blur
@@ -904,7 +909,7 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     return tiling
 
 
-_MTF_HEIGHTS = 9  # along the radius of the die, at which a lens's MTF is found
+_MTF_HEIGHTS = 9  # along the radius of the die, for a lens's MTF
 _MTF_CELLS = 65  # of PSFs for an MTF, at least
 
 

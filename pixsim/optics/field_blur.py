@@ -41,30 +41,42 @@ from pixsim.base.machine import threads
 from pixsim.base.progress import report
 
 UM_PER_NM = 1e-3
-OUTLINE_ANGLES = 181  # from 0 to π; a corner of a vignetted pupil is rounded over 1°
-_DEGREE = 12  # of the polynomial; 5e-4 waves are left of the phone lens
-_WINDOW_SIDES = 1.5  # sides of a PSF: in the window it is computed in, light from beyond folds back
-_SAMPLES_ACROSS = 64  # of a pupil, at least: the OTF is then right to 3e-4
-_MAX_PUPIL_SAMPLES = 320  # of a pupil: a PSF with more takes too long
-_SHRUNKEN = 0.8  # of the last pupil's half widths, one step beyond it
+
+# Of a fitted wavefront: angles of the outline from 0 to π, which round a corner of a vignetted
+# pupil over 1°, and the degree of the polynomial, which leaves 5e-4 waves of the phone lens.
+OUTLINE_ANGLES = 181
+_DEGREE = 12
+# Of the last pupil's half widths, one step beyond it: a smaller pupil is at the end of the image
+# circle.
+_SHRUNKEN = 0.8
+_RAYS = 200  # for the share of light that leaves a film cell
+
+# Side of the window in which a PSF is computed, in sides of the PSF: light from beyond folds back.
+_WINDOW_SIDES = 1.5
 _MAX_WINDOW = 4096  # film cells
-# of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends
+# Samples across a pupil: with 64 the OTF is right to 3e-4, and a PSF with more than 320 takes too
+# long.
+_SAMPLES_ACROSS = 64
+_MAX_PUPIL_SAMPLES = 320
+# Of the film's Nyquist frequency, to each side of it: half the width in which a film's band ends.
 BAND_END = 0.1
-# samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2
-# times its end
+
+# Samples of a PSF that is turned, along a cell: they hold the corners of the film's band, at √2
+# times its end.
 _TURNED_SAMPLING = 1.6
-# film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back
+# Film cells around a turned PSF: the end of the film's band rings, and what lies beyond folds back.
 _TURNED_MARGIN = 48
-# of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its
-# cells
+# Of the window of a PSF, for its OTF between frequencies: 2e-3 of the light at the sides of its
+# cells.
 _PADDING = 1.5
 _SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
+RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
+_POINTS_PER_CALL = 8  # so that calls of NumPy are long enough for threads
+_SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
+
 _GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
 _VEIL_FREQUENCIES = 1 << 14  # between which the transform of a veil is interpolated: 1e-5
-_RAYS = 200  # for the share of light that leaves a film cell
 _ROUNDING = 1e-9  # of lengths that are equal
-_POINTS_PER_CALL = 8  # so that calls of NumPy are long enough for threads
-RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 
 
 @dataclass(frozen=True)
@@ -608,13 +620,13 @@ def _sampled_on_film(
     return sampled
 
 
-def veil_mtf(frequency_cy_per_mm: Array, _psf_radius_um: float) -> Array:
+def veil_mtf(frequency_cy_per_mm: Array, radius_um: float) -> Array:
     """Return the transform of light that falls as 1/r³ beyond a radius, as the diffraction at the
     edge of a pupil does; 1 at frequency 0.
 
     With z = 2πfr, z ∫_z^∞ J₀(s)/s² ds = J₀(z) - z (1 + J₁(z) - ∫_0^z J₀(s) ds).
     """
-    z = 2 * np.pi * frequency_cy_per_mm * _psf_radius_um * 1e-3
+    z = 2 * np.pi * frequency_cy_per_mm * radius_um * 1e-3
     return np.asarray(j0(z) - z * (1 + j1(z) - _integral_of_j0(z)))
 
 
@@ -953,9 +965,6 @@ def _equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
     """
     x, y = abs(x), abs(y)
     return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
-
-
-_SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
 
 
 def _window_slices(top: int, left: int, rows: int, columns: int) -> tuple[slice, slice]:
@@ -1431,7 +1440,7 @@ def psfs_between_tiles(
     """Return weights and PSFs of the sixteen tiles around an image point that is as far from them
     as can be.
     """
-    around = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))
-    places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in around]
-    weights = [float(_cubic_weights(x) * _cubic_weights(y)) for x, y in around]
+    offsets = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))  # in tiles
+    places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in offsets]
+    weights = [float(_cubic_weights(x) * _cubic_weights(y)) for x, y in offsets]
     return list(zip(weights, psfs.at(places_um, pitch_um, cells), strict=True))
