@@ -7,7 +7,7 @@ In the order of the flow:
   it is traced), `illuminance` (lamps scaled to lux), `tree` (the parsed scene), `scene`
 - inspection: `contents` (lamps, surfaces, shapes, textures), `inspection`
 - plan: `bands`, `film`, `rules` and `real_lens` (what can be left out), `white_plate`, `plan`
-- render: `job` (what is traced, as plain numbers and texts), `renderer`, `convergence`
+- render: `job` (the work of a tracer, as plain numbers and texts), `renderer`, `convergence`
 
 `charts` makes the textures of test charts. Only `mitsuba` imports Mitsuba.
 May import: base, light, optics, sensor, and settings of viewer.

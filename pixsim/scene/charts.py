@@ -40,9 +40,8 @@ _CSF_STEPS = 2**18
 _CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
 # At the highest frequency: bilinear interpolation keeps its contrast to 0.3 %.
 _TEXELS_PER_CYCLE = 32
-MAX_LP_PER_MM = (  # scene parameter of the CSF chart: its highest frequency on the sensor
-    "max_lp_per_mm"
-)
+# Scene parameter of the CSF chart: its highest frequency on the sensor.
+MAX_LP_PER_MM = "max_lp_per_mm"
 _MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
 _SLANT_DEG = 5.0  # ISO 12233
 _STAR_CYCLES = 72
@@ -58,7 +57,7 @@ def csf_frequency_lp_per_mm(
 
     highest_lp_per_mm : at the right, above 1
 
-    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # at the right, the Nyquist frequency of 15 µm pixels
+    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # Nyquist frequency of 15 µm pixels
     [1.0, 33.333]
     """
     return MIN_FREQUENCY_LP_PER_MM * (highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
@@ -68,7 +67,7 @@ def csf_frequency_on_sensor(
     header: Mapping[str, Any], width_mm: DieWidth
 ) -> Callable[[ArrayLike], Array] | None:
     """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a
-    function; None for another scene.
+    function, or None for another scene.
 
     The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends
     at `max_lp_per_mm` or at 90.5 cycles.
@@ -225,7 +224,7 @@ def make_chart(
     die_mm: DieWidth | None = None,
     **target: object,
 ) -> NDArray[np.float32]:
-    """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the
+    """Return a chart by name, (H, W) float32 relative luminance; by default as large as the
     packaged textures.
 
     kind : csf, slanted_edge, siemens_star, flat or target

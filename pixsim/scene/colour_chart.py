@@ -31,15 +31,15 @@ from pixsim.optics.quantities import DieWidth
 from pixsim.scene.charts import LUMINANCE_CD_PER_M2, Side, csf_contrast, make_chart
 
 PRIMARIES = ("red", "green", "blue")
-MEAN = sum(LUMINANCE_CD_PER_M2) / (
-    2 * LUMINANCE_CD_PER_M2[1]
-)  # of each slide, as of the grey chart
+# Of each slide, as in the grey chart.
+MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])
 PROJECTOR_M = 30.0  # from the screen
 _BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
 SCENE = """<!-- {title}
-     Three projectors shine the primaries of a display through slides onto a white screen; all slides at 1 are D65 of 1000 cd/m2.
-     The camera looks along +z, up is +y. Row 0 of a slide is up and column 0 is left. pixsim sets the parameters of the camera
-     and of the screen, so that the chart fills the die. Made by pixsim chart. -->
+     Three projectors shine the primaries of a display through slides onto a white screen; all
+     slides at 1 are D65 of 1000 cd/m2. The camera looks along +z, up is +y. Row 0 of a slide is up and
+     column 0 is left. pixsim sets the parameters of the camera and of the screen, so that the chart
+     fills the die. Made by pixsim chart. -->
 <scene version="3.0.0">
     <default name="white_cd_per_m2" value="{white_cd_per_m2:g}"/>
     <default name="white_lamps" value="{white_lamps}"/>
@@ -115,20 +115,16 @@ def primaries() -> tuple[Array, Array]:
 
     Their sum has the chromaticity of D65 and 1000 cd/m².
     """
-    table = np.loadtxt(
-        str(resources.files("pixsim") / "data/display_primaries.csv"), delimiter=",", skiprows=3
-    )
-    nm, observer = grid_nm(), colour_matching(grid_nm())
-    xyz = np.stack(
-        [
-            np.interp(nm, table[:, 0], power, left=0.0, right=0.0) @ observer
-            for power in table[:, 1:].T
-        ],
-        axis=1,
-    )
+    path = str(resources.files("pixsim") / "data/display_primaries.csv")
+    table = np.loadtxt(path, delimiter=",", skiprows=3)
+    table_nm, powers = table[:, 0], table[:, 1:]
+
+    nm = grid_nm()
+    observer = colour_matching(grid_nm())
+    xyz = [np.interp(nm, table_nm, power, left=0.0, right=0.0) @ observer for power in powers.T]
     white = d65(nm) @ observer
     white *= LUMINANCE_CD_PER_M2[1] / (LUMINOUS_EFFICACY_LM_PER_W * white[1])
-    return table[:, 0], table[:, 1:] * np.linalg.solve(xyz, white)
+    return table_nm, powers * np.linalg.solve(np.stack(xyz, axis=1), white)
 
 
 def primaries_xyz() -> Array:
@@ -144,8 +140,8 @@ def primaries_xyz() -> Array:
 
 
 def modulation(change_xyz: ArrayLike) -> Array:
-    """Return the change of each primary, over that of the one that changes most, along a change of
-    XYZ (3,); both (3,).
+    """Return the change of each primary, over the largest of these changes, along a change of
+    XYZ; both (3,).
 
     change_xyz : not 0, in any unit; its sign counts
     """
@@ -154,8 +150,8 @@ def modulation(change_xyz: ArrayLike) -> Array:
 
 
 def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times that of the
-    grey chart (H, W).
+    """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times the
+    contrast of the grey chart (H, W).
     """
     return (MEAN + share * (grey.astype(float) - MEAN)).astype(np.float32)
 
@@ -188,56 +184,62 @@ def write_colour_chart(
             "Its slides are written beside it.",
         )
     if "$" in path.name:
-        raise invalid(
-            "colour chart", f"'{path}'", "a name without $, which begins a parameter of a scene"
-        )
+        allowed = "a name without $, which begins a parameter of a scene"
+        raise invalid("colour chart", f"'{path}'", allowed)
+
     grey = make_chart("csf", width, height, die_mm)
-    beside = resolved(path)
-    slides = [beside.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
+    scene_file = resolved(path)
+    slides = [scene_file.with_name(f"{path.stem}_{name}.exr") for name in PRIMARIES]
+    text = SCENE.format(
+        title=title,
+        white_cd_per_m2=LUMINANCE_CD_PER_M2[1],
+        white_lamps=", ".join(PRIMARIES),
+        projectors="\n".join(_projectors(slides)),
+    )
+    try:
+        # All files are finished before the first one moves; the scene, the first one here, moves
+        # last.
+        with ExitStack() as files:
+            scene_target = files.enter_context(replacing(path))
+            scene_target.write_bytes(text.encode("ascii", "xmlcharrefreplace"))
+            for share, file in zip(shares.tolist(), slides, strict=True):
+                slide_target = files.enter_context(writing(file, named=False))
+                fill_channels(slide_target, {"Y": slide(share, grey)}, {})
+    except OSError as error:
+        got = f"'{path}' ({error.strerror or error})"
+        raise invalid("output file", got, "a path that can be written") from None
+    return slides
+
+
+def _projectors(slides: Sequence[Path]) -> list[str]:
+    """Return the XML of a projector for each slide."""
     nm, radiance = primaries()
     # Of a screen that reflects all light: L = E/π, E = I/r².
     intensities = math.pi * PROJECTOR_M**2 * radiance
     cutoff_deg = math.degrees(math.atan(_BEAM / PROJECTOR_M))
-    projectors = [
-        _PROJECTOR.format(
-            name=name,
-            distance=PROJECTOR_M,
-            intensity=", ".join(
-                f"{at:g}:{value:.6g}" for at, value in zip(nm, intensity, strict=True)
-            ),
-            cutoff_deg=cutoff_deg,
-            beam_deg=0.999 * cutoff_deg,
-            slide=quoteattr(file.name),
-            beam=_BEAM,
-            centre=(1 + _BEAM) / 2,
-        )
-        for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True)
-    ]
-    white = {"white_cd_per_m2": LUMINANCE_CD_PER_M2[1], "white_lamps": ", ".join(PRIMARIES)}
-    text = SCENE.format(title=title, **white, projectors="\n".join(projectors))
-    try:
-        with (
-            ExitStack() as files
-        ):  # all are finished before the first one moves; the scene, the first one here, moves last
-            files.enter_context(replacing(path)).write_bytes(
-                text.encode("ascii", "xmlcharrefreplace")
+    projectors = []
+    for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True):
+        pairs = [f"{at:g}:{value:.6g}" for at, value in zip(nm, intensity, strict=True)]
+        projectors.append(
+            _PROJECTOR.format(
+                name=name,
+                distance=PROJECTOR_M,
+                intensity=", ".join(pairs),
+                cutoff_deg=cutoff_deg,
+                beam_deg=0.999 * cutoff_deg,
+                slide=quoteattr(file.name),
+                beam=_BEAM,
+                centre=(1 + _BEAM) / 2,
             )
-            for share, file in zip(shares.tolist(), slides, strict=True):
-                fill_channels(
-                    files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {}
-                )
-    except OSError as error:
-        raise invalid(
-            "output file", f"'{path}' ({error.strerror or error})", "a path that can be written"
-        ) from None
-    return slides
+        )
+    return projectors
 
 
 def write_colour_axis(
     axis: str, output: Path, width: int | None, height: int | None, die_mm: float | None
 ) -> dict[str, Any]:
-    """Write the CSF chart that changes one opponent channel of S-CIELAB, and return what it is, for
-    JSON.
+    """Write the CSF chart that changes one opponent channel of S-CIELAB, and return its files and
+    contrasts, for JSON.
 
     axis : red-green or blue-yellow
     """
@@ -246,21 +248,18 @@ def write_colour_axis(
     shares = modulation(sign * XYZ_FROM_OPPONENT[:, channel])
     title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
     slides = write_colour_chart(output, shares, title, width, height, die_mm)
-    # Michelson contrast of each slide where that of the chart is largest; negative where it falls
-    # as the first rises
+
+    # Michelson contrast of each slide where the chart's contrast is largest; negative where it
+    # falls as the first rises.
     contrasts = dict(zip(PRIMARIES, (shares * float(csf_contrast(1.0))).tolist(), strict=True))
-    opponent = OPPONENT_FROM_XYZ @ (
-        primaries_xyz() @ shares * MEAN * max(map(abs, contrasts.values()))
-    )
+    largest = max(map(abs, contrasts.values()))
+    opponent = OPPONENT_FROM_XYZ @ (primaries_xyz() @ shares * MEAN * largest)
     white = OPPONENT_FROM_XYZ[0] @ primaries_xyz().sum(axis=1)
-    result = {
+    return {
         "file": str(output),
         "kind": "csf",
         "colour_axis": axis,
         "slides": [path.name for path in slides],
-    }
-    return {
-        **result,
         "contrasts": contrasts,
         "opponent_amplitude": abs(float(opponent[channel] / white)),
     }

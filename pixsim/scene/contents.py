@@ -46,8 +46,8 @@ _SECOND_RADIATION_NM_K = 1.438776877e7  # hc/k, SI 2019
 class Lamp:
     """Emitters that share one spectrum, or emitters whose spectrum varies over them.
 
-    spectrum : of texel value 1 (or of the strongest emitter), W m⁻² sr⁻¹ nm⁻¹; None if it cannot be
-        separated from a picture
+    spectrum : of texel value 1 (or of the strongest emitter), W m⁻² sr⁻¹ nm⁻¹, or None if it
+        cannot be separated from a picture
     pictures : emitter node -> (property, node of its neutral picture, or its power relative to
         `spectrum`)
     """
@@ -113,7 +113,7 @@ def find_lamp(state: Tree, variant: str) -> Lamp | None:
 
 
 def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int | None] | None:
-    """Return an emitter's spectrum (a hashable key), power and neutral picture (a node); None if
+    """Return an emitter's spectrum (a hashable key), power and neutral picture (a node), or None if
     they cannot be separated.
     """
     name = EMISSION.get(emitter.plugin)
@@ -351,15 +351,15 @@ Beyond = Literal["hold", "zero"]
 class Surfaces:
     """The spectra of a scene's surfaces.
 
-    spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if
-        they are unknown
+    spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones, or None
+        if they are unknown
     unknown : why they are unknown
     span : range that is computed
-    beyond : how the user continues spectra that end within the range; None if the user says
+    beyond : how the user continues spectra that end within the range, or None if the user says
         nothing
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
     ending : surfaces that do not say what they are in all of the range, in words
-    held : (node, property) -> table in place of that of the scene, which goes on to the ends of the
+    held : (node, property) -> table in place of the scene's, which goes on to the ends of the
         range, or ends in 0
     """
 
@@ -446,8 +446,8 @@ def find_surfaces(
     """Return the spectra that BSDFs multiply light with, from the parsed tree.
 
     span : range that is computed
-    beyond : whether spectra that end within the range hold their last value or are zero there; None
-        if the user says nothing
+    beyond : whether spectra that end within the range hold their last value or are zero there, or
+        None if the user says nothing
     """
     surfaces = Surfaces(span=span, beyond=beyond)
     try:
@@ -574,7 +574,7 @@ _IN_FRONT_M = 1e-9
 class Body:
     """A shape in the camera's frame: x to the left of the picture, y up, z along the axis, m.
 
-    corners : (n, 3) of a bounding box; None if the XML does not state the size
+    corners : (n, 3) of a bounding box, or None if the XML does not state the size
     normal : (3,) of the front side of a flat shape
     node : index of the shape
     """
@@ -802,7 +802,7 @@ def check_shares(state: Tree) -> None:
 
 
 def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
-    """Return the numbers of a property, and those of the textures within it."""
+    """Return the numbers of a property and of the textures within it."""
     index = children(node, state).get(name)
     if index is not None:
         texture = state.nodes[index]
@@ -907,7 +907,7 @@ class _EmittedPicture:
 
     texels : (rows, columns), as in the file
     along_u, along_v : 1, or -1 if columns or rows run against the shape's u or v
-    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`, or None if it is not
         known how they are interpolated
     source : hash of its file
     nearest : whether each texel is uniform, not interpolated linearly

@@ -59,8 +59,8 @@ class RenderNoise:
     runs : number of renders, each with its own seed
     ended_by : why rendering ended
     delta_e : half of the mean ΔE between noise-free pictures of the two halves, a limit of the
-        error of a mean ΔE; None if it was not measured
-    tolerance_delta_e : limit for `delta_e`, which takes the place of `target`; None means none
+        error of a mean ΔE, or None if it was not measured
+    tolerance_delta_e : limit for `delta_e`, which takes the place of `target`. None means none
     """
 
     fraction: float
@@ -99,12 +99,12 @@ def render_until(
 
     Parameters
     ----------
-    pixels : the noise is compared with that of each pixel, and the worst counts
+    pixels : the noise is compared with the noise of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
-    max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples
+    max_seconds : time limit of rendering, with a warning if it is reached. None limits the samples
         instead, to `Plan.most_samples`, so that the result does not depend on the machine. What the
         limit finds unfinished is given up.
-    tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`; None means none
+    tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`. None means none
     delta_e_between : returns the mean ΔE between noise-free pictures of two lights
     progress : called with the fraction done and the current noise
     keep : use the cache of renders; the result is the same bit for bit
@@ -246,7 +246,7 @@ def _needs_more_samples(
 
 
 def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:
-    """Return why a render ends after a pair; None if it goes on."""
+    """Return why a render ends after a pair, or None if it goes on."""
     if noise.excess <= 1:
         return "target"
     if no_samples_left:
@@ -257,7 +257,7 @@ def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _E
 
 
 def _never_back(progress: Progress) -> Progress:
-    """Return a progress that never goes back, though what is left of a render is known from its
+    """Return a progress that never goes back, though the rest of a render is known from its
     noise only.
     """
     most_done = 0.0
@@ -316,7 +316,7 @@ def _halves_delta_e(
     weight: float,
     delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None,
 ) -> float | None:
-    """Return half of the mean ΔE between the pictures of two halves; None where nobody compares
+    """Return half of the mean ΔE between the pictures of two halves, or None where nobody compares
     them, or one of them is black.
 
     weight : samples of each half
@@ -411,7 +411,7 @@ def noise_of(
     the worst pixel.
 
     Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
-    pixels, those of `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
+    pixels, the ones in `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
 
     weight : samples of each half
     """

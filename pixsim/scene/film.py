@@ -48,7 +48,7 @@ def details_across(
     """Return how many of the finest details that matter fit across the die, and what they are.
 
     aperture_side_um, pitch_um : of the smallest pixel
-    chart_details : details of a chart that fills the film; None if the scene may have any
+    chart_details : details of a chart that fills the film, or None if the scene may have any
     """
     die_um = 1e3 * camera.die_mm
     dots = dots_across(camera, display, pitch_um)

@@ -1,5 +1,5 @@
-"""Inspect a scene before its render is planned: what shines, what reflects, what is in view, and in
-which wavelengths.
+"""Inspect a scene before its render is planned: its lamps, its surfaces, the shapes in view and the
+wavelengths.
 """
 
 from __future__ import annotations

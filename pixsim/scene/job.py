@@ -118,13 +118,13 @@ class TraceJob:
     """A scene to trace, under one group of lamps after another.
 
     text : inspected XML
-    lamps : of each scene; None leaves the scene's own
+    lamps : of each scene. None leaves the scene's own
     sensor : node of the sensor
     lens : type of the sensor, and properties in place of those in `OF_THE_LENS`
-    integrator : plugin and its parameters, or None for that of the scene
+    integrator : plugin and its parameters, or None for the scene's
     tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
     size : (rows, columns) of the film for passes that are traced together
-    passes : of each scene; None where each pass has a film of its own
+    passes : of each scene, or None where each pass has a film of its own
     files : that the text names
     """
 

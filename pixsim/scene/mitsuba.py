@@ -76,9 +76,8 @@ def import_mitsuba(variant: str) -> ModuleType:
             raise invalid(
                 "variant", f"'{variant}' ({reason})", "a variant that runs here", UNUSABLE_HINT
             ) from None
-    mi.set_log_level(
-        mi.LogLevel.Error
-    )  # it writes warnings to stdout, which is reserved for results
+    # It writes warnings to stdout, which is reserved for results.
+    mi.set_log_level(mi.LogLevel.Error)
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread
     return mi
@@ -118,9 +117,8 @@ def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
         ) from None
     except RuntimeError as error:
         chain = list(_causes(error))
-        if any(
-            isinstance(cause, KeyboardInterrupt) for cause in chain
-        ):  # while a kernel of Dr.Jit runs
+        # Ctrl-C while a kernel of Dr.Jit runs
+        if any(isinstance(cause, KeyboardInterrupt) for cause in chain):
             raise KeyboardInterrupt from None
         # Dr.Jit says "(see above)" of an error in a kernel, whose cause has the words.
         cause = next((cause for cause in chain if "(see above)" not in str(cause)), error)
@@ -250,9 +248,8 @@ def _at_each_wavelength(
     import drjit as dr
 
     wavelengths = grid_nm(span=span)
-    rows = np.resize(
-        wavelengths, (-(-wavelengths.size // 4), 4)
-    )  # a ray of Mitsuba has four wavelengths
+    # A ray of Mitsuba has four wavelengths.
+    rows = np.resize(wavelengths, (-(-wavelengths.size // 4), 4))
     if variant.startswith("scalar"):
         values = []
         for row in rows:

@@ -217,7 +217,7 @@ def _png_depth(path: Path) -> int:
 
 
 def _of_exr(path: Path) -> Array:
-    """Return the luminance of an EXR: its channel Y or only channel, or that of R, G and B."""
+    """Return the luminance of an EXR: its channel Y or only channel, or from R, G and B."""
     channels = read_channels(path)[0]
     names = {name.rpartition(".")[2].upper(): name for name in channels}
     if {"R", "G", "B"} <= names.keys():

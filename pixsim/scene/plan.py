@@ -109,7 +109,7 @@ class WhitePlate(NamedTuple):
 @checked_methods
 @dataclass(frozen=True)
 class LightPlan:
-    """Which light is rendered: of which lamps, in which bands, and what is white in it.
+    """Which light is rendered: its lamps, its bands and its white.
 
     lamps : one for each lamp spectrum
     bands : of the result
@@ -182,14 +182,15 @@ class LightPlan:
 class FilmPlan:
     """What is computed on the film.
 
-    resolution : samples across that the plan is for, if they differ from those of the scene
+    resolution : samples across that the plan is for, if they differ from the scene's
     chart : an emissive chart that is alone and fills the film, or None
     diffraction : whether diffraction is computed
-    tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
+    tiling : of the blur of a real lens, or None for a thin lens, and where a thin lens takes its
+        place
     ends : whether the scene ends with the film, above and below, and at the left and the right:
         there a margin mirrors the film
-    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most;
-        None without a pixel
+    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most,
+        or None without a pixel
     """
 
     resolution: FilmSamples | None = None
@@ -221,7 +222,7 @@ class SamplePlan:
     """How the light of each film cell is sampled.
 
     lens : "thinlens", or "perspective" if the aperture need not be sampled
-    integrator : plugin and its parameters, or None for that of the scene
+    integrator : plugin and its parameters, or None for the scene's
     sampler : plugin of Mitsuba
     spp : samples per film cell in each pass; 0 where `exact`
     full_spp : samples in the scene
@@ -266,8 +267,8 @@ class Plan:
 
     @property
     def many_bounces(self) -> bool:
-        """Whether paths of any length are traced, whose noise is rarely below that of the
-        sensor.
+        """Whether paths of any length are traced, whose noise is rarely below the
+        sensor's.
         """
         return self.samples.integrator is None and self.film.chart is None
 
@@ -359,13 +360,13 @@ def make_render_plan(
 
     Parameters
     ----------
-    pixel : the tolerance is for its electrons, or those of several; None takes the packaged
+    pixel : the tolerance is for its electrons, or for those in several. None takes the packaged
         response curves
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
     exact : whether to compute the film cells of a chart that is alone and in focus, without samples
-    aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed;
-        None takes that of the pixel
+    aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed,
+        or None for the pixel's
 
     Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0
     and 1.
@@ -704,7 +705,8 @@ def make_plan(
     tolerance_e: Positive = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
-    """Plan a simulation: what is rendered, what is left out and why, and a bound for the error.
+    """Plan a simulation: which light is rendered, what can be left out and why, and a bound for the
+    error.
 
     Parameters
     ----------
@@ -713,7 +715,7 @@ def make_plan(
     pixel : None takes the default pixel
     exposure : None takes the default; its longest time sets the charge at which a photodiode
         saturates
-    display : chooses a film fine enough for its dots, as `resolution` of the plan; None keeps the
+    display : chooses a film fine enough for its dots, as `resolution` of the plan. None keeps the
         scene's film
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out
@@ -765,7 +767,7 @@ def decide_oversampling(
     display: Display | None,
     full: bool,
 ) -> tuple[int | None, Decision]:
-    """Choose the film's samples across the die, and describe them; None keeps the scene's film.
+    """Choose the film's samples across the die, and describe them. None keeps the scene's film.
 
     A scene without detail takes a coarser film than the XML's. Every other film has at least two
     samples for each detail that matters on the display, within its limits, if the display is given;

@@ -35,14 +35,14 @@ def decide_real_lens(
     full: bool,
     aperture_um: float | None = None,
 ) -> tuple[Tiling | None, list[Decision]]:
-    """Return how the blur of a real lens is computed, and the decision; None and no decision for a
+    """Return how the blur of a real lens is computed, and the decision. None and no decision for a
     thin lens.
 
     None too if a thin lens of its image distance and f-number gives the same electrons within the
-    tolerance. All films with a sample or more across a photodiode have one tiling, that of two:
-    photodiodes average what finer films add.
+    tolerance. All films with a sample or more across a photodiode have one tiling, made for two
+    samples: photodiodes average what finer films add.
 
-    aperture_um : side of a photodiode; None means that of the pixel, and two samples of the film
+    aperture_um : side of a photodiode. None means the pixel's, and two samples of the film
         without one
     """
     lens = camera.lens
@@ -120,7 +120,7 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float
 
 
 def out_of_focus() -> tuple[Decision, Note]:
-    """Return the decision on what is out of focus behind a real lens, and the note on it."""
+    """Return the decision on the blur of things out of focus behind a real lens, and its note."""
     blur = "the disc of a thin lens and then the blur that the real lens has in focus"
     decision = Decision(
         _DEFOCUS,

@@ -85,7 +85,7 @@ def film_response(pulse: Pulse) -> dict[str, Any]:
 
 
 def passes_of(fit: Fit, span: Span = VISIBLE) -> Passes | None:
-    """Return the passes of a light that are traced together; None if there are fewer than two."""
+    """Return the passes of a light that are traced together, or None for fewer than two."""
     if len(fit.passes) < 2:
         return None
     step_nm = fit.pulses[0].step_nm
@@ -260,11 +260,11 @@ def render(
     Parameters
     ----------
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
-    camera : replaces the camera of the file; None takes that of the file
+    camera : replaces the camera of the file. None takes the file's
     seed : of the sampler; equal seeds give bit-identical results, but for the rounding of float32
         sums on a graphics card
     full : leave nothing out (every band, the scene's integrator, a sampled lens)
-    plan : from `make_plan`; None makes the default plan
+    plan : from `make_plan`. None makes the default plan
     diffuser : also render what a white plate at the object's distance shows, for
         `Display(white="diffuser")`
     progress : called with the fraction done
@@ -272,7 +272,8 @@ def render(
     Raises PixsimError if Mitsuba cannot render the scene, or if the picture is black or not finite.
 
     >>> from pixsim import load_scene
-    >>> light = render(load_scene("flat", resolution=17, spp=4, luminance_cd_per_m2=1000), Camera(f_number=4.0))
+    >>> scene = load_scene("flat", resolution=17, spp=4, luminance_cd_per_m2=1000)
+    >>> light = render(scene, Camera(f_number=4.0))
     >>> m = Camera().magnification
     >>> on_axis_lx = 1000 * np.pi / (1 + 4 * 4.0**2 * (1 + m) ** 2)  # Foote: E = π L sin²α
     >>> round(float(light.illuminance_lx()[8, 8] / on_axis_lx), 4)
@@ -292,7 +293,7 @@ class Renderer:
     """Independent renders of one scene, loaded once per lamp spectrum on first use.
 
     keep : use the cache of renders
-    ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`); None waits
+    ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`). None waits
         for it
     """
 
@@ -341,7 +342,7 @@ class Renderer:
             self.cache = CachedRenders(_hash_of_job(scene, state, camera, plan, seed))
 
     def _trace_job(self, state: Tree) -> TraceJob:
-        """Return what is to be traced, as plain numbers and texts.
+        """Return the job of the tracer, as plain numbers and texts.
 
         state : the scene, parsed for the camera
         """
@@ -441,7 +442,7 @@ class Renderer:
 
     @cached_property
     def depths_m(self) -> list[float]:
-        """Depths of what is in view in m: the nearest, the one least out of focus, and the
+        """Depths of the things in view in m: the nearest, the one least out of focus, and the
         farthest.
 
         Empty where the plan needs no lens, since all is in focus, and where a depth in view is not

@@ -83,9 +83,9 @@ class Chart:
     texels : (rows, columns), as the film shows them: from the top left
     texels_per_sample : (vertical, horizontal) texels per sample of the film
     shape : (H, W) of the film
-    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if it is not
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`, or None if it is not
         known how Mitsuba takes them
-    source : what tells its texels from those of other charts, if that is known, such as a hash of
+    source : what tells its texels from other charts', if that is known, such as a hash of
         their file
     nearest : whether each texel is uniform
     """
@@ -483,8 +483,8 @@ def lone_chart(
 
 
 def _facing_half_m(state: Tree, body: Body) -> tuple[float, float] | None:
-    """Return half the height and width of a rectangle that faces the lens upright and centred, m;
-    None for other shapes.
+    """Return half the height and width of a rectangle that faces the lens upright and centred, m,
+    or None for other shapes.
     """
     if state.nodes[body.node].plugin != FLAT[0] or body.corners is None or body.normal is None:
         return None

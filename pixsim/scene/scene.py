@@ -73,18 +73,18 @@ class Scene:
 
     path : of the XML
     parameters : given values of <default> parameters
-    names : of all parameters in the XML, and of those of a target
-    sensor_id : id of the sensor; None if there is only one
+    names : of all parameters in the XML, and of a target's
+    sensor_id : id of the sensor, or None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
-    white_lamps : ids of the emitters whose light together is that of white, if the file names them
+    white_lamps : ids of the emitters that shine on the white together, if the file names them
         in its <default> white_lamps
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter
         `max_lp_per_mm` sets
     shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the
         cells of the film
     beyond_tables : what a surface is where its spectrum ends within the range that is computed:
-        "hold" its last value, or "zero"; None: nobody says
+        "hold" its last value, or "zero". None: nobody says
     strength : factor on all lamps that the parameter `lux` asks for
     diffuser : whether a render also says what a white plate at the object's distance would show,
         for `display.white`
@@ -348,7 +348,7 @@ def _packaged_texts() -> frozenset[str]:
 
 
 def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
-    """Return whether a scene's XML equals that of a packaged one, and its files are packaged or
+    """Return whether a scene's XML is a packaged one's, and its files are packaged or
     made by pixsim.
 
     files : absolute paths of those that its text names
@@ -396,7 +396,7 @@ def load_scene(
     Parameters
     ----------
     scene : path, or a name as in `pixsim run`
-    variant : Mitsuba variant; None takes the graphics card if it passed its trial, else the
+    variant : Mitsuba variant. None takes the graphics card if it passed its trial, else the
         processors
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; in a scene with a parameter
@@ -408,7 +408,7 @@ def load_scene(
         `luminance_cd_per_m2`; `chart` may name a picture (`scene.own_chart.read_luminance`),
         decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says what
         surfaces are where lamps shine and their spectra end; `assets` names a folder whose files
-        the scene may name, besides those of its own
+        the scene may name, besides its own
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there
     is no sensor or more than one, the sensor is not a thin lens, or LLVM is too old.
@@ -472,7 +472,7 @@ def load_scene(
 def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[object, object]:
     """Return the luminance and the illuminance that scale a scene; at most one is not None.
 
-    The illuminance of a chart is that of a white diffuser as bright as its white.
+    The illuminance of a chart is measured on a white diffuser as bright as its white.
     """
     if lux is None:
         return luminance, None
@@ -491,7 +491,7 @@ def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[ob
 def _with_white_lamps(scene: Scene, text: SceneText, names: object) -> Scene:
     """Return the scene with the ids of the emitters that are its white.
 
-    names : of the user; None takes those of the file
+    names : of the user. None takes the file's
     """
     state = scene.parse()
     words = text.defaults.get(WHITE_LAMPS, "") if names is None else str(names)
@@ -824,7 +824,7 @@ def _read_camera(
     field of view.
 
     aspect : width of the film over its height
-    options : whose values replace those of the node, before these are checked
+    options : whose values replace the node's, before these are checked
     """
     aperture_m = _positive("aperture_radius", sensor["aperture_radius"])
     focus_m = _positive("focus_distance", sensor["focus_distance"])

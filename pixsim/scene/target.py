@@ -2,7 +2,7 @@
 exact means over texels.
 
 A judge takes the light without the target from the same scene with a contrast of 0. So that the
-difference is that of the target alone, the texels are the cells of the film, and a cell has the
+difference is due to the target alone, the texels are the cells of the film, and a cell has the
 share of the target that its area covers.
 """
 

@@ -73,7 +73,7 @@ def check_texels(path: Path, texels: NDArray[Any]) -> None:
 
 
 def check_share(highest: float, what: str, place: str) -> None:
-    """Warn of a reflectance above 1, as of fluorescent or badly calibrated samples; raise
+    """Warn of a reflectance above 1, as fluorescent or badly calibrated samples have; raise
     PixsimError above 1.5.
 
     highest : of the property `what`, which stands at `place`

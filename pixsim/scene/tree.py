@@ -50,8 +50,8 @@ class SpectrumTable:
 class Property(NamedTuple):
     """A property: its kind, as Float, its value, and the text of a colour, as Mitsuba writes it.
 
-    value : rows of a transform, the index of a node or its id for a reference; None for what has no
-        value in Python
+    value : rows of a transform, the index of a node or its id for a reference, or None for a kind
+        that has no value in Python
     """
 
     kind: str

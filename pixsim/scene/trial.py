@@ -35,7 +35,7 @@ MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance, normally 1e-5 
 class Trial:
     """What became of a trial render.
 
-    fault : why there is no picture or a wrong one; None if it is right
+    fault : why there is no picture or a wrong one, or None if it is right
     facts : what `main` writes, without the fault; empty if it did not come to that
     """
 
@@ -47,7 +47,7 @@ class Trial:
 def attempt(variant: str | None = None, *, limit_s: float) -> Trial:
     """Render in a new process with the same module path.
 
-    variant : of Mitsuba; None takes the default
+    variant : of Mitsuba. None takes the default
     """
     command = [sys.executable, "-P", "-c", CODE.format(path=sys.path, variant=variant)]
     environment = os.environ | safe_variables()
@@ -100,7 +100,7 @@ def main(variant: str | None) -> None:
 
 
 def picture_fault(illuminance_lx: Array, expected_lx: Array) -> str | None:
-    """Return how a picture differs from the closed form, both (H, W); None if it is right."""
+    """Return how a picture differs from the closed form, both (H, W), or None if it is right."""
     mean = float(illuminance_lx.mean() / expected_lx.mean() - 1)
     rms = float(np.sqrt(np.mean((illuminance_lx / expected_lx - 1) ** 2)))
     if abs(mean) <= MAX_MEAN_ERROR and rms <= MAX_RMS_ERROR:  # False for NaN

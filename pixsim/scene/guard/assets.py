@@ -1,5 +1,5 @@
-"""Files that a scene names: those of spectra, whose tables become part of its text, and those that
-Mitsuba reads.
+"""Files that a scene names: spectra, whose tables become part of its text, and files that Mitsuba
+reads.
 """
 
 from __future__ import annotations

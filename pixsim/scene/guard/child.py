@@ -137,9 +137,8 @@ class _Child:
             code = self._code()
             self.kill()
             raise _crashed(code, self.on_card) from None
-        except (
-            BaseException
-        ):  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
+        except BaseException:
+            # Ctrl-C and SIGTERM too: the child may be within a kernel without an end.
             self.kill()
             raise
 
@@ -256,7 +255,7 @@ class ChildTracer:
     renderer.
 
     ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an
-        `OutOfTimeError`; None waits for it
+        `OutOfTimeError`. None waits for it
     """
 
     def __init__(self, job: TraceJob, ends_at_s: Callable[[], float | None] = lambda: None) -> None:

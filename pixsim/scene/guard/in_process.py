@@ -58,8 +58,8 @@ class InProcessTracer:
 
     @property
     def loaded(self) -> list[tuple[Scene, SamplingIntegrator]]:
-        """Mitsuba's scene and integrator for each group of lamps: those of the last job in this
-        process, if it has the same.
+        """Mitsuba's scene and integrator for each group of lamps, taken from the last job in this
+        process where it has the same.
 
         A kernel holds what all scenes in memory are made of, so that others beside them would make
         it larger and another one.
@@ -87,7 +87,7 @@ class InProcessTracer:
     def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
         """Build the scene, with some emitters only, each as its neutral picture or power.
 
-        lamps : that shine; None leaves all as they are
+        lamps : that shine. None leaves all as they are
         """
         state = parse(self.job.text, self.job.variant)
         tree = tree_of(state)
@@ -218,13 +218,13 @@ class InProcessTracer:
             sensor = self._sensor_with(mi, self._whole_film(), "independent", 1)
             world, _ = self.loaded[0]
             if self._scalar:
-                depths_m = [
-                    _depth(mi, world, sensor, mi.Point2f(*place))
-                    for place in zip(x.tolist(), y.tolist(), strict=True)
-                ]
+                places = zip(x.tolist(), y.tolist(), strict=True)
+                depth_list = [_depth(mi, world, sensor, mi.Point2f(*place)) for place in places]
+                depths_m = np.array(depth_list, np.float32)
             else:
-                depths_m = _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y)))
-            return np.array(depths_m, np.float32).reshape(side, side, 1)
+                all_places = mi.Point2f(mi.Float(x), mi.Float(y))
+                depths_m = np.array(_depth(mi, world, sensor, all_places), np.float32)
+            return depths_m.reshape(side, side, 1)
 
 
 def _keep_lamps(mi: ModuleType, state: ParserState, tree: Tree, lamps: Lamps) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
+from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, quoted
 from pixsim.scene.guard.assets import check_asset, metals, spectrum_value
 from pixsim.scene.guard.files import SceneElement, SceneFiles, read_scene, written
 from pixsim.scene.guard.plate import with_plate
@@ -176,15 +176,12 @@ class _Inspector:
         """Return a child of an object: a property, a reference, or another object."""
         if node.tag in ("alias", "ref"):
             return _without_children(node)
+
         kind = "texture" if node.tag == "spectrum" and "type" in node.attributes else node.tag
         if kind not in PLUGINS and kind not in VALUES:
+            got = f"another element in line {node.line}"
             hint = did_you_mean(kind, (*PLUGINS, *VALUES))
-            raise invalid(
-                f"scene '{node.file}'",
-                f"another element in line {node.line}",
-                "elements of Mitsuba",
-                hint,
-            )
+            raise invalid(f"scene '{node.file}'", got, "elements of Mitsuba", hint)
 
         name = node.attributes.get("name", "")
         rule = plugin.properties.get(name)
@@ -192,31 +189,20 @@ class _Inspector:
         if kind in PLUGINS and kind in kinds:
             return self.object(node, kind)
         if kind in PLUGINS or rule is None:
-            words = f" whose name is {_property(name)}" if name else ""
-            allowed = (
-                ", ".join([*plugin.properties, *(f"<{child}>" for child in plugin.holds)])
-                or "nothing within it"
-            )
-            raise invalid(
-                parent,
-                f"<{node.tag}>{words} in {node.place}",
-                allowed,
-                did_you_mean(name, plugin.properties),
-            )
+            raise _unknown_child(node, parent, plugin)
+
+        what = f"{parent}.{name}"
         if kind not in rule.tags:
             allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds))
-            raise invalid(f"{parent}.{name}", f"<{kind}> in {node.place}", allowed, rule.instead)
+            raise invalid(what, f"<{kind}> in {node.place}", allowed, rule.instead)
         if kind == "transform":
             for step in node.children:
                 if step.tag not in _STEPS_OF_TRANSFORM:
-                    raise invalid(
-                        f"{parent}.{name}",
-                        f"another element in {step.place}",
-                        ", ".join(_STEPS_OF_TRANSFORM),
-                    )
+                    got = f"another element in {step.place}"
+                    raise invalid(what, got, ", ".join(_STEPS_OF_TRANSFORM))
                 _without_children(step)
             return node
-        return self.value(_without_children(node), rule, f"{parent}.{name}")
+        return self.value(_without_children(node), rule, what)
 
     def value(self, node: SceneElement, rule: PropertyRule, what: str) -> SceneElement:
         """Return a property with the absolute path of its file, or with the table of its file of a
@@ -250,12 +236,24 @@ class _Inspector:
         return replace(node, attributes={**attributes, "value": str(path)})
 
 
+def _unknown_child(node: SceneElement, parent: str, plugin: Plugin) -> PixsimError:
+    """Return the error for a child that a plugin does not take."""
+    name = node.attributes.get("name", "")
+    words = f" whose name is {_property(name)}" if name else ""
+    allowed = [*plugin.properties, *(f"<{kind}>" for kind in plugin.holds)]
+    return invalid(
+        parent,
+        f"<{node.tag}>{words} in {node.place}",
+        ", ".join(allowed) or "nothing within it",
+        did_you_mean(name, plugin.properties),
+    )
+
+
 def _without_children(node: SceneElement) -> SceneElement:
     """Return an element that has nothing within it. Raises PixsimError for another one."""
     if node.children:
-        raise invalid(
-            f"<{node.tag}>", f"an element in {node.children[0].place}", "no element within it"
-        )
+        got = f"an element in {node.children[0].place}"
+        raise invalid(f"<{node.tag}>", got, "no element within it")
     return node
 
 

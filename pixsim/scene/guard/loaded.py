@@ -44,7 +44,7 @@ def limit_memory(job: TraceJob) -> None:
 
     Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use.
     There is no limit for graphics cards, whose driver maps all memory of the card, and on systems
-    that do not say what is mapped.
+    that do not say how much is mapped.
     """
     pages = text_of(Path("/proc/self/statm")).split()
     if not pages or job.variant == CUDA:
@@ -129,7 +129,7 @@ def _check_obj(path: Path, what: str) -> None:
     """Raise PixsimError if some corners of faces name texture coordinates or normals and others do
     not.
 
-    Mitsuba leaves those of the others as the memory was, so that a render would not repeat.
+    Mitsuba leaves the others as the memory was, so that a render would not repeat.
     """
     content = path.read_bytes()
     for name, declaration, corner in _UNSET_OF_OBJ:

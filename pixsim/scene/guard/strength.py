@@ -29,7 +29,7 @@ def with_strength(node: SceneElement, factor: float) -> SceneElement:
 def _with_scaled(
     node: SceneElement, name: str | None, emitter: SceneElement, factor: float
 ) -> tuple[SceneElement, ...]:
-    """Return the children of an emitter or texture with that of one name scaled."""
+    """Return the children of an emitter or texture, the child of one name scaled."""
     children = list(node.children)
     names = [child.attributes.get("name") for child in children]
     if name not in names and name == POWERS["d65"]:

@@ -47,14 +47,13 @@ def answer(
     assert tracer is not None
     if "sampler" in request and "seed" not in request:
         return tracer, {"samples": tracer.sample_count(**request)}, None
-    trace = (
-        tracer.depths
-        if "side" in request
-        else tracer.trace
-        if "film" in request
-        else tracer.trace_together
-    )
-    picture = np.ascontiguousarray(trace(**request))
+    if "side" in request:
+        picture = tracer.depths(**request)
+    elif "film" in request:
+        picture = tracer.trace(**request)
+    else:
+        picture = tracer.trace_together(**request)
+    picture = np.ascontiguousarray(picture)
     return tracer, {"channels": picture.shape[2]}, picture
 
 
@@ -75,11 +74,8 @@ def _end_with_parent(life: int) -> None:
 
 def main(requests: int, replies: int, life: int) -> None:
     """Answer requests until there are no more."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-        signal.SIGHUP,
-    ):  # they reach the parent too, which kills this process
+    # These signals reach the parent too, which kills this process.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGIO, signal.SIG_DFL)
     _end_with_parent(life)
@@ -94,12 +90,11 @@ def main(requests: int, replies: int, life: int) -> None:
                 reply = {"error": str(error).replace("std::bad_alloc", _LACKS_MEMORY)}
             except MemoryError:
                 reply = {"error": _LACKS_MEMORY}
-            except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
-                reply = {
-                    "error": (
-                        f"unexpected {type(error).__name__} in the process that renders: {error}"
-                    )
-                }
+            except Exception as error:
+                # As in `pixsim.cli.main`; without its words the parent could only report an exit
+                # code.
+                name = type(error).__name__
+                reply = {"error": f"unexpected {name} in the process that renders: {error}"}
             out.write(json.dumps(reply).encode() + b"\n")
             if picture is not None:
                 out.write(picture.data)

@@ -74,7 +74,7 @@ def without_driver() -> Iterator[None]:
 
 
 def absent() -> str | None:
-    """Return why there is nothing to try here; None if there is. It takes a few system calls, and
+    """Return why no card can be tried here, or None if one can. It takes a few system calls, and
     no process.
     """
     if not any(os.path.exists(node) for node in NODES):
@@ -88,30 +88,25 @@ def absent() -> str | None:
 
 
 def verdict(again: bool = False) -> GraphicsTrial:
-    """Return whether the graphics card works, from the cache or a trial; `again`: in any case from
-    a trial.
+    """Return whether the graphics card works, from the cache or a trial.
+
+    again : take a new trial in any case
     """
     if fault := absent():
         return GraphicsTrial(fault, tried=False)
     has_cache = cache.limit_bytes() > 0 and cache.can_hold(KIND)
-    if not again and not has_cache:
-        return GraphicsTrial(
-            NOT_CACHED, tried=False
-        )  # or each process, and each worker of a study, would try
+    if not again and not has_cache:  # each process, and each worker of a study, would try
+        return GraphicsTrial(NOT_CACHED, tried=False)
 
+    # The trial is repeated when the driver, a card or a setting of them changes.
     settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
-    files = [
-        machine.text_of(path)
-        for path in (_DRIVER_FILES / "version", *sorted(_DRIVER_FILES.glob("gpus/*/information")))
-    ]
+    paths = (_DRIVER_FILES / "version", *sorted(_DRIVER_FILES.glob("gpus/*/information")))
+    files = [machine.text_of(path) for path in paths]
     key = content_hash([files, settings, cache.version_fingerprint("mitsuba", "drjit")])
-    trial = (
-        None
-        if again
-        else cache.value_of(KIND, key, lambda content: GraphicsTrial(content["fault"]))
-    )
-    if trial is not None:
-        return trial
+    if not again:
+        cached = cache.value_of(KIND, key, lambda content: GraphicsTrial(content["fault"]))
+        if cached is not None:
+            return cached
 
     fault = attempt(CUDA, limit_s=_PICTURE_S).fault
     trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})")

@@ -97,7 +97,7 @@ def _cached_version(path: str) -> int:
 
 
 def _library_fault(path: str) -> str | None:
-    """Return why Mitsuba cannot use a libLLVM; None if it can."""
+    """Return why Mitsuba cannot use a libLLVM, or None if it can."""
     try:
         version = _cached_version(path)
     except OSError:
@@ -179,25 +179,26 @@ def choose(requested: str | None = None) -> ChosenVariant:
     LLVM, and for a CUDA variant without a driver.
     """
     if requested is not None and requested not in VARIANTS:
-        raise invalid(
-            "variant", f"'{requested}'", ", ".join(VARIANTS), did_you_mean(requested, VARIANTS)
-        )
+        hint = did_you_mean(requested, VARIANTS)
+        raise invalid("variant", f"'{requested}'", ", ".join(VARIANTS), hint)
     if requested == SCALAR:
         return ChosenVariant(SCALAR, None, "requested")
-    if requested == CUDA and (fault := graphics.absent()):
-        raise invalid(
-            "variant", f"'{requested}', but {fault}", "a variant that runs here", UNUSABLE_HINT
-        )
+
+    fault = graphics.absent() if requested == CUDA else None
+    if fault:
+        got = f"'{requested}', but {fault}"
+        raise invalid("variant", got, "a variant that runs here", UNUSABLE_HINT)
+
     processors, llvm_fault = _for_processors(requested)
     if requested == CUDA:
         return ChosenVariant(CUDA, processors.llvm_path, "requested", processors)
     if requested is not None:
         return processors
+
     trial = graphics.verdict()
     if trial.fault is None:
-        return ChosenVariant(
-            CUDA, processors.llvm_path, "the graphics card passed its trial", processors
-        )
+        reason = "the graphics card passed its trial"
+        return ChosenVariant(CUDA, processors.llvm_path, reason, processors)
     if llvm_fault:
         warn(Note("machine", words=f"rendering with {SCALAR}, since {llvm_fault}"))
     return replace(processors, reason=f"{processors.reason}; no graphics card: {trial.fault}")
