@@ -37,9 +37,9 @@ PROJECTOR_M = 30.0  # from the screen
 _BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
 SCENE = """<!-- {title}
      Three projectors shine the primaries of a display through slides onto a white screen; all
-     slides at 1 are D65 of 1000 cd/m2. The camera looks along +z, up is +y. Row 0 of a slide is up and
-     column 0 is left. pixsim sets the parameters of the camera and of the screen, so that the chart
-     fills the die. Made by pixsim chart. -->
+     slides at 1 are D65 of 1000 cd/m2. The camera looks along +z, up is +y. Row 0 of a slide is
+     up and column 0 is left. pixsim sets the parameters of the camera and of the screen, so that
+     the chart fills the die. Made by pixsim chart. -->
 <scene version="3.0.0">
     <default name="white_cd_per_m2" value="{white_cd_per_m2:g}"/>
     <default name="white_lamps" value="{white_lamps}"/>
