@@ -67,7 +67,7 @@ def perceived_lab(
     """
     view = _viewing_conditions(display) | {"single": single}
     if image.ndim == 3:
-        rgb = image.astype(np.float32, copy=False) if single else image
+        rgb: Array = np.asarray(image, np.float32) if single else image
         return filtered_lab(displays.rgb_to_xyz(rgb), **view)
     if full:
         return filtered_lab(displays.to_xyz(image), **view)
@@ -129,7 +129,7 @@ class Screen:
         view = _viewing_conditions(self.display) | {"single": self.single}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
-        rgb = image.astype(np.float32, copy=False) if self.single else image
+        rgb: Array = np.asarray(image, np.float32) if self.single else image
         return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(rgb), **view)
 
 
