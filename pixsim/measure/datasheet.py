@@ -57,7 +57,7 @@ from pixsim.viewer.settings_file import packaged_sensors, run_settings
 from pixsim.viewer.without_effect import (
     TABLES,
     UserSettings,
-    fields_of,
+    field_names,
     warn_of_settings_without_effect,
 )
 
@@ -351,7 +351,7 @@ def datasheet(
 # sensor's file for other commands.
 UNUSED_SETTINGS = (
     *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
-    *fields_of("exposure", Exposure, "integration_s", "gain_db"),
+    *field_names("exposure", Exposure, "integration_s", "gain_db"),
     *(
         "lens.veiling_glare",
         "lens.veiling_glare_outside",

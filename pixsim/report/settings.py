@@ -13,7 +13,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.show.document import Block, DocumentTable, Section
 from pixsim.show.sentences import setting_value
-from pixsim.viewer.develop_options import OF_COLOUR_FRAMES
+from pixsim.viewer.develop_options import COLOUR_FIELDS
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _PROCESS_SETTINGS = frozenset(
     {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"}
 )
 _COLOUR_SETTINGS = frozenset(
-    {"adaptation", *OF_COLOUR_FRAMES}
+    {"adaptation", *COLOUR_FIELDS}
 )  # options of display and development for coloured pictures
 DEFAULTS = ("default", "")  # sources of what nobody stated
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source

@@ -30,7 +30,7 @@ from pixsim.studies.settings import (
 )
 from pixsim.viewer.develop_options import as_tone_curve
 from pixsim.viewer.merging import merge, merged
-from pixsim.viewer.metric_registry import names_of
+from pixsim.viewer.metric_registry import metric_names
 from pixsim.viewer.score import Score
 from pixsim.viewer.settings_file import resolve_files, settings_layer, settings_path
 
@@ -376,7 +376,7 @@ def tables_of_python(
     """Return tables and fields that stand in Python as those of a file: records as the fields that
     they state, metrics by name.
     """
-    tables = dict(settings) | ({"metrics": names_of(metrics)} if metrics else {})
+    tables = dict(settings) | ({"metrics": metric_names(metrics)} if metrics else {})
     for name, value in tables.items():
         if isinstance(value, Camera):
             tables[name] = value.options.model_dump(exclude_none=True)

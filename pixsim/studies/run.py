@@ -57,7 +57,7 @@ from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_registry import metrics_named, names_of
+from pixsim.viewer.metric_registry import metric_names, metrics_named
 from pixsim.viewer.metrics import DELTA_E, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import DETECTABILITY
@@ -654,7 +654,7 @@ def run(
     ((64, 64), True)
     """
     if metrics:
-        settings["metrics"] = names_of(metrics)
+        settings["metrics"] = metric_names(metrics)
     with collected_notes():  # also of what is found before the run begins
         overrides = {
             name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table

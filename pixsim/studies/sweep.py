@@ -427,7 +427,7 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
             facts_by_light[sensor.light_id] = facts
         lightness = facts_by_light[sensor.light_id].lightness
         for cause in causes_of_frames(light, sensor.imaging, lightness, rows.possible):
-            if cause.leaves_nothing:
+            if cause.is_uninformative:
                 warn(cause.note.of([words]))
     brightest = max((facts.beyond_white for facts in facts_by_light.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

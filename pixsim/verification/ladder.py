@@ -37,7 +37,7 @@ from pixsim.viewer.score import NOT_MEASURED, LightError
 from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import UserSettings, fields_of, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_settings_without_effect
 
 EFFORTS, QUICK_EFFORTS = (
     (0.25, 0.5, 1.0),
@@ -195,7 +195,7 @@ NOT_TAKEN = (
     "motion",
     "exposure.shutter",
     "exposure.line_time_us",
-    *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
+    *(name for name in field_names("exposure", Exposure) if "flicker" in name),
 )
 
 

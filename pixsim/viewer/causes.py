@@ -29,12 +29,12 @@ from pixsim.viewer.score import NOTHING, Cause
 
 _MIN_CODES = 8.0  # between black and display white; with fewer, the ADC makes the picture
 _SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
-ALL = 100.0  # ΔE from black to white
+BLACK_TO_WHITE_DELTA_E = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 _LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
 _MIN_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
-_ALL_FULL = 1.0 - 1e-6  # of the pixels
+_ALL_SATURATED = 1.0 - 1e-6  # of the pixels
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
@@ -59,15 +59,15 @@ def causes_of(
     modulation = burst_modulation(imaging.exposure, integration_s)
 
     # Of the sensor there is one cause: too few codes explain more than full pixels do.
-    sensor_cause = _codes(readout, white_e, integration_s, lightest)
+    sensor_cause = _code_cause(readout, white_e, integration_s, lightest)
     if sensor_cause is None:
         range_e = _range_e(readout, integration_s)
-        sensor_cause = _full(range_e, white_e, lightest, saturated_fraction, modulation)
-    if tells_nothing(readout, white_e, integration_s, lightest, saturated_fraction):
-        sensor_cause = _nothing(sensor_cause, saturated_fraction)
+        sensor_cause = _saturation_cause(range_e, white_e, lightest, saturated_fraction, modulation)
+    if is_uninformative(readout, white_e, integration_s, lightest, saturated_fraction):
+        sensor_cause = _uninformative_cause(sensor_cause, saturated_fraction)
 
-    contrast = _contrast(darkest, lightest, setting_of_white(header, imaging.display))
-    light = _light(outside_share(header, imaging.physics))
+    contrast = _contrast_cause(darkest, lightest, setting_of_white(header, imaging.display))
+    light = _outside_light_cause(outside_share(header, imaging.physics))
     causes = [contrast, sensor_cause, light]
     return tuple(sorted(filter(None, causes), key=lambda cause: -cause.delta_e))
 
@@ -115,7 +115,7 @@ def _range_e(readout: Readout, integration_s: float) -> float:
     return readout.saturation_e - readout.dark_current_e_per_s * integration_s
 
 
-def tells_nothing(
+def is_uninformative(
     readout: Readout,
     white_e: float,
     integration_s: float,
@@ -133,7 +133,7 @@ def tells_nothing(
     white_e, integration_s, saturated_fraction : of `causes_of`
     lightest : L* of the ideal image's lightest dot
     """
-    if saturated_fraction >= _ALL_FULL:
+    if saturated_fraction >= _ALL_SATURATED:
         return True
     if lightest < _SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
         return False
@@ -153,19 +153,21 @@ def tells_nothing(
     return bool(mean_dn[1] - mean_dn[0] <= _MIN_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
 
 
-def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
+def _uninformative_cause(cause: Cause | None, saturated_fraction: float) -> Cause:
     """Return a cause of the sensor as one that leaves nothing; without one, full pixels or noise
     are the cause.
     """
-    if cause is None and saturated_fraction >= _ALL_FULL:
-        cause = Cause("all pixels are saturated", ALL, _less_light())
+    if cause is None and saturated_fraction >= _ALL_SATURATED:
+        cause = Cause("all pixels are saturated", BLACK_TO_WHITE_DELTA_E, _less_light())
     elif cause is None:
         more = (
             f"more light or time ({setting('exposure.integration_s')},"
             f" {setting('exposure.max_integration_s')})"
         )
-        cause = Cause("its light is lost in the noise", ALL, f"{more}, or less noise")
-    return Cause(f"{NOTHING}: {cause.words}", ALL, cause.hint)
+        cause = Cause(
+            "its light is lost in the noise", BLACK_TO_WHITE_DELTA_E, f"{more}, or less noise"
+        )
+    return Cause(f"{NOTHING}: {cause.words}", BLACK_TO_WHITE_DELTA_E, cause.hint)
 
 
 def _less_light() -> str:
@@ -175,7 +177,9 @@ def _less_light() -> str:
     )
 
 
-def _codes(readout: Readout, white_e: float, integration_s: float, lightest: float) -> Cause | None:
+def _code_cause(
+    readout: Readout, white_e: float, integration_s: float, lightest: float
+) -> Cause | None:
     range_e = _range_e(readout, integration_s)
     codes = _codes_to_white(readout, white_e, integration_s)
     lightest_e = white_e * _luminance_of_lightness(lightest)
@@ -203,20 +207,22 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
     return Cause(words, float(_lightness_of(np.array(1 / max(codes, 1.0)))), hint)
 
 
-def _contrast(low: float, high: float, white: str) -> Cause | None:
+def _contrast_cause(low: float, high: float, white: str) -> Cause | None:
     if high - low >= _SEEN_LIGHTNESS:
         return None
     hint = "its mean ΔE comes from noise and offsets alone; judge a sensor by a scene with detail"
     if high < _SEEN_LIGHTNESS:
         hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
-    elif low > ALL - _SEEN_LIGHTNESS:
+    elif low > BLACK_TO_WHITE_DELTA_E - _SEEN_LIGHTNESS:
         hint = (
             f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
         )
-    return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
+    return Cause(
+        f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", BLACK_TO_WHITE_DELTA_E, hint
+    )
 
 
-def _full(
+def _saturation_cause(
     range_e: float, white_e: float, lightest: float, share: float, modulation: float
 ) -> Cause | None:
     """Return full pixels as a cause of ΔE.
@@ -234,9 +240,11 @@ def _full(
     return Cause(f"{percent(share)} of the pixels are saturated", lost, _less_light())
 
 
-def _light(share: float) -> Cause | None:
+def _outside_light_cause(share: float) -> Cause | None:
     if share <= NOTED_SHARE:
         return None
     return Cause(
-        outside_words(share), ALL - float(_lightness_of(np.array(1 - share))), outside_hint()
+        outside_words(share),
+        BLACK_TO_WHITE_DELTA_E - float(_lightness_of(np.array(1 - share))),
+        outside_hint(),
     )

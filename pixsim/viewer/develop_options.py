@@ -339,7 +339,7 @@ def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
     return ", ".join(filter(None, ("remosaiced" if remosaics else "", develop.words)))
 
 
-OF_COLOUR_FRAMES = ("white_balance", "remosaic", "demosaic", "matrix")  # fields of Develop
+COLOUR_FIELDS = ("white_balance", "remosaic", "demosaic", "matrix")  # fields of Develop
 
 
 def check_develop(develop: Develop, pixel: PixelOptions) -> None:

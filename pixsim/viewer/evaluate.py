@@ -243,7 +243,7 @@ def evaluate(
         saturated_fraction=frame.saturated_fraction,
     )
     for cause in causes:
-        if cause.leaves_nothing:
+        if cause.is_uninformative:
             warn(cause.note)
     light, limit = noise_error_and_limit(irradiance.header)
     ideal = score.ideal.copy()  # that of the chain stays in memory

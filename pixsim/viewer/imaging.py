@@ -39,7 +39,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E_ONLY, MetricRequest
 from pixsim.viewer.setting import Run
 
-_OF_PHYSICS = "pixel", "technology"
+_PHYSICS_FIELDS = "pixel", "technology"
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Imaging:
         changes it.
         """
         other = replace(self, **settings)
-        if "physics" in self.__dict__ and not settings.keys() & set(_OF_PHYSICS):
+        if "physics" in self.__dict__ and not settings.keys() & set(_PHYSICS_FIELDS):
             other.__dict__["physics"] = self.physics
         return other
 

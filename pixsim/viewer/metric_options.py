@@ -133,7 +133,7 @@ class MetricOptions(Record):
 
 METRIC_OPTIONS = MetricOptions()
 
-_OF_TARGETS = (
+_TARGET_METRICS = (
     "detectability",
     "npwe",
 )  # metrics that ask for the light of the scene without its target
@@ -143,4 +143,4 @@ def has_target(metrics: Sequence[str]) -> bool:
     """Return whether some metrics, by their names, ask for the light of the scene without its
     target.
     """
-    return any(name in metrics for name in _OF_TARGETS)
+    return any(name in metrics for name in _TARGET_METRICS)

@@ -100,7 +100,7 @@ def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
     return tuple(metrics.values())
 
 
-def names_of(metrics: Sequence[_NameOrFunction]) -> tuple[str, ...]:
+def metric_names(metrics: Sequence[_NameOrFunction]) -> tuple[str, ...]:
     """Return the names of metrics for settings, and keep the functions among them for this process.
 
     metrics : as in `metrics_named`

@@ -20,7 +20,7 @@ from pixsim.viewer.display import interpolation_mtf, picture_size_um
 from pixsim.viewer.imaging import Imaging
 
 Value = TypeVar("Value", Array, float)
-_OF_DISPLAY = ("interpolation", "dot")
+_DISPLAY_TERMS = ("interpolation", "dot")
 
 
 def mtf_terms(
@@ -123,4 +123,4 @@ def _crosstalk_mtf(kernel: Array, pitch_um: float, frequency_cy_per_mm: Array) -
 
 def terms_to_sensor(terms: Mapping[str, Value]) -> dict[str, Value]:
     """Return the terms from scene to sensor."""
-    return {name: mtf for name, mtf in terms.items() if name not in _OF_DISPLAY}
+    return {name: mtf for name, mtf in terms.items() if name not in _DISPLAY_TERMS}

@@ -170,7 +170,7 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))
 
 
-def undenoised(chain: ImagingChain) -> ImagingChain:
+def without_denoising(chain: ImagingChain) -> ImagingChain:
     """Return a chain whose development takes no noise away."""
     develop = chain.imaging.develop
     if not develop.denoises:
@@ -244,7 +244,7 @@ def _noise_steps(
         quieter = replace(chain, readout=readout, exposure=exposure)
         yield cause, quieter.simulate(*key).mean_delta_e
     if chain.imaging.develop.denoises:
-        yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
+        yield REDUCTION, without_denoising(chain).development.score(noiseless).mean_delta_e
 
 
 def _delta_e_of_planes(
@@ -303,7 +303,7 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     )
 
     # The observer's X, Y and Z in place of the channels.
-    weights, white = observer(chain.development.imaging, irradiance)
+    weights, white = observer_weights(chain.development.imaging, irradiance)
     illumination = illumination_of(irradiance, imaging.camera, physics)
     collection = collection_of(physics, illumination, pixels)
     rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
@@ -313,7 +313,7 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     yield COLOUR_ERROR, _delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
 
 
-def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
+def observer_weights(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
     """Return the weights of the light's bands, for X, Y and Z or a grey sensor's electrons, and the
     rate of display white per µm².
     """
@@ -330,7 +330,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     """
     scene, camera, physics = chain.scene, chain.imaging.camera, chain.imaging.physics
     assert scene is not None
-    weights, white = observer(chain.development.imaging, irradiance)
+    weights, white = observer_weights(chain.development.imaging, irradiance)
     matrix = None if scene.rendition is None else scene.rendition.to_display
     diffusion = diffusion_of(physics)
     pixels = centred_pixels(scene.array_um, physics)

@@ -87,7 +87,7 @@ def full_e(readout: Readout, time_s: float) -> float:
     return max(min(well_e, top_e), 0.0)
 
 
-def clips(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
+def _is_clipped(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
     """Return which pixels of an expected signal are at the end of the well or of the codes."""
     return np.asarray(signal_e >= full_e(readout, time_s))
 
@@ -490,7 +490,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     difference_e = frame.signal_e - background_e
     if not difference_e.any():
         return MAX_D_PRIME, "the target changes no pixel"
-    if clips(readout, background_e.max(), time_s):
+    if _is_clipped(readout, background_e.max(), time_s):
         return MAX_D_PRIME, "pixels are full without the target"
 
     factor = min(options.threshold / d_prime, MAX_D_PRIME) if d_prime else MAX_D_PRIME
@@ -501,7 +501,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
 
     # A target that is full now has a d′ from which no factor follows.
     brightest_e = (background_e + max(factor, 1.0) * difference_e).max()
-    if clips(readout, brightest_e, time_s):
+    if _is_clipped(readout, brightest_e, time_s):
         cause = "the target" if factor <= 1 else "that much contrast"
         return MAX_D_PRIME, f"pixels are full with {cause}"
     return factor, ""
@@ -525,7 +525,7 @@ def _detectability(under_test: FrameUnderTest) -> tuple[float, float, float]:
     return mean, min(values), factor
 
 
-def needs_target(context: MetricContext) -> str:
+def requires_target(context: MetricContext) -> str:
     """Return what a metric of a target lacks."""
     if context.has_background:
         return ""
@@ -551,23 +551,23 @@ DETECTABILITY = Metric(
     bounds=(0.0, MAX_D_PRIME),
     compute=_detectability,
     worst=("least_detectability",),
-    requirement=needs_target,
+    requirement=requires_target,
     needs_light=True,
 )
 
 
-def grey(context: MetricContext) -> str:
+def requires_monochrome(context: MetricContext) -> str:
     """Return what a metric of monochrome sensors lacks."""
     return "a pixel without colour filters (pixel.colour)" if context.is_colour else ""
 
 
-def _grey_at_a_distance(context: MetricContext) -> str:
+def _requires_monochrome_and_distance(context: MetricContext) -> str:
     """Return what a metric of the ground lacks, seen by monochrome sensors."""
     stated = (
         f"the distance of the ground: {setting('camera.object_distance_m')}, or"
         f" {setting('metric.niirs.ground_distance_m')}"
     )
-    return grey(context) or ("" if context.has_distance else stated)
+    return requires_monochrome(context) or ("" if context.has_distance else stated)
 
 
 def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
@@ -790,7 +790,7 @@ INFORMATION = Metric(
     bounds=(0.0, 1e15),
     compute=_information,
     variants=("information_low_contrast", "information_high_contrast"),
-    requirement=grey,
+    requirement=requires_monochrome,
     needs_light=True,
 )
 
@@ -833,7 +833,7 @@ MTF50 = Metric(
     columns=("mtf50_cy_per_mm",),
     bounds=(0.0, 1e7),
     compute=_mtf50,
-    requirement=grey,
+    requirement=requires_monochrome,
     has_optimum=False,
     needs_light=True,
 )
@@ -886,7 +886,7 @@ SNR10_LX = Metric(
     columns=("snr10_lx",),
     bounds=(0.0, 1e15),
     compute=_snr10_lx,
-    requirement=grey,
+    requirement=requires_monochrome,
     has_optimum=False,
     needs_light=True,
 )
@@ -948,6 +948,6 @@ NIIRS = Metric(
     columns=("niirs",),
     bounds=(-1e3, 1e3),
     compute=_niirs,
-    requirement=_grey_at_a_distance,
+    requirement=_requires_monochrome_and_distance,
     needs_light=True,
 )

@@ -44,7 +44,7 @@ class Cause:
         return Note("cause", words=self.words, hint=self.hint)
 
     @property
-    def leaves_nothing(self) -> bool:
+    def is_uninformative(self) -> bool:
         """Whether the frame tells nothing of the light."""
         return self.words.startswith(NOTHING)
 

@@ -27,8 +27,8 @@ from pixsim.viewer.raw_metrics import (
     code_tables,
     expected_e,
     full_e,
-    grey,
-    needs_target,
+    requires_monochrome,
+    requires_target,
     variance_of_pixels_e2,
 )
 from pixsim.viewer.score import Score
@@ -75,7 +75,7 @@ ACUTANCE = Metric(
     columns=("acutance",),
     bounds=(0.0, 10.0),
     compute=_acutance,
-    requirement=grey,
+    requirement=requires_monochrome,
     needs_light=True,
 )
 
@@ -130,7 +130,7 @@ VISUAL_NOISE = Metric(
     columns=("visual_noise",),
     bounds=(0.0, 1e4),
     compute=_visual_noise,
-    requirement=grey,
+    requirement=requires_monochrome,
 )
 
 
@@ -241,8 +241,8 @@ def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
     )
 
 
-def _needs_target_in_grey(context: MetricContext) -> str:
-    return grey(context) or needs_target(context)
+def _requires_target_and_monochrome(context: MetricContext) -> str:
+    return requires_monochrome(context) or requires_target(context)
 
 
 NPWE = Metric(
@@ -262,12 +262,12 @@ NPWE = Metric(
     bounds=(0.0, 1e12),
     compute=_npwe,
     worst=("least_npwe",),
-    requirement=_needs_target_in_grey,
+    requirement=_requires_target_and_monochrome,
     needs_light=True,
 )
 
 
-def _needs_flip(context: MetricContext) -> str:
+def _requires_flip(context: MetricContext) -> str:
     return (
         "" if find_spec(_FLIP_PACKAGE) else "the package of its authors: pip install 'pixsim[flip]'"
     )
@@ -305,6 +305,6 @@ FLIP = Metric(
     columns=("mean_flip",),
     bounds=(0.0, 1.0),
     compute=_flip,
-    requirement=_needs_flip,
+    requirement=_requires_flip,
     needs_frame=False,
 )

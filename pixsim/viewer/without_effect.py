@@ -104,7 +104,7 @@ def changed_settings(record: Record, prefix: str = "", but: Sequence[str] = ()) 
                 yield from changed_settings(value, f"{prefix}{name}.")
 
 
-def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
+def field_names(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
     """Return the dotted names of a record's fields, but some."""
     return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
 
@@ -150,13 +150,13 @@ def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
     return imaging
 
 
-def words_of(annotation: object) -> Iterator[object]:
+def _allowed_words(annotation: object) -> Iterator[object]:
     """Yield the words that a type allows."""
     if get_origin(annotation) is Literal:
         yield from get_args(annotation)
     else:
         for part in get_args(annotation):
-            yield from words_of(part)
+            yield from _allowed_words(part)
 
 
 # --- the small light
@@ -625,7 +625,7 @@ class UserSettings:
         for part in path[:-1]:
             record = getattr(record, part)
         fields = type(record).model_fields
-        return list(words_of(fields[path[-1]].annotation)) if path[-1] in fields else []
+        return list(_allowed_words(fields[path[-1]].annotation)) if path[-1] in fields else []
 
 
 def _implied_settings(imaging: Imaging, picture: SpectralImage | None) -> set[str]:
@@ -749,17 +749,17 @@ def effect_notes(sensors: Mapping[str, Iterable[UserSettings]]) -> list[Note]:
 
     sensors : name -> the settings of each of its cases; what has an effect in one of them has one
     """
-    labels_of: dict[str, list[str]] = {}
+    sensors_by_name: dict[str, list[str]] = {}
     for label, cases in sensors.items():
         for name in _without_effect_in_all(cases):
-            labels_of.setdefault(name, []).append(label)
+            sensors_by_name.setdefault(name, []).append(label)
 
     # Settings of the same sensors share a note.
-    names_of: dict[tuple[str, ...], list[str]] = {}
-    for name, labels in labels_of.items():
-        names_of.setdefault(tuple(labels), []).append(name)
+    names_by_sensors: dict[tuple[str, ...], list[str]] = {}
+    for name, labels in sensors_by_name.items():
+        names_by_sensors.setdefault(tuple(labels), []).append(name)
     notes = []
-    for labels_together, names in names_of.items():
+    for labels_together, names in names_by_sensors.items():
         verb = "changes" if len(names) == 1 else "change"
         note = Note("no_effect", words=f"{', '.join(names)} {verb} nothing here")
         is_of_all = len(labels_together) == len(sensors)

@@ -360,10 +360,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ("study pixel-size my.xml", "goes after --scene: --scene my.xml"),
         ("run csf flat", "extra word 'flat'; allowed: SCENE and options."),  # it takes one
         ("run csf my.zmx", "goes after --lens: --lens my.zmx"),
-        (
-            "run csf -D spp=64 luminance_cd_per_m2=10",
-            "needs its own -D: -D luminance_cd_per_m2=10",
-        ),
+        ("run csf -D spp=64 luminance_cd_per_m2=10", "needs its own -D: -D luminance_cd_per_m2=10"),
         ("run csf camera.f_number=4", "Did you mean --camera.f-number=4?"),
         ("run csf --camera.pixels 1936 1216", "write a pair of numbers as 1936x1216"),
         ("cache clear", "allowed: options. Did you mean --clear?"),

@@ -108,7 +108,9 @@ def test_parts_of_known_maps_recovers_variances() -> None:
     )
     variances = [
         estimate.value
-        for estimate in estimators.spatial_parts(FrameStack(16, sum(maps), np.zeros((rows, columns))))
+        for estimate in estimators.spatial_parts(
+            FrameStack(16, sum(maps), np.zeros((rows, columns)))
+        )
     ]  # type: ignore[arg-type]
     assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
     assert variances[2] == pytest.approx(25, rel=0.02)

@@ -498,7 +498,9 @@ def test_refocused_lens_has_its_least_wavefront_where_it_says(distance: float) -
         waves = np.array(lens.prescription.wavelengths_nm)[:, None]
         return float(np.mean(np.std(lens.opd_waves(0.0, waves, x, y), axis=1) ** 2))
 
-    assert rms(best) < min(rms(best._with_image_plane_moved(0.02)), rms(best._with_image_plane_moved(-0.02)))
+    assert rms(best) < min(
+        rms(best._with_image_plane_moved(0.02)), rms(best._with_image_plane_moved(-0.02))
+    )
     assert rms(best) < rms(lens.refocused("paraxial", distance))
 
 
@@ -516,7 +518,10 @@ def test_focus_at_a_wavelength_is_that_of_the_lensmaker(nm: float) -> None:
     ].thickness_mm == pytest.approx(wanted, rel=1e-9)
     x, y = disc(15)
     best = lens.refocused("axis", wavelength_nm=nm)
-    planes = [best._with_image_plane_moved(shift_mm).opd_waves(0.0, nm, x, y) for shift_mm in (-0.02, 0.0, 0.02)]
+    planes = [
+        best._with_image_plane_moved(shift_mm).opd_waves(0.0, nm, x, y)
+        for shift_mm in (-0.02, 0.0, 0.02)
+    ]
     assert np.argmin([np.std(waves) for waves in planes]) == 1
 
 

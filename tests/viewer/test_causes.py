@@ -37,7 +37,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.spectral_range import OUTSIDE, outside_header, outside_share
 from pixsim.show.render import text
-from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
+from pixsim.viewer.causes import causes_of, is_uninformative, lightness_range
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import NOTHING, Cause, LightError
 
@@ -360,7 +360,7 @@ def test_pixel_is_compared_with_darkness_by_its_normal_noise() -> None:
         )
     )
     for signal_e, nothing in ((0.099, True), (0.101, False)):  # rounding is 1e-7 of the variance
-        assert tells_nothing(readout, signal_e, 0.01, 100.0, 0.0) is nothing
+        assert is_uninformative(readout, signal_e, 0.01, 100.0, 0.0) is nothing
 
 
 def test_light_that_noise_hides_is_named_where_the_codes_would_do() -> None:

@@ -43,7 +43,7 @@ from pixsim.viewer.noise_budget import (
     finer_adc,
     noise_budget,
     noiseless_frame,
-    undenoised,
+    without_denoising,
 )
 
 SIDE, SAMPLE_UM = 256, 2.0
@@ -176,7 +176,7 @@ def test_blur_of_noise_reduction_is_its_own_and_not_that_of_the_lens(pattern: st
     still = noiseless_frame(chain, 5e-5)
     blur = (
         chain.development.score(still).mean_delta_e
-        - undenoised(chain).development.score(still).mean_delta_e
+        - without_denoising(chain).development.score(still).mean_delta_e
     )
     assert REDUCTION not in plain.delta_e
     assert reduced.delta_e[REDUCTION] == pytest.approx(blur, abs=1e-12)

@@ -41,7 +41,7 @@ FILTERS = {
 }
 
 
-def observer() -> dict[str, Any]:
+def observer_weights() -> dict[str, Any]:
     """Quantum efficiencies that see XYZ."""
     nm = np.arange(400.0, 701.0)
     seen = colour_matching(nm) / nm[:, None]
@@ -93,7 +93,7 @@ def test_each_part_has_its_cause() -> None:
     assert whole[CROSSTALK] == 0.0
     # The observer's own channels have no colour error, and the same blur; pixels that know all
     # channels no mosaic.
-    exact = parts({"quantum_efficiencies": observer()}, **noisy)
+    exact = parts({"quantum_efficiencies": observer_weights()}, **noisy)
     assert abs(exact[COLOUR_ERROR]) < 2e-3
     assert exact[BLUR] == pytest.approx(whole[BLUR], rel=1e-12)
     layers = parts({"pattern": "stacked", "quantum_efficiencies": FILTERS}, **noisy)
