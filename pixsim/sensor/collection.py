@@ -42,10 +42,12 @@ from pixsim.sensor.pixel import USUAL_F_NUMBER, Charge, PixelPhysics
 
 # Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400
 # to 1000 nm. The absorption of silicon, by a factor of 100 over that range, needs more: then .001.
-WAVELENGTHS, WAVELENGTHS_DIFFUSED = 4, 6
+WAVELENGTHS = 4
+WAVELENGTHS_DIFFUSED = 6
 # Points of the field from the centre to an edge. Under an optimal shift shares hardly change;
 # unshifted, they fall steeply.
-POINTS_SHIFTED, POINTS_UNSHIFTED = 4, 6
+POINTS_SHIFTED = 4
+POINTS_UNSHIFTED = 6
 # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
 _POINTS_OF_TABLE = 10
 # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as
@@ -260,8 +262,11 @@ _Measurement = tuple[Stack, float]
 
 def measurement(physics: PixelPhysics) -> _Measurement | None:
     """Return how the quantum efficiency was measured on a whole pixel, if it was."""
-    stack, f_number = physics.efficiency_stack, physics.efficiency_f_number
-    return None if stack is None or f_number is None else (stack, f_number)
+    stack = physics.efficiency_stack
+    f_number = physics.efficiency_f_number
+    if stack is None or f_number is None:
+        return None
+    return stack, f_number
 
 
 def check_efficiency(physics: PixelPhysics) -> None:

@@ -110,16 +110,16 @@ class Exposure(Record):
     @property
     def steady(self) -> Exposure:
         """The same exposure in the mean light of a lamp that flickers."""
-        return (
-            self.model_copy(update={"flicker_hz": None, "flicker_depth": None})
-            if self.flickers
-            else self
-        )
+        if not self.flickers:
+            return self
+        return self.model_copy(update={"flicker_hz": None, "flicker_depth": None})
 
     @property
     def line_time_s(self) -> float:
         """Time from row to row, 0 of a global shutter."""
-        return 1e-6 * self.line_time_us if self.shutter == "rolling" and self.line_time_us else 0.0
+        if self.shutter != "rolling" or self.line_time_us is None:
+            return 0.0
+        return 1e-6 * self.line_time_us
 
     @property
     def times(self) -> int:

@@ -97,7 +97,8 @@ class _CellSpline:
 @lru_cache(maxsize=16)
 def cell_spline(n: int) -> _CellSpline:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
-    degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
+    largest_odd = n if n % 2 else max(n - 1, 1)
+    degree = min(SPLINE_DEGREE, largest_odd)
     borders = np.arange(n + 1.0)
     half = (degree + 1) // 2
     knots = np.concatenate(
@@ -667,13 +668,19 @@ def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | Non
     Under a microlens light arrives near the middle of a photodiode, and diffusion is among the
     shares of the neighbours.
     """
-    stack, charge = physics.stack, physics.charge
+    stack = physics.stack
+    charge = physics.charge
     if stack is None or stack.microlens or charge is None or charge.diffusion_um is None:
         return None
-    lengths_um, silicon_k = charge.diffusion_um, charge.silicon_k
-    return lambda frequency, nm: diffusion_mtf(
-        frequency, absorption_per_um(nm, silicon_k), *lengths_um
-    )
+
+    silicon_k = charge.silicon_k
+    depletion_um, length_um = charge.diffusion_um
+
+    def mtf(frequency_cy_per_mm: Array, nm: float) -> Array:
+        absorption = absorption_per_um(nm, silicon_k)
+        return diffusion_mtf(frequency_cy_per_mm, absorption, depletion_um, length_um)
+
+    return mtf
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
@@ -921,13 +928,15 @@ def _integrate_both_ways(
     """
     integral = running.coefficients
     for (low_um, high_um), n in zip((y_um, x_um), running.coefficients.shape, strict=True):
-        low, high = (np.clip(edge_um / sample_pitch_um, 0.0, n) for edge_um in (low_um, high_um))
+        low = np.clip(low_um / sample_pitch_um, 0.0, n)
+        high = np.clip(high_um / sample_pitch_um, 0.0, n)
         integral = transposed(_cached_weights(low.tobytes(), high.tobytes(), n) @ integral)
     integral *= sample_pitch_um**2
     return integral
 
 
-# both axes of a few registrations: pictures with and without a target have the same, and channels
+# Of both axes of a few registrations, which channels share, and pictures with and without a
+# target.
 @lru_cache(maxsize=8)
 def _cached_weights(low: bytes, high: bytes, n: int) -> csr_array:
     """Return the `interval_weights` on n samples."""

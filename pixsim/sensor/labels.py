@@ -34,9 +34,11 @@ def labels_of(technologies: Sequence[str]) -> tuple[str, ...]:
     """
     plain = [label_of(technology) for technology in technologies]
     taken: set[str] = {label.casefold() for label in plain}
-    labels, used = [], set[str]()
+    used: set[str] = set()
+    labels: list[str] = []
     for label in plain:
-        stem, number = label, 1
+        stem = label
+        number = 1
         while label.casefold() in (used if number == 1 else used | taken):
             number += 1
             label = f"{stem}-{number}"

@@ -125,8 +125,10 @@ class _SlantedSpectrum:
         unit_down, unit_across = _angles(self.over.shape, self.direction)
         down = length * unit_down
         across = length * unit_across
-        cos_down, sin_down = np.cos(down), np.sin(down)
-        cos_across, sin_across = np.cos(across), np.sin(across)
+        cos_down = np.cos(down)
+        sin_down = np.sin(down)
+        cos_across = np.cos(across)
+        sin_across = np.sin(across)
         cosine_factors = (
             unit_down * sin_down / length,
             cos_across,

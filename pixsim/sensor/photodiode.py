@@ -286,7 +286,8 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
     """
     if not diode.saturation_current_e_per_s:
         return float("inf")
-    low, high = (limit * full_well_e for limit in _SEARCH_RANGE)
+    low = _SEARCH_RANGE[0] * full_well_e
+    high = _SEARCH_RANGE[1] * full_well_e
     for _ in range(4):  # each pass narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
         lost = np.maximum.accumulate(grid - stored_charge_e(grid, integration_s, diode))

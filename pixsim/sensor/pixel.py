@@ -232,9 +232,9 @@ def mean_junction_ff(
     """Return the mean of C0 (1 + V/PB)^-M over a reverse-bias range, which turns a swing into a
     charge.
     """
-    high, low = (
-        built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading) for v in (high_v, low_v)
-    )
+    exponent = 1 - grading
+    high = built_in_v / exponent * (1 + high_v / built_in_v) ** exponent
+    low = built_in_v / exponent * (1 + low_v / built_in_v) ** exponent
     return zero_bias_ff * (high - low) / (high_v - low_v)
 
 
@@ -587,8 +587,11 @@ class Charge:
     @property
     def diffusion_um(self) -> tuple[float, float] | None:
         """The depletion depth and the diffusion length, if charge diffuses."""
-        depletion_um, length_um = self.stack.depletion_um, self.stack.diffusion_length_um
-        return None if depletion_um is None or length_um is None else (depletion_um, length_um)
+        depletion_um = self.stack.depletion_um
+        length_um = self.stack.diffusion_length_um
+        if depletion_um is None or length_um is None:
+            return None
+        return depletion_um, length_um
 
     @property
     def silicon_k(self) -> float:

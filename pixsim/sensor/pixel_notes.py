@@ -78,10 +78,8 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
     if disc_um <= _BLURRED_PIXELS * pitch_um:
         return []
 
-    nearest, farthest = (
-        f"{rounded(depth_m, 3)} m" if math.isfinite(depth_m) else "infinity"
-        for depth_m in (nearest_m, farthest_m)
-    )
+    nearest = _distance_text(nearest_m)
+    farthest = _distance_text(farthest_m)
     place = nearest if nearest == farthest else f"{nearest} to {farthest}"
     note = Note(
         "focus",
@@ -93,6 +91,10 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
         setting=setting("camera.object_distance_m"),
     )
     return [note]
+
+
+def _distance_text(distance_m: float) -> str:
+    return f"{rounded(distance_m, 3)} m" if math.isfinite(distance_m) else "infinity"
 
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:

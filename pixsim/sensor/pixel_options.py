@@ -51,9 +51,10 @@ def excluded_by(names: Iterable[str]) -> set[str]:
     """
     excluded: set[str] = set()
     for name in names:
-        stated = {name, *STANDS_FOR.get(name, ())}
-        same = stated.union(word for word, fields in STANDS_FOR.items() if stated & set(fields))
-        excluded |= same - {name} - (MISMATCH if name in MISMATCH else set())
+        fields = {name, *STANDS_FOR.get(name, ())}
+        words = {word for word, meanings in STANDS_FOR.items() if fields & set(meanings)}
+        together = MISMATCH if name in MISMATCH else set()
+        excluded |= (fields | words) - {name} - together
     return excluded
 
 
@@ -61,7 +62,9 @@ def missing_of_data_sheet(stated: Iterable[str]) -> list[str]:
     """The names of `DATA_SHEET` that neither stand among `stated` nor under another word of
     `STANDS_FOR`.
     """
-    names = set(stated).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(stated)))
+    names = set(stated)
+    for word in STANDS_FOR.keys() & names:
+        names |= set(STANDS_FOR[word])
     return [name for name in DATA_SHEET if name not in names]
 
 
@@ -107,12 +110,11 @@ GAIN = "gain", "conversion_gain", "system_gain"  # usual words for either
 
 def _hint_of_current(path: Sequence[str], value: object) -> str:
     """How to write a plain number of dark current."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return ""
     return (
         f"Write dark_current_e_per_s = {value:g}, or dark_current = {{ e_per_s = {value:g}, at_c ="
         " 25 }."
-        if is_number
-        else ""
     )
 
 
@@ -441,21 +443,19 @@ class PixelOptions(Record):
 
     @model_validator(mode="after")
     def _states_each_quantity_once(self) -> Self:
+        fields = PixelOptions.model_fields
+        stated = [name for name in fields if getattr(self, name) is not None]
         for word in STANDS_FOR:
-            if getattr(self, word) is not None:
+            if word in stated:
                 excluded = excluded_by([word])
-                if both := [
-                    name
-                    for name in PixelOptions.model_fields
-                    if name in excluded and getattr(self, name) is not None
-                ]:
+                both = [name for name in stated if name in excluded]
+                if both:
                     raise ValueError(
                         f"{word} and {', '.join(both)} state the same quantity; give one of them"
                     )
-        if self.saturation_capacity_e is not None and (self.well_limit, self.conversion) != (
-            "swing",
-            "linear",
-        ):
+
+        is_linear = self.well_limit == "swing" and self.conversion == "linear"
+        if self.saturation_capacity_e is not None and not is_linear:
             raise ValueError(
                 f"saturation_capacity_e with well_limit = '{self.well_limit}' and conversion ="
                 f" '{self.conversion}'; the full well is solved for a linear pixel that clips"
@@ -556,12 +556,11 @@ class Pixel(PixelOptions):
     def _complete_data_sheet_needs_no_technology(cls, values: object) -> object:
         if not isinstance(values, dict):
             return values
-        none = (
-            values["technology"] is None
-            if "technology" in values
-            else is_data_sheet(values, "pitch_um")
-        )
-        return {**values, "technology": NO_TECHNOLOGY} if none else values
+        if "technology" in values:
+            needs_none = values["technology"] is None
+        else:
+            needs_none = is_data_sheet(values, "pitch_um")
+        return {**values, "technology": NO_TECHNOLOGY} if needs_none else values
 
     @model_validator(mode="after")
     def _data_sheet_complete(self) -> Self:
@@ -580,24 +579,27 @@ class Pixel(PixelOptions):
 
     @property
     def assumption(self) -> str:
-        """The technology that is assumed since a data sheet is incomplete, in words; empty if none
-        is.
+        """The technology that is assumed since a data sheet is incomplete, in words; empty without
+        one.
         """
-        return (
-            f"technology {self.technology} assumed, without {', '.join(self.assumed)}"
-            if self.assumed
-            else ""
-        )
+        if not self.assumed:
+            return ""
+        return f"technology {self.technology} assumed, without {', '.join(self.assumed)}"
 
     @property
     def assumed(self) -> tuple[str, ...]:
         """Names that a data sheet lacks, whose values the assumed technology has; empty if none is
         assumed.
         """
-        given = self.given
-        stated = given | efficiencies_of(self.colour)
-        missing = (*(() if "pitch_um" in given else ("pitch_um",)), *missing_of_data_sheet(stated))
-        return () if "technology" in given or len(missing) > len(DATA_SHEET) else missing
+        stated = self.given
+        missing = missing_of_data_sheet(stated | efficiencies_of(self.colour))
+        if "pitch_um" not in stated:
+            missing = ["pitch_um", *missing]
+        # Without any number of a data sheet, the pixel is one of a technology.
+        is_data_sheet = len(missing) <= len(DATA_SHEET)
+        if "technology" in stated or not is_data_sheet:
+            return ()
+        return tuple(missing)
 
     def __repr__(self) -> str:
         return super().__repr__() + (f"  # {self.assumption}" if self.assumption else "")

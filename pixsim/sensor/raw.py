@@ -114,7 +114,10 @@ class RawFrame:
 
 # Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours;
 # pixsim writes the first three.
-CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS, WRITTEN_COLOURS = 33421, 33422, "RGBCMYW", "RGB"
+CFA_DIM_TAG = 33421
+CFA_PATTERN_TAG = 33422
+CFA_COLOURS = "RGBCMYW"
+WRITTEN_COLOURS = "RGB"
 ENCODING = "encoding"  # what a file states about a display's encoding of its values
 # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the
 # other

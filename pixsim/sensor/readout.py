@@ -678,7 +678,8 @@ def frame_variance_dn2(
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's
     LSB²/12; valid where `frame_mean_dn` is.
     """
-    p, signal_e = readout, np.asarray(mean_e, float)
+    p = readout
+    signal_e = np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
     temporal_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
@@ -704,14 +705,14 @@ def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and
     one LSB above 0 DN.
 
-    Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M -
+    Without a stated gain a range F spans the codes M - b above the black level b, so that b = 6σ(M -
     b)/F, solved for b. For a burst it is the black level of each subexposure.
     """
-    readout, integration_s = readout.burst(1), integration_s / readout.exposures
-    adc, spread = readout.adc, BLACK_SIGMAS * dark_spread_e(readout, integration_s)
-    if adc.gain_e_per_dn is not None:
-        return math.ceil(spread * readout.amplification / adc.gain_e_per_dn) + 1
-    return math.ceil(spread * adc.top_code_dn / (readout.adc_range_e + spread)) + 1
+    p = readout.burst(1)
+    margin_e = BLACK_SIGMAS * dark_spread_e(p, integration_s / readout.exposures)
+    if p.adc.gain_e_per_dn is not None:
+        return math.ceil(margin_e * p.amplification / p.adc.gain_e_per_dn) + 1
+    return math.ceil(margin_e * p.adc.top_code_dn / (p.adc_range_e + margin_e)) + 1
 
 
 def capture_from_rates(
@@ -814,7 +815,8 @@ def _frame(
     exposure: Exposure,
     saturated: NDArray[np.bool_] | None,
 ) -> Frame:
-    readout, physics = readout.at(exposure), readout.physics
+    readout = readout.at(exposure)
+    physics = readout.physics
     dn_per_e = readout.dn_per_e
     if not dn_per_e < math.inf:
         raise invalid(
@@ -875,17 +877,18 @@ def capture(
     >>> round(float(frame.mean_e.mean() / photons / derive(pixel).quantum_efficiency(550.0)), 6)
     1.0
     """
-    exposure, physics = exposure or Exposure(), sensor.readout.physics
+    exposure = exposure or Exposure()
+    physics = sensor.readout.physics
     if motion is None or not motion.is_on:
-        return capture_from_rates(
-            mean_signal_rate(irradiance, camera, physics), sensor, exposure, rng
-        )
+        signal = mean_signal_rate(irradiance, camera, physics)
+        return capture_from_rates(signal, sensor, exposure, rng)
+
     irradiance.validate()
-    lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
+    lights = lights_of(irradiance, camera, physics)
+    size_um = array_size_um(irradiance, camera)
     still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
-    moving, exposure = metered_motion(
-        still, sensor.readout, exposure, velocity_um_per_s(motion, camera, physics.pitch_um)
-    )
+    um_per_s = velocity_um_per_s(motion, camera, physics.pitch_um)
+    moving, exposure = metered_motion(still, sensor.readout, exposure, um_per_s)
     signal, subexposure_rates = moved_signals(
         lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames
     )

@@ -98,7 +98,8 @@ def level_moments(
     offset_spread_e : of pixels and columns
     """
     temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
-    gains, offsets = 1, 1
+    gains = 1
+    offsets = 1
     if temporal_e:
         gain_sigmas = gain_spread * mean_e / temporal_e
         offset_sigmas = offset_spread_e / temporal_e
@@ -204,7 +205,8 @@ def full_well_for_e(
 
     from scipy.optimize import brentq  # imported where it is needed: it takes 0.1 s
 
-    low_e, high_e = capacity_e, _MAX_WELL * capacity_e
+    low_e = capacity_e
+    high_e = _MAX_WELL * capacity_e
     for range_e in (adc_range_e, None):
         if range_e is not None and _BRIGHTEST * range_e <= capacity_e:
             continue

@@ -39,11 +39,8 @@ class Spread(Record):
     @model_validator(mode="after")
     def _is_stated_once(self) -> Self:
         if (self.sd is None) == (self.range is None):
-            raise ValueError(
-                "got both sd and range; give one of them"
-                if self.range
-                else "got neither sd nor range; give one of them"
-            )
+            got = "both sd and range" if self.range else "neither sd nor range"
+            raise ValueError(f"got {got}; give one of them")
         if self.range and not self.range[0] < self.range[1]:
             raise ValueError(f"range = [{self.range[0]:g}, {self.range[1]:g}]; allowed: low < high")
         if self.kind == "lognormal" and self.range and self.range[0] <= 0:

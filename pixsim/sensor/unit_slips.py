@@ -87,10 +87,12 @@ def unit_slips(pixel: BaseModel) -> list[Note]:
         if number is None:
             continue
 
-        value, converted = number, number * slip.factor
+        value = number
+        converted = number * slip.factor
         if slip.property:
             other = pixel.model_copy(update={name: None, slip.meant: converted})
-            value, converted = getattr(pixel, slip.property), getattr(other, slip.property)
+            value = getattr(pixel, slip.property)
+            converted = getattr(other, slip.property)
         if value is not None and converted is not None and _is_slip(slip, value, converted):
             notes.append(Note("unit_slip", name=name, number=number, hint=_hint(name, number)))
     return notes
