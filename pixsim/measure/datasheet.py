@@ -521,10 +521,10 @@ def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
 
 EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
 COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"
-ROUNDING = 1e-9
-PRIMARIES = "red", "green", "blue"
-SPLIT = "from this device's maps, split in the same way"
-PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
+_ROUNDING = 1e-9
+_PRIMARIES = "red", "green", "blue"
+_SPLIT_SOURCE = "from this device's maps, split in the same way"
+_SPATIAL_PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
 
 
 @dataclass(frozen=True)
@@ -554,7 +554,7 @@ class Entry:
         """Relative deviation, measured/true - 1; NaN if there is no true value or it is 0 within
         rounding.
         """
-        has_true = abs(self.true) > ROUNDING * abs(self.measured)
+        has_true = abs(self.true) > _ROUNDING * abs(self.measured)
         return self.measured / self.true - 1 if has_true else math.nan
 
     def as_dict(self) -> dict[str, Any]:
@@ -756,7 +756,7 @@ def _colour_entries(sheet: DataSheet) -> list[Entry]:
     true = c.truth.rendition
     row = "norm of the row of the matrix from balanced channels to the display's linear light"
     gains = [
-        (name, partial(colours.noise_gain, primary=index)) for index, name in enumerate(PRIMARIES)
+        (name, partial(colours.noise_gain, primary=index)) for index, name in enumerate(_PRIMARIES)
     ]
     balance = zip(c.channels, c.white_balance, c.true_white_balance.tolist(), strict=True)
     grey = "from the parameters: 18 % grey with white at 72 % of saturation"
@@ -842,11 +842,11 @@ def _spatial_entries(sheet: DataSheet) -> list[Entry]:
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [
         replace(part, value=part.value + left_e2 * (name == "of rows"))
-        for part, (name, _) in zip(true_parts, PARTS, strict=True)
+        for part, (name, _) in zip(true_parts, _SPATIAL_PARTS, strict=True)
     ]
     measured = estimators.spatial_parts(sheet.dark_stack, _row_noise(sheet.experiment))
-    split = zip(PARTS, measured, true_e2, strict=True)
-    row_source = f"{SPLIT}, and the row noise that {sheet.dark_stack.frames} frames leave"
+    split = zip(_SPATIAL_PARTS, measured, true_e2, strict=True)
+    row_source = f"{_SPLIT_SOURCE}, and the row noise that {sheet.dark_stack.frames} frames leave"
     return [
         _emva_entry(
             "dark signal non-uniformity",
@@ -863,7 +863,7 @@ def _spatial_entries(sheet: DataSheet) -> list[Entry]:
                 "e-",
                 root(variance, 0.0) / k,
                 root(true, 0.0).value,
-                row_source if left_e2 and name == "of rows" else SPLIT,
+                row_source if left_e2 and name == "of rows" else _SPLIT_SOURCE,
             )
             for (name, short), variance, true in split
         ),

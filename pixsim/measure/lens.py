@@ -232,12 +232,12 @@ def lens_data(
     Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not
     reach the image.
     """
-    wavelengths = np.array(wavelength_nm or lens.prescription.wavelengths_nm)
-    primary = lens.primary_nm
-    largest = lens.max_field_deg
-    fields = np.linspace(0.0, largest, FIELDS) if largest else np.zeros(1)
-    curve = np.linspace(0.0, largest, _CURVE_FIELDS) if largest else np.zeros(1)
-    illumination = lens.projected_solid_angle_sr(curve, primary)
+    wavelengths_nm = np.array(wavelength_nm or lens.prescription.wavelengths_nm)
+    primary_nm = lens.primary_nm
+    max_field_deg = lens.max_field_deg
+    field_deg = np.linspace(0.0, max_field_deg, FIELDS) if max_field_deg else np.zeros(1)
+    curve_deg = np.linspace(0.0, max_field_deg, _CURVE_FIELDS) if max_field_deg else np.zeros(1)
+    illumination = lens.projected_solid_angle_sr(curve_deg, primary_nm)
     dark = np.asarray(illumination[:: (_CURVE_FIELDS - 1) // (FIELDS - 1)] <= 0)
     if dark[0]:
         raise invalid(
@@ -248,78 +248,93 @@ def lens_data(
         )
 
     spots = [
-        _spot(lens, float(angle), wavelengths, bool(is_dark))
-        for angle, is_dark in zip(fields, dark, strict=True)
+        _spot(lens, float(angle), wavelengths_nm, bool(is_dark))
+        for angle, is_dark in zip(field_deg, dark, strict=True)
     ]
 
     # Frequencies up to the highest of the tables, or on to the cutoff.
-    table_frequencies = _table_frequencies(pitch_um)
-    shortest = float(wavelengths.min())
+    listed_lp_per_mm = _table_frequencies(pitch_um)
+    shortest_nm = float(wavelengths_nm.min())
     f_number = lens.working_f_number
-    cutoff = float(cutoff_cy_per_mm(shortest, f_number))
-    last = max(table_frequencies)
-    highest = max(1.1 * last, min(cutoff, 1.5 * last, 150.0))
-    steps = np.linspace(0.0, highest, _MTF_POINTS)
-    frequency = np.unique(np.concatenate([steps, table_frequencies]))
+    cutoff_lp_per_mm = float(cutoff_cy_per_mm(shortest_nm, f_number))
+    highest_listed_lp_per_mm = max(listed_lp_per_mm)
+    highest_lp_per_mm = max(
+        1.1 * highest_listed_lp_per_mm, min(cutoff_lp_per_mm, 1.5 * highest_listed_lp_per_mm, 150.0)
+    )
+    steps_lp_per_mm = np.linspace(0.0, highest_lp_per_mm, _MTF_POINTS)
+    frequency_lp_per_mm = np.unique(np.concatenate([steps_lp_per_mm, listed_lp_per_mm]))
 
     # A field with too little light for a ray is dark too.
     dark = dark | np.array([math.isnan(spot.rms_um) for spot in spots])
-    lit_fields = fields[~dark]
-    side = _PSF_SPOTS * max(
+    lit_deg = field_deg[~dark]
+    side_um = _PSF_SPOTS * max(
         spot.rms_um for spot, is_dark in zip(spots, dark, strict=True) if not is_dark
     )
-    geometric = side > _MAX_WIDTHS * 1e-3 * shortest * f_number
-    pitch = min(
-        max(1e-3 * shortest * f_number / _PSF_SAMPLES, side / MAX_SAMPLES),
-        500 / min(highest, 1.05 * cutoff),
+    geometric = side_um > _MAX_WIDTHS * 1e-3 * shortest_nm * f_number
+    psf_pitch_um = min(
+        max(1e-3 * shortest_nm * f_number / _PSF_SAMPLES, side_um / MAX_SAMPLES),
+        500 / min(highest_lp_per_mm, 1.05 * cutoff_lp_per_mm),
     )
     if not geometric:
-        psfs = _point_spreads(lens, lit_fields, wavelengths, pitch, side)
+        psfs = _point_spreads(lens, lit_deg, wavelengths_nm, psf_pitch_um, side_um)
         geometric = not psfs
     if geometric:
-        pitch = side / MAX_SAMPLES
-        psfs, mtf = ray_spreads(lens, lit_fields, wavelengths, pitch, frequency)
+        psf_pitch_um = side_um / MAX_SAMPLES
+        psfs, mtf = ray_spreads(lens, lit_deg, wavelengths_nm, psf_pitch_um, frequency_lp_per_mm)
     else:
-        mtf = np.empty((len(psfs), 2, frequency.size))
+        mtf = np.empty((len(psfs), 2, frequency_lp_per_mm.size))
         for psf, (tangential_mtf, sagittal_mtf) in zip(psfs, mtf, strict=True):
-            tangential_mtf[:] = line_mtf(psf.sum(axis=1), pitch, frequency)
-            sagittal_mtf[:] = line_mtf(psf.sum(axis=0), pitch, frequency)
+            tangential_mtf[:] = line_mtf(psf.sum(axis=1), psf_pitch_um, frequency_lp_per_mm)
+            sagittal_mtf[:] = line_mtf(psf.sum(axis=0), psf_pitch_um, frequency_lp_per_mm)
 
-    for index in np.flatnonzero(dark):  # in rising order, so that each is put at its place
+    # Dark fields in rising order, so that each is put at its place.
+    for index in np.flatnonzero(dark):
         psfs.insert(int(index), np.zeros_like(psfs[0]))
         mtf = np.insert(mtf, index, np.nan, axis=0)
-    mtf[..., frequency > cutoff] = 0.0  # where samples of the PSF would repeat lower frequencies
-    chief = lens.chief_ray(curve, primary)
-    tangential, sagittal = lens.foci_mm(curve, primary)
-    ends = lens.chief_ray(
-        curve[:, None], np.array([wavelengths.min(), wavelengths.max()])
-    ).height_mm
-    curves = {
-        "image_height_mm": chief.height_mm,
-        "chief_ray_angle_deg": chief.angle_deg,
-        "distortion": lens.distortion(curve),
-        "relative_illumination": illumination / illumination[0],
-        "tangential_focus_mm": tangential,
-        "sagittal_focus_mm": sagittal,
-        "lateral_colour_um": 1e3 * (ends[:, 1] - ends[:, 0]),
-    }
+    # There samples of the PSF would repeat lower frequencies.
+    mtf[..., frequency_lp_per_mm > cutoff_lp_per_mm] = 0.0
+    curves = _field_curves(lens, curve_deg, wavelengths_nm, illumination)
     return LensData(
         lens=lens,
-        wavelength_nm=wavelengths,
-        field_deg=fields,
+        wavelength_nm=wavelengths_nm,
+        field_deg=field_deg,
         spots=spots,
         psfs=psfs,
-        psf_pitch_um=pitch,
+        psf_pitch_um=psf_pitch_um,
         dark=dark,
         geometric=geometric,
-        frequency_lp_per_mm=frequency,
+        frequency_lp_per_mm=frequency_lp_per_mm,
         mtf=mtf,
-        curve_deg=curve,
-        curves={name: np.asarray(values) for name, values in curves.items()},
+        curve_deg=curve_deg,
+        curves=curves,
         pitch_um=pitch_um,
         notes=notes,
         reflectance=reflectance,
     )
+
+
+def _field_curves(
+    lens: Lens, field_deg: Array, wavelength_nm: Array, illumination: Array
+) -> dict[str, Array]:
+    """Return curves over the field by name, (n,) each.
+
+    illumination : (n,) of the fields, in any unit
+    """
+    primary = lens.primary_nm
+    chief = lens.chief_ray(field_deg, primary)
+    tangential_mm, sagittal_mm = lens.foci_mm(field_deg, primary)
+    ends_nm = np.array([wavelength_nm.min(), wavelength_nm.max()])
+    end_heights_mm = lens.chief_ray(field_deg[:, None], ends_nm).height_mm
+    curves = {
+        "image_height_mm": chief.height_mm,
+        "chief_ray_angle_deg": chief.angle_deg,
+        "distortion": lens.distortion(field_deg),
+        "relative_illumination": illumination / illumination[0],
+        "tangential_focus_mm": tangential_mm,
+        "sagittal_focus_mm": sagittal_mm,
+        "lateral_colour_um": 1e3 * (end_heights_mm[:, 1] - end_heights_mm[:, 0]),
+    }
+    return {name: np.asarray(values) for name, values in curves.items()}
 
 
 def _spot(lens: Lens, field_deg: float, wavelength_nm: Array, is_dark: bool) -> Spot:

@@ -1314,31 +1314,13 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
     """
     kind = _surface_type(block)
     if kind == _NULL:
-        names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
-        terms = [
-            (_zmx_number(where, term), _zmx_number(where, term, 1)) for term in block.all("PARM")
-        ]
-        moved = [
-            f"{names[int(number) - 1]} {value:g}"
-            for number, value in terms
-            if 1 <= number <= len(names) and value
-        ]
-        if (line := block.first("CURV")) and _zmx_number(where, line):
-            moved.append("with a curvature")
-        if _glass_name(block) not in ("", medium):
-            moved.append("with a glass of its own")
-        if moved:
-            yield invalid(
-                where,
-                f"{_NULL}, a tilted or decentred axis ({', '.join(moved)})",
-                TRACED,
-                _HOW_TRACED,
-            )
+        if moved := _coordinate_break_words(block, where, medium):
+            got = f"{_NULL}, a tilted or decentred axis ({', '.join(moved)})"
+            yield invalid(where, got, TRACED, _HOW_TRACED)
     elif kind not in STEP:
         gradient_words = ", a gradient index" if kind.startswith(_GRADIENTS) else ""
-        yield invalid(
-            where, f"the surface type {names_in([kind])[0]}{gradient_words}", TRACED, _HOW_TRACED
-        )
+        got = f"the surface type {names_in([kind])[0]}{gradient_words}"
+        yield invalid(where, got, TRACED, _HOW_TRACED)
 
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
@@ -1361,12 +1343,9 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
                 "surfaces on the axis",
             )
 
-    for other in block.all(*_OTHER_APERTURES):
-        yield invalid(
-            f"{where}, line {other.number}",
-            f"{other.keyword}, a {_OTHER_APERTURES[other.keyword]}",
-            "discs: CLAP or FLAP",
-        )
+    for line in block.all(*_OTHER_APERTURES):
+        got = f"{line.keyword}, a {_OTHER_APERTURES[line.keyword]}"
+        yield invalid(f"{where}, line {line.number}", got, "discs: CLAP or FLAP")
 
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
@@ -1385,17 +1364,33 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
             )
 
     if kind in _EXTENDED:
-        stated, extra = (
-            [term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)]
-            for name in ("PARM", "XDAT")
-        )
-        if stated or not extra:
-            got = (
-                f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which"
-                " programs read in several ways"
-            )
+        has_parameters = any(_zmx_number(where, term, 1, 0.0) for term in block.all("PARM"))
+        has_extra_data = any(_zmx_number(where, term, 1, 0.0) for term in block.all("XDAT"))
+        if has_parameters or not has_extra_data:
+            place = "with terms in both PARM and XDAT" if has_extra_data else "without XDAT"
+            got = f"{kind} {place}, which programs read in several ways"
             expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
             yield invalid(where, got, expected, "Save the lens again in OpticStudio.")
+
+
+def _coordinate_break_words(block: _Block, where: str, medium: str) -> list[str]:
+    """Say what a coordinate break changes; empty if nothing.
+
+    medium : name of the glass in front of it
+    """
+    names = ("decentre x", "decentre y", "tilt x", "tilt y", "tilt z")
+    words = []
+    for term in block.all("PARM"):
+        number = _zmx_number(where, term)
+        value = _zmx_number(where, term, 1)
+        if 1 <= number <= len(names) and value:
+            words.append(f"{names[int(number) - 1]} {value:g}")
+    line = block.first("CURV")
+    if line and _zmx_number(where, line):
+        words.append("with a curvature")
+    if _glass_name(block) not in ("", medium):
+        words.append("with a glass of its own")
+    return words
 
 
 def _is_number(word: str) -> bool:
