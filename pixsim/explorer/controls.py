@@ -25,33 +25,29 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 # Settings that a designer turns; what this version does not have is left out.
 PITCH = "pixel.pitch_um"
 CONTROLLED_FIELDS = (
-    *(
-        PITCH,
-        "pixel.read_noise_e",
-        "camera.f_number",
-        "exposure.integration_s",
-        "exposure.max_integration_s",
-    ),
-    *(
-        "exposure.gain_db",
-        "develop.denoise",
-        "develop.denoise_strength",
-        "motion.image_um_per_s",
-        "display.samples_per_deg",
-    ),
+    PITCH,
+    "pixel.read_noise_e",
+    "camera.f_number",
+    "exposure.integration_s",
+    "exposure.max_integration_s",
+    "exposure.gain_db",
+    "develop.denoise",
+    "develop.denoise_strength",
+    "motion.image_um_per_s",
+    "display.samples_per_deg",
 )
-SHARED_TABLES = (
-    "scene",
-    "camera",
-    "lens",
-    "display",
-)  # tables that two sensors share, so that both see and show the same
+# Tables that two sensors share, so that both see and show the same.
+SHARED_TABLES = ("scene", "camera", "lens", "display")
 LENS, NO_LENS = "lens.file", "thin lens"
-# What a field's name says in other words than a designer's.
+# Labels of fields whose names are not a designer's words.
 _LABELS = {
-    "pitch": "pixel size", "f number": "f-number", "image": "motion of the image", "integration": "exposure time",
-    "max integration": "longest exposure time", "": "viewing distance, as dots",
-}  # fmt: skip
+    "pitch": "pixel size",
+    "f number": "f-number",
+    "image": "motion of the image",
+    "integration": "exposure time",
+    "max integration": "longest exposure time",
+    "": "viewing distance, as dots",
+}
 
 
 @dataclass(frozen=True)
@@ -75,8 +71,9 @@ class Control:
         return self.path.partition(".")[0] in SHARED_TABLES
 
     def value(self, sent: object) -> object:
-        """Return the value of the field for what a page sent. Raises PixsimError for what is no
-        number, or none of the choices.
+        """Return the value of the field for a value that a page sent.
+
+        Raises PixsimError for a value that is no number, or none of the choices.
         """
         if self.choices:
             if sent not in self.choices:
@@ -86,8 +83,8 @@ class Control:
             raise invalid(self.path, repr(sent)[:80], "a number")
         return [float(sent), 0.0] if self.pair else float(sent)
 
-    def shown(self, value: object) -> object:
-        """Return what a page shows of a value of the field."""
+    def page_value(self, value: object) -> object:
+        """Return the value that a page shows for a value of the field."""
         return value[0] if self.pair and isinstance(value, list | tuple) else value
 
 
@@ -133,30 +130,29 @@ def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
     declared = schema["$defs"].get(record_name, {}).get("properties", {}).get(name)
     if declared is None:
         return None
+
+    # The alternatives of the field without null, and the numbers of a pair one by one.
     kinds = [kind for kind in declared.get("anyOf", [declared]) if kind.get("type") != "null"]
-    choices = tuple(
-        text
-        for kind in kinds
-        for text in (*kind.get("enum", ()), *([kind["const"]] if "const" in kind else ()))
-    )
-    pair = any(kind.get("type") == "array" for kind in kinds)
-    numbers = [
-        inner for kind in kinds for inner in (kind.get("prefixItems", [kind]) if pair else [kind])
-    ]
-    minimum, maximum = (
-        next((kind[key] for kind in numbers if key in kind), None) for key in ("minimum", "maximum")
-    )
-    ending = next((end for end in UNITS if name.endswith(end)), "") if unit_of(name) else ""
+    choices: list[str] = []
+    numbers: list[Mapping[str, Any]] = []
+    is_pair = any(kind.get("type") == "array" for kind in kinds)
+    for kind in kinds:
+        choices += kind.get("enum", ())
+        choices += [kind["const"]] if "const" in kind else []
+        numbers += kind.get("prefixItems", [kind]) if is_pair else [kind]
+
+    unit = unit_of(name)
+    ending = next((end for end in UNITS if name.endswith(end)), "") if unit else ""
     label = name.removesuffix(ending).replace("_", " ")
     return Control(
-        path,
-        _LABELS.get(label, label),
-        unit_of(name),
-        declared.get("description", ""),
-        minimum,
-        maximum,
-        choices,
-        pair=pair,
+        path=path,
+        label=_LABELS.get(label, label),
+        unit=unit,
+        help=declared.get("description", ""),
+        minimum=next((number["minimum"] for number in numbers if "minimum" in number), None),
+        maximum=next((number["maximum"] for number in numbers if "maximum" in number), None),
+        choices=tuple(choices),
+        pair=is_pair,
     )
 
 
@@ -201,10 +197,10 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict
     """Return tables with the values of some dotted fields over them; None leaves a field as it
     is.
     """
-    set_here = (
+    overrides = (
         nested(path.split("."), value) for path, value in values.items() if value is not None
     )
-    return reduce(merge, set_here, dict(tables))
+    return reduce(merge, overrides, dict(tables))
 
 
 def command_words(
@@ -217,19 +213,20 @@ def command_words(
     """Return the command `pixsim run` with these settings files, options and further words, for a
     shell.
     """
-    words = [
-        "pixsim",
-        "run",
-        source,
-        *(word for path in config for word in ("--config", str(path))),
-        *flags,
-    ]
-    return shlex.join(
-        [*words, *_options(tables), *(["--repeats", str(repeats)] if repeats > 1 else [])]
-    )
+    words = ["pixsim", "run", source]
+    for path in config:
+        words += ["--config", str(path)]
+    words += [*flags, *_options(tables)]
+    if repeats > 1:
+        words += ["--repeats", str(repeats)]
+    return shlex.join(words)
 
 
 def _options(tables: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the options of a command that set tables of settings.
+
+    above : names of the tables that contain these
+    """
     for name, value in tables.items():
         path = (*above, name)
         if isinstance(value, Mapping) and path != ("scene",):
@@ -241,7 +238,6 @@ def _options(tables: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator
         elif path == ("metrics",):
             yield from (word for metric in value for word in ("--metrics", metric))
         else:
-            dotted = "window" if path == ("window_mm",) else ".".join(path).replace("_", "-")
-            yield (
-                f"--{dotted}={','.join(map(str, value)) if isinstance(value, list | tuple) else value}"
-            )
+            option = "window" if path == ("window_mm",) else ".".join(path).replace("_", "-")
+            text = ",".join(map(str, value)) if isinstance(value, list | tuple) else value
+            yield f"--{option}={text}"

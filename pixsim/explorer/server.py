@@ -41,15 +41,22 @@ FILES = {
     "/page.css": ("page.css", "text/css"),
 }
 _HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
-}  # fmt: skip
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
+    " img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none';"
+    " frame-ancestors 'none'",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
 MAX_MESSAGE_BYTES = 1 << 16  # of a message
-FIRST_S, RELOAD_S = 10.0, 3.0  # for the token, and for a page that is loaded again
-REFUSED, REPLACED = 4403, 4409  # codes of a WebSocket that is closed
+FIRST_S = 10.0  # for the token of a page
+RELOAD_S = 3.0  # for a page that is loaded again
+# Codes of a WebSocket that is closed.
+REFUSED = 4403
+REPLACED = 4409
 _REDIRECT = """<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>pixsim explore</title>
-<meta name="referrer" content="no-referrer"><meta http-equiv="refresh" content="0; url={url}"><p><a href="{url}">pixsim</a>
+<meta name="referrer" content="no-referrer"><meta http-equiv="refresh" content="0; url={url}">
+<p><a href="{url}">pixsim</a>
 """
 
 
@@ -57,7 +64,8 @@ class _SamePage:
     """Refuse what another host name, or the page of another origin, asks for."""
 
     def __init__(self, app: ASGIApp, port: int) -> None:
-        self.app, self.hosts = app, [f"{name}:{port}".encode() for name in (_HOST, "localhost")]
+        self.app = app
+        self.hosts = [f"{name}:{port}".encode() for name in (_HOST, "localhost")]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
@@ -65,20 +73,16 @@ class _SamePage:
                 name: [value for key, value in scope["headers"] if key == name]
                 for name in (b"host", b"origin")
             }
-            host, origin = headers[b"host"], headers[b"origin"]
-            asks = (
-                bool(origin) or scope["type"] == "websocket"
-            )  # a page that is opened states no origin
-            if (
-                len(host) != 1
-                or host[0] not in self.hosts
-                or (asks and origin != [b"http://" + host[0]])
-            ):
+            host = headers[b"host"]
+            origin = headers[b"origin"]
+            # A page that a user opens states no origin.
+            needs_origin = bool(origin) or scope["type"] == "websocket"
+            is_known_host = len(host) == 1 and host[0] in self.hosts
+            if not is_known_host or (needs_origin and origin != [b"http://" + host[0]]):
                 if scope["type"] == "http":
                     return await Response("another host or origin", 403)(scope, receive, send)
-                return await send(
-                    {"type": "websocket.close", "code": REFUSED}
-                )  # before it is accepted: 403
+                # Before the socket is accepted, this is an answer 403.
+                return await send({"type": "websocket.close", "code": REFUSED})
         await self.app(scope, receive, send)
 
 
@@ -86,7 +90,8 @@ class Pages:
     """The one page that is open, and what is sent to it."""
 
     def __init__(self, session: Session, token: str) -> None:
-        self.session, self.token = session, token
+        self.session = session
+        self.token = token
         self.loop: asyncio.AbstractEventLoop | None = None
         self.open: WebSocket | None = None
         session.send = self.send
@@ -95,28 +100,24 @@ class Pages:
         """Send a message to the page, from any thread; if none is open, nobody needs it."""
         if self.loop is not None and self.open is not None:
             with suppress(Exception):  # whatever a page that is just closed raises
-                asyncio.run_coroutine_threadsafe(self.open.send_json(message), self.loop).result(
-                    FIRST_S
-                )
+                sending = self.open.send_json(message)
+                asyncio.run_coroutine_threadsafe(sending, self.loop).result(FIRST_S)
 
     async def file(self, request: Request) -> Response:
-        name, kind = FILES[request.url.path]
-        return Response(
-            (resources.files("pixsim") / "data/explorer" / name).read_bytes(),
-            media_type=kind,
-            headers=_HEADERS,
-        )
+        """Return a file of the page."""
+        name, media_type = FILES[request.url.path]
+        content = (resources.files("pixsim") / "data/explorer" / name).read_bytes()
+        return Response(content, media_type=media_type, headers=_HEADERS)
 
     async def socket(self, page: WebSocket) -> None:
+        """Check the token of a page, then pass its requests to the session until it closes."""
         self.loop = asyncio.get_running_loop()
         await page.accept()
         try:
             first = await asyncio.wait_for(page.receive_json(), FIRST_S)
             token = first.get("token") if isinstance(first, dict) else None
-            if not (
-                isinstance(token, str)
-                and secrets.compare_digest(token.encode(), self.token.encode())
-            ):
+            is_token = isinstance(token, str)
+            if not is_token or not secrets.compare_digest(token.encode(), self.token.encode()):
                 await page.close(REFUSED)
                 return
             if self.open is not None:
@@ -137,6 +138,7 @@ class Pages:
                 self.loop.call_later(RELOAD_S, self.end_if_closed)
 
     def end_if_closed(self) -> None:
+        """End the session if no page has been opened again."""
         if self.open is None:
             self.session.end()
 
@@ -146,7 +148,8 @@ def served(session: Session) -> Iterator[Path]:
     """Serve the page of a session within the block, and give the private file that leads to it."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.bind((_HOST, 0))
-    port, token = listening.getsockname()[1], secrets.token_urlsafe(32)
+    port = listening.getsockname()[1]
+    token = secrets.token_urlsafe(32)
     pages = Pages(session, token)
     routes = [*(Route(path, pages.file) for path in FILES), WebSocketRoute("/socket", pages.socket)]
     app = _SamePage(Starlette(routes=routes), port)

@@ -49,12 +49,11 @@ from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
-MAX_LIGHTS, MAX_SENSORS = 3, 2  # in memory; side by side
+MAX_LIGHTS = 3  # in memory
+MAX_SENSORS = 2  # side by side
 REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
-CURVE_STEPS, SIZES_PER_DECADE = (
-    4,
-    12,
-)  # sizes on each side of the pixel's, and how many there are from one to ten times it
+CURVE_STEPS = 4  # sizes on each side of the pixel's
+SIZES_PER_DECADE = 12  # from one pixel size to ten times it
 _PROGRESS_INTERVAL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
 LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
@@ -63,14 +62,12 @@ LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
 
 
 class _SupersededError(BaseException):
-    """Other settings came, or the page was closed: what is being computed is no longer asked
-    for.
-    """
+    """Other settings came, or the page was closed: the answer in progress is no longer needed."""
 
 
 class PageRequest(NamedTuple):
-    """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and
-    perhaps a curve.
+    """Request of a page: a preset and values of controls for each sensor, metrics beside ΔE, and
+    whether curves are drawn.
     """
 
     number: int
@@ -88,9 +85,8 @@ class PageRequest(NamedTuple):
             request = cls(
                 int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"])
             )
-            if 1 <= len(sensors) <= MAX_SENSORS and all(
-                name in METRICS for name in request.metrics
-            ):
+            has_metrics = all(name in METRICS for name in request.metrics)
+            if 1 <= len(sensors) <= MAX_SENSORS and has_metrics:
                 return request
         except (KeyError, TypeError, ValueError):
             pass  # no request
@@ -101,8 +97,9 @@ class PageRequest(NamedTuple):
 
 @dataclass
 class Session:
-    """What one page computes, in the thread of `serve`; `ask` and `end` may be called from any
-    thread.
+    """Computes the answers to one page's requests.
+
+    It does so in the thread of `serve`; `ask` and `end` may be called from any thread.
 
     source : scene, or picture of another program; or light in memory
     config, tables : settings files and options of the user
@@ -117,11 +114,15 @@ class Session:
     send: Callable[[dict[str, Any]], None] = lambda message: None
 
     def __post_init__(self) -> None:
-        self._wake, self._ended, self._progress_sent_s = threading.Event(), False, 0.0
+        self._wake = threading.Event()
+        self._ended = False
+        self._progress_sent_s = 0.0
         self._request: PageRequest | None = None
         self._lights: dict[str, RenderedRun] = {}  # the last one last
-        self._scenes, self._points = RecentScenes(), dict[str, list[float]]()
-        self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
+        self._scenes = RecentScenes()
+        self._points: dict[str, list[float]] = {}
+        self.presets = presets_of(self.config, self.tables)
+        self.controls = controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
         self.title = first.file if isinstance(self.source, str) else "light in memory"
         if first.cases[0].picture is None:
@@ -183,31 +184,36 @@ class Session:
         """Send the pictures of a request as soon as they are known, then with their errors, then
         curves.
         """
-        jobs, first_results = [], []
+        # First pictures come from a cached light, without its errors.
+        jobs: list[Job[Run]] = []
+        first_results: list[RunResult | None] = []
         for number in range(len(request.sensors)):
+            first: RunResult | None = None
             with collected_notes(alone=True):
-                jobs.append(self._job(request, number))
-                first_run = self._first_run(jobs[-1])
-                first = (
-                    None
-                    if first_run is None
-                    else score_run(first_run, self._stage(request), self._scenes)
-                )
+                job = self._job(request, number)
+                first_run = self._first_run(job)
+                if first_run is not None:
+                    first = score_run(first_run, self._stage(request), self._scenes)
+            jobs.append(job)
             first_results.append(first)
             if first is not None:
                 self.send(self._message(request, number, first, sure=False))
-        lights = []
+
+        runs = []
         for number, (job, first) in enumerate(zip(jobs, first_results, strict=True)):
             with collected_notes(alone=True):
-                lights.append(self._store_light(render_run(job, self._stage(request))))
-                result = score_run(lights[-1], self._stage(request), self._scenes)
+                rendered_run = self._store_light(render_run(job, self._stage(request)))
+                result = score_run(rendered_run, self._stage(request), self._scenes)
                 has_pictures = first is not None and np.array_equal(
                     first.score.image, result.score.image
                 )
-                self.send(
-                    self._message(request, number, result, sure=True, has_pictures=has_pictures)
+                message = self._message(
+                    request, number, result, sure=True, has_pictures=has_pictures
                 )
-        for number, rendered_run in enumerate(lights if request.curve else []):
+                self.send(message)
+            runs.append(rendered_run)
+
+        for number, rendered_run in enumerate(runs if request.curve else []):
             for point in self._curve(request, number, rendered_run):
                 self.send({"number": request.number, "sensor": number, "point": point})
         self.send({"number": request.number, "done": True})
@@ -230,17 +236,19 @@ class Session:
         sensor_values = {
             path: value for path, value in values.items() if not controls[path].is_shared
         }
-        set_here = {
+        fields = {
             path: controls[path].value(value) for path, value in (shared | sensor_values).items()
         }
-        tables = with_values(self.presets[place].tables, set_here)
-        return self.presets[place], tables | (
-            {"metrics": (DELTA_E.name, *request.metrics)} if request.metrics else {}
-        )
+        preset = self.presets[place]
+        tables = with_values(preset.tables, fields)
+        if request.metrics:
+            tables["metrics"] = (DELTA_E.name, *request.metrics)
+        return preset, tables
 
     def _job(self, request: PageRequest, number: int) -> Job[Run]:
         """Return the prepared run of a sensor."""
-        (preset, tables), source = self._settings(request, number), self.source
+        preset, tables = self._settings(request, number)
+        source = self.source
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
             source = copy(source)
             source.header = dict(source.header)
@@ -271,8 +279,9 @@ class Session:
         return stage
 
     def _light_key(self, job: Job[Run]) -> str:
-        """Return what light must have in common to serve for a first picture: all but the accuracy
-        that each pixel asks for.
+        """Return a hash of all that lights for a first picture have in common.
+
+        The accuracy that each pixel needs is not part of it.
         """
         bands = [] if job.cases[0].picture else job.request.plan.light.bands.edges_nm.tolist()
         return content_hash(
@@ -284,23 +293,22 @@ class Session:
         )
 
     def _first_run(self, job: Job[Run]) -> RenderedRun | None:
-        """Return a run for the first picture, by ΔE alone, in light that is known or comes at once;
-        None if it must be rendered.
+        """Return a run for the first picture, by ΔE alone, in a light that is cached or exact.
+
+        Returns None if the light must be rendered.
         """
-        case, key = job.cases[0], self._light_key(job)
-        if case.picture is not None and key not in self._lights:
-            self._store_light(RenderedRun(job, case.picture))
-        elif key not in self._lights and job.request.plan.samples.exact:
-            self._store_light(
-                RenderedRun(
-                    job,
-                    job.request.render(job.request.first, job.request.plan)[0],
-                    None,
-                    job.request.plan,
-                )
-            )
+        case = job.cases[0]
+        key = self._light_key(job)
         if key not in self._lights:
-            return None
+            if case.picture is not None:
+                self._store_light(RenderedRun(job, case.picture))
+            elif job.request.plan.samples.exact:
+                plan = job.request.plan
+                image, _ = job.request.render(job.request.first, plan)
+                self._store_light(RenderedRun(job, image, None, plan))
+            else:
+                return None
+
         settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})
         assert case.imaging is not None
         imaging = case.imaging.changed(metrics=metrics_of(settings))
@@ -309,18 +317,14 @@ class Session:
         return RenderedRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
     def _store_light(self, rendered_run: RenderedRun) -> RenderedRun:
-        """Keep the light of a run; if it is the same as one that is kept, return the run in that
-        one.
-        """
+        """Cache the light of a run. Returns the run, with the cached light if that is the same."""
         key = self._light_key(rendered_run.prepared)
-        old = self._lights.pop(key).irradiance if key in self._lights else None
-        if (
-            old is not None
-            and old.shape == rendered_run.irradiance.shape
-            and _bare(old.header) == _bare(rendered_run.irradiance.header)
-        ):
-            old.header = rendered_run.irradiance.header  # with the white
-            rendered_run = replace(rendered_run, irradiance=old)
+        image = rendered_run.irradiance
+        if key in self._lights:
+            cached = self._lights.pop(key).irradiance
+            if cached.shape == image.shape and _bare(cached.header) == _bare(image.header):
+                cached.header = image.header  # with the white
+                rendered_run = replace(rendered_run, irradiance=cached)
         while len(self._lights) >= MAX_LIGHTS:
             del self._lights[next(iter(self._lights))]
         self._lights[key] = rendered_run
@@ -362,61 +366,53 @@ class Session:
             )
             return content | {"lines": [words], "unsure": "errors not measured yet"}
         preset, tables = self._settings(request, number)
-        flags = [
-            word
-            for name in ("sensor", "variant", "units")
-            if (value := getattr(job, name))
-            for word in (f"--{name}", value)
-        ]
-        command = (
-            (job.file, preset.config, tables)
-            if isinstance(self.source, str)
-            else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
-        )
+        flags = []
+        for name in ("sensor", "variant", "units"):
+            value = getattr(job, name)
+            flags += [f"--{name}", value] if value else []
+        if isinstance(self.source, str):
+            command = command_words(job.file, preset.config, tables, REPEATS, flags)
+        else:
+            command = command_words(LIGHT_FILE, (Path(SETTINGS_FILE),), {}, REPEATS, flags)
         is_sure = converged(result.light, result.light_limit)
         content |= {
             "lines": text(run_document(result), LINE).splitlines(),
             "unsure": "" if is_sure else NOT_CONVERGED,
         }
-        return content | {
-            "command": command_words(*command, REPEATS, flags),
-            "settings": run_settings_text(job, result.irradiance),
-        }
+        return content | {"command": command, "settings": run_settings_text(job, result.irradiance)}
 
     def _values(self, result: RunResult) -> dict[str, object]:
         """Return the values of the controls in effect, by their paths, as they are shown."""
-        settings, values = result.settings, {}
+        settings = result.settings
+        score = result.score
+        values: dict[str, object] = {}
         for control in self.controls:
             table, _, name = control.path.partition(".")
-            score = result.score
-            pixel_records = score.physics, score.readout, score.readout.adc
-            places: list[object] = [
-                getattr(settings, table),
-                result.camera,
-                *pixel_records,
-                score.frame,
-            ]
-            value = next(
-                (
-                    record_value
-                    for place in places
-                    if (record_value := getattr(place, name, None)) is not None
-                ),
-                None,
-            )
-            if table == "scene":
-                parameter = settings.scene.get(
-                    name, result.prepared.cases[0].scene.text().defaults.get(name)
+            if control.path == LENS:
+                values[LENS] = settings.lens.file or NO_LENS
+            elif table == "scene":
+                values[control.path] = control.page_value(self._scene_value(result, name))
+            else:
+                records = (
+                    getattr(settings, table),
+                    result.camera,
+                    score.physics,
+                    score.readout,
+                    score.readout.adc,
+                    score.frame,
                 )
-                value = (
-                    result.plan.light.chart_white.get(LUMINANCE)
-                    if parameter is None and result.plan
-                    else parameter
-                )
-            values[control.path] = (
-                settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
-            )
+                stated = (getattr(record, name, None) for record in records)
+                value = next((value for value in stated if value is not None), None)
+                values[control.path] = control.page_value(value)
         return values
+
+    def _scene_value(self, result: RunResult, name: str) -> object:
+        """Return the value of a scene parameter, or the luminance of a chart without one."""
+        default = result.prepared.cases[0].scene.text().defaults.get(name)
+        value = result.settings.scene.get(name, default)
+        if value is None and result.plan:
+            return result.plan.light.chart_white.get(LUMINANCE)
+        return value
 
     def _curve(
         self, request: PageRequest, number: int, rendered_run: RenderedRun
@@ -426,23 +422,18 @@ class Session:
         """
         middle = round(SIZES_PER_DECADE * np.log10(rendered_run.prepared.settings.pixel.pitch_um))
         for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):
-            pitch_um, sensors = (
-                float(f"{10 ** ((middle + step) / SIZES_PER_DECADE):.3g}"),
-                list(request.sensors),
-            )
-            sensors[number] = sensors[number][0], {**sensors[number][1], PITCH: pitch_um}
+            pitch_um = float(f"{10 ** ((middle + step) / SIZES_PER_DECADE):.3g}")
+            preset, values = request.sensors[number]
+            sensors = list(request.sensors)
+            sensors[number] = preset, {**values, PITCH: pitch_um}
             try:
                 with collected_notes(alone=True):
                     job = self._job(request._replace(sensors=tuple(sensors), metrics=()), number)
-                    key = content_hash(
-                        [job.settings.model_dump(mode="json"), rendered_run.irradiance.header]
-                    )
+                    image = rendered_run.irradiance
+                    key = content_hash([job.settings.model_dump(mode="json"), image.header])
                     if key not in self._points:
-                        result = score_run(
-                            RenderedRun(job, rendered_run.irradiance, None, rendered_run.plan),
-                            self._stage(request),
-                            self._scenes,
-                        )
+                        run = RenderedRun(job, image, None, rendered_run.plan)
+                        result = score_run(run, self._stage(request), self._scenes)
                         low, high = result.interval_delta_e or (0.0, 0.0)
                         self._points[key] = [pitch_um, result.mean_delta_e, (high - low) / 2]
             except PixsimError:

@@ -262,7 +262,7 @@ def test_controls_of_a_scene_follow_its_parameters():
 def test_pair_of_numbers_is_turned_by_its_first():
     control = Control("motion.image_um_per_s", "motion", pair=True)
     assert control.value(3) == [3.0, 0.0]
-    assert control.shown((3.0, 0.0)) == 3.0
+    assert control.page_value((3.0, 0.0)) == 3.0
 
 
 @pytest.mark.parametrize(
