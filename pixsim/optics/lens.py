@@ -1590,9 +1590,10 @@ class Lens:
         """Return the largest image height that light reaches, in mm, to about 1 % of the field
         angle.
         """
-        fields, heights = self._fields_with_chief_rays(wavelength_nm)
-        is_illuminated = self._outline(fields, np.full(fields.size, wavelength_nm), 32).area > 0
-        return float(heights[is_illuminated][-1]) if is_illuminated.any() else 0.0
+        fields, heights_mm = self._fields_with_chief_rays(wavelength_nm)
+        outline = self._outline(fields, np.full(fields.size, wavelength_nm), 32)
+        illuminated_mm = heights_mm[outline.area > 0]
+        return float(illuminated_mm[-1]) if illuminated_mm.size else 0.0
 
     def _fields_with_chief_rays(self, wavelength_nm: float) -> tuple[Array, Array]:
         """Return fields in degrees from the axis on that have a chief ray, and their image heights,
@@ -1627,11 +1628,13 @@ class Lens:
 
         reflectance : share of the light that coated surfaces in air reflect; bare glass by default
         """
-        indices, half_mm = self._plain_indices(wavelength_nm), self.entrance_pupil_diameter_mm / 2
-        height_mm, slope = half_mm, 0.0
+        # The marginal ray at the first vertex.
+        height_mm, slope = self.entrance_pupil_diameter_mm / 2, 0.0
         if math.isfinite(self.object_distance_mm):
-            slope = half_mm / self.object_distance_mm
+            slope = height_mm / self.object_distance_mm
             height_mm -= slope * self._entrance_pupil_mm
+
+        indices = self._plain_indices(wavelength_nm)
         surfaces = self.prescription.surfaces
         return find_ghosts(surfaces, indices, reflectances(indices, reflectance), height_mm, slope)
 
