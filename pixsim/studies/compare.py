@@ -729,7 +729,7 @@ def _differences_of_types(
     return uncertainties
 
 
-def _rendered_types(types: Types, base: Sequence[RenderedCase]) -> list[RenderedCase]:
+def _rendered_types(types: SensorTypes, base: Sequence[RenderedCase]) -> list[RenderedCase]:
     """Return the sensor types of sensors in their light, all types of a sensor together."""
     cases: list[Case[Any]] = []
     lights: list[Light] = []

@@ -68,12 +68,11 @@ Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
 
 @dataclass(frozen=True)
 class Light:
-    """The irradiance on a sensor, on the film that was chosen for it; or light that was given, and
-    not rendered.
+    """The irradiance on a sensor, rendered on the film that was chosen for it, or given by the user.
 
-    camera : with which it was rendered
-    film : the error of its film; None of light that was given
-    noise : of its render; None of light that was given
+    camera : of the render
+    film : the error of its film; None for given light
+    noise : of its render; None for given light
     background : irradiance of the scene without its target, if a metric asks for it
     """
 
@@ -110,11 +109,8 @@ class LightRequest:
     @property
     def first(self) -> Scene:
         """The scene on the first film."""
-        return (
-            self.scene.with_resolution(self.plan.film.resolution)
-            if self.plan.film.resolution
-            else self.scene
-        )
+        resolution = self.plan.film.resolution
+        return self.scene.with_resolution(resolution) if resolution else self.scene
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,7 +142,7 @@ class LightRequest:
     def delta_e_between(self, image: SpectralImage, other: SpectralImage) -> float:
         """Return the largest mean ΔE of the pixels between noise-free pictures of two renders.
 
-        Pixels whose channels are not told apart show none.
+        Pixels whose channels cannot be told apart are left out; NaN if no pixel is left.
         """
         delta_e = []
         for imaging in self.measured:
@@ -177,39 +173,40 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
     with suppressed_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
+    rows, columns = image.shape
     regions = measured_regions(image, imaging.physics.read_pitch_um, imaging.display)
-    whole = slice(0, image.shape[0]), slice(0, image.shape[1])
-    delta_e = []
+    whole = slice(0, rows), slice(0, columns)
 
+    delta_e = []
     for region in regions or [whole]:
+        display = imaging.display
+        if regions:
+            display = display_of_columns(display, region[1], columns)
+        part_imaging = imaging.changed(display=display)
+
+        # Both parts are exposed as long as the first of them.
         pictures, exposure = [], None
         for light in (image, other):
             planes = light.planes[:, region[0], region[1]]
             part = light.with_planes(planes, header=light.header | white)
-            display = (
-                display_of_columns(imaging.display, region[1], image.shape[1])
-                if regions
-                else imaging.display
-            )
-            on_part = imaging.changed(display=display)
-            chain = make_chain(on_part, prepare_scene(on_part, SceneLight(part)))
-            brightest_e_per_s = float(chain.signal_e_per_s.max())
-            exposure = exposure or integration_time_s(
-                imaging.exposure, imaging.readout, brightest_e_per_s
-            )
+            chain = make_chain(part_imaging, prepare_scene(part_imaging, SceneLight(part)))
+            if exposure is None:
+                brightest_e_per_s = float(chain.signal_e_per_s.max())
+                exposure = integration_time_s(imaging.exposure, imaging.readout, brightest_e_per_s)
             pictures.append(chain.development.score(noiseless_frame(chain, exposure)).image)
+
+        # The first picture takes the place of the ideal image.
         screen = chain.screen
-        seen = replace(
-            screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single)
-        )
-        delta_e.append(float(seen.delta_e_of(pictures[1]).mean()))
+        ideal_lab = perceived_lab(pictures[0], screen.display, screen.full, screen.single)
+        screen = replace(screen, ideal_lab=ideal_lab)
+        delta_e.append(float(screen.delta_e_of(pictures[1]).mean()))
 
     return float(np.mean(delta_e))
 
 
 def rendered_light(request: LightRequest, progress: Progress | None = None) -> tuple[Light, Plan]:
-    """Return the light that pixels ask for, within the limits of a command, by `render_on_film`;
-    and the plan of its film.
+    """Return the light that pixels ask for, within the limits of a command, and the plan of its
+    film.
 
     Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels
     can be told apart.
@@ -217,65 +214,57 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
     scene, plan, settings = request.scene, request.plan, request.settings
     for note in plan.warnings:
         warn(note)
-    rendering = _CHART_RENDER_SHARE if plan.samples.exact else _RENDER_SHARE
+    render_share = _CHART_RENDER_SHARE if plan.samples.exact else _RENDER_SHARE
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        part = share_of(
-            progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across"
-        )
+        words = f", the error of a film of {image.shape[1]} samples across"
+        part = share_of(progress, render_share, 1.0, words)
         return request.film_error(image, plan, progress=part)
 
     fixed = "set by resolution" if settings.resolution else ""
-    render = partial(request.render, progress=share_of(progress, 0.0, rendering))
-    light, last = render_on_film(
+    is_free = not fixed and "resolution" not in scene.parameters
+    bounds_error = settings.tolerance_delta_e is not None
+    light, plan = render_on_film(
         scene,
         request.camera,
         plan,
-        render=render,
+        render=partial(request.render, progress=share_of(progress, 0.0, render_share)),
         plan_of=request.plan_of,
         measure=measure,
         fixed=fixed,
         max_seconds=settings.max_seconds,
-        coarser=(
-            _FIRST_COARSENING
-            if settings.tolerance_delta_e is not None
-            and not (fixed or "resolution" in scene.parameters)
-            else 1
-        ),
+        coarsening=_FIRST_COARSENING if is_free and bounds_error else 1,
     )
     if has_target(settings.metrics):
         light = replace(light, background=without_target(request, light.image.shape[1]))
-    return light, last
+    return light, plan
 
 
 def without_target(request: LightRequest, across: int) -> SpectralImage:
     """Return the irradiance of the scene without its target, on a film of so many samples across.
 
-    Its samples are those of the scene with the target: where the pictures of a lit scene are the
-    same, so is their noise.
+    Its samples are the samples of the scene with the target: where both pictures are the same, so
+    is their noise.
 
     Raises PixsimError if the scene does not have the parameters that leave the target out.
     """
-    stated, name = (
-        request.settings.metric.detectability.without,
-        setting("metric.detectability.without"),
-    )
+    stated = request.settings.metric.detectability.without
     if isinstance(stated, str):
         from pixsim.scene.scene import load_scene
 
         scene = load_scene(stated, variant=request.scene.choice.variant)
     else:
         scene_names = request.scene.names
-        if unknown := [name for name in stated if name not in scene_names]:
-            got = f"{', '.join(unknown)}, which {request.scene.path.name} does not have"
-            hint = "Take the scene target, or state another scene without what is to be found."
+        unknown = [name for name in stated if name not in scene_names]
+        if unknown:
             raise invalid(
-                name,
-                got,
+                setting("metric.detectability.without"),
+                f"{', '.join(unknown)}, which {request.scene.path.name} does not have",
                 f"parameters of the scene ({', '.join(sorted(scene_names))}), or a scene",
-                hint,
+                "Take the scene target, or state another scene without what is to be found.",
             )
         scene = request.scene.with_parameters(**stated)
+
     scene = scene.with_resolution(across)
     image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
@@ -297,65 +286,77 @@ def render_on_film(
     measure: Callable[[SpectralImage, Plan], FilmError],
     fixed: str = "",
     max_seconds: float | None = None,
-    coarser: int = 1,
+    coarsening: int = 1,
 ) -> tuple[Light, Plan]:
     """Render a scene on the film of its plan, and again on a film of twice the samples across while
     the error is too large.
 
-    It stops where the order of convergence seen so far says that the widest film would not be fine
+    It stops where the order of convergence so far predicts that the widest film would not be fine
     enough either, for any of the pixels whose error is too large.
 
     The film depends on the settings only, not on the machine or the time, unless `max_seconds` is
     given.
 
-    plan : for `scene`, with `resolution` if its film is another one than the scene's
+    plan : for `scene`, with `resolution` if its film is not the scene's
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
-    coarser : times that the first film has fewer samples across than that of the plan
-    max_seconds : of each render; a film that would take longer than what the earlier ones left of
-        it is not tried. None means a limit of the samples, `Plan.most_samples`.
+    coarsening : samples across the planned film over those of the first film
+    max_seconds : of all renders; a film that would take longer than what is left of it is not
+        tried. None means a limit of the samples, `Plan.most_samples`.
     """
-    chosen = scene.with_resolution(plan.film.resolution) if plan.film.resolution else scene
-    if coarser > 1:
-        height, width = chosen.film_shape(camera, chosen.for_camera(camera))
-        chosen = chosen.with_resolution(
-            fitting_width(height / width, max(_MIN_SAMPLES_ACROSS, width // coarser), width)
-        )
-        plan = plan_of(chosen)
-    rendered_s, before = 0.0, None
+    if plan.film.resolution:
+        scene = scene.with_resolution(plan.film.resolution)
+    if coarsening > 1:
+        height, width = scene.film_shape(camera, scene.for_camera(camera))
+        first_width = max(_MIN_SAMPLES_ACROSS, width // coarsening)
+        scene = scene.with_resolution(fitting_width(height / width, first_width, width))
+        plan = plan_of(scene)
+
+    ratio = camera.height_mm / camera.die_mm
+    rendered_s = 0.0
+    coarser_film: FilmError | None = None
     while True:
         start = time.perf_counter()
-        image, noise = render(chosen, plan)
+        image, noise = render(scene, plan)
         seconds = time.perf_counter() - start
-        rendered_s, film = rendered_s + seconds, measure(image, plan)
-        width, ratio = image.shape[1], camera.height_mm / camera.die_mm
-        in_time = plan.cells_in_time if max_seconds is None else math.inf
-        max_across = largest_film(ratio, plan.light.planes, in_time)
-        wider = fitting_width(ratio, 2 * width, max_across)
+        rendered_s += seconds
+        film = measure(image, plan)
         if film.within_tolerance:
             return Light(image, camera, film, noise), plan
-        end = (
-            f"the limit of {max_across} samples across for {plan.light.planes}"
-            f" picture{'s' * (plan.light.planes > 1)}"
-        )
-        left = film.predicted_on(max_across, before)
+
+        width = image.shape[1]
+        cells_in_time = plan.cells_in_time if max_seconds is None else math.inf
+        max_across = largest_film(ratio, plan.light.planes, cells_in_time)
+        wider = fitting_width(ratio, 2 * width, max_across)
+        pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
+        end = f"the limit of {max_across} samples across for {pictures}"
+        predicted = film.predicted_on(max_across, coarser_film)
+
         if fixed:
             limit = fixed
         elif wider < _WORTH_WIDENING * width:
             limit = end
-        elif all(  # comparisons with an unknown error are false
-            now <= tolerated or last > tolerated
-            for now, last, tolerated in zip(film.delta_e, left, film.tolerated_delta_e, strict=True)
-        ):
-            limit = f"about {max(left):.1g} ΔE would be left at {end}"
+        elif _is_out_of_reach(film, predicted):
+            limit = f"about {max(predicted):.1g} ΔE would be left at {end}"
         elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
             limit = "as max_seconds allows"
         else:
-            chosen, before = chosen.with_resolution(wider), film
-            plan = plan_of(chosen)
+            coarser_film = film
+            scene = scene.with_resolution(wider)
+            plan = plan_of(scene)
             continue
         return Light(image, camera, replace(film, limit=limit), noise), plan
+
+
+def _is_out_of_reach(film: FilmError, predicted: Sequence[float]) -> bool:
+    """Return whether the widest film would not be fine enough for any pixel whose error is too
+    large.
+
+    predicted : error of the widest film for each pixel; comparisons with an unknown one are false
+    """
+    pixels = zip(film.delta_e, predicted, film.tolerated_delta_e, strict=True)
+    return all(error <= tolerated or last > tolerated for error, last, tolerated in pixels)
 
 
 def _finest_pixel(study: Study) -> PixelPhysics:
@@ -398,15 +399,15 @@ def _first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan
     """Return the scene on the film of its first render, which is fine enough for the study's
     smallest photodiode, and its plan.
     """
-    plan = _study_plan(
-        scene, rendered_camera(camera), study
-    )  # the film does not depend on a real lens's blur
+    # The film does not depend on a real lens's blur.
+    plan = _study_plan(scene, rendered_camera(camera), study)
     resolution, _ = decide_oversampling(
         scene, plan, camera, _finest_pixel(study), study.display, full=False
     )
     if resolution is None and camera.lens is None:
         return scene, plan
-    scene = scene if resolution is None else scene.with_resolution(resolution)
+    if resolution is not None:
+        scene = scene.with_resolution(resolution)
     return scene, _study_plan(scene, camera, study)
 
 
@@ -420,15 +421,26 @@ def light_request(case: Case[Any]) -> LightRequest:
     scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
         full = case.imaging is not None and case.imaging.full
-        planned = partial(plan_of, camera=camera, settings=study, full=full)
+        run_plan = partial(plan_of, camera=camera, settings=study, full=full)
         return LightRequest(
-            scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)]
+            scene,
+            run_plan(scene),
+            run_plan,
+            settings=study,
+            pixel=study.pixel,
+            measured=[Imaging.of(study, camera)],
         )
-    first = study.technologies[0]
+
     scene, plan = _first_film(study, scene, camera)
-    largest = physics_of(study, first, largest_pixel_um(study, first))
-    plan_of_film = partial(_study_plan, camera=camera, study=study)
-    return LightRequest(scene, plan, plan_of_film, study, largest, _measured_pixels(study, camera))
+    technology = study.technologies[0]
+    return LightRequest(
+        scene,
+        plan,
+        partial(_study_plan, camera=camera, study=study),
+        settings=study,
+        pixel=physics_of(study, technology, largest_pixel_um(study, technology)),
+        measured=_measured_pixels(study, camera),
+    )
 
 
 def render_for(
@@ -436,7 +448,7 @@ def render_for(
 ) -> Light:
     """Return the light of a case of a study.
 
-    film : that was measured with more light, and takes the place of one of its own
+    film : measured with more light; None measures the film of this light
     """
     study, request = case.settings, light_request(case)
     try:
@@ -463,8 +475,8 @@ def _given_light(case: Case[Study], picture: SpectralImage) -> Light:
 def _seen_by_all(
     study: Study, image: SpectralImage, camera: Camera
 ) -> list[tuple[Imaging, SpectralImage]]:
-    """Return a picture beside the smallest pixels of each technology of a study, for the white that
-    all of them share.
+    """Return the smallest pixels of each technology of a study, each with a picture, for the white
+    that all of them share.
     """
     smallest_um = {name: float(study_pitches_um(study, name).min()) for name in study.technologies}
     return [
@@ -476,12 +488,10 @@ def _measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
     """Return the pixels for which the error of the film is measured: the smallest, a middle and the
     largest of the study.
     """
-    first = study.technologies[0]
-    pitches_um = study_pitches_um(study, first)
-    return [
-        imaging_of(study, camera, first, float(pitches_um[place]))
-        for place in (0, pitches_um.size // 2, -1)
-    ]
+    technology = study.technologies[0]
+    pitches_um = study_pitches_um(study, technology)
+    measured_um = pitches_um[[0, pitches_um.size // 2, -1]].tolist()
+    return [imaging_of(study, camera, technology, pitch_um) for pitch_um in measured_um]
 
 
 def render_lights(
@@ -491,41 +501,42 @@ def render_lights(
     *,
     store: Callable[[SpectralImage], SpectralImage],
 ) -> list[Light | str]:
-    """Return the light of each case; cases that differ in nothing that it depends on share one.
+    """Return the light of each case, or the reason why none of its pixel sizes is possible; cases
+    share a light if they differ in nothing that it depends on.
 
-    In its place stands the reason why none of a case's pixel sizes is possible. Where Mitsuba
-    traces no rays, which would take all processors by itself, processes of this machine make them.
+    Where Mitsuba traces no rays, which would take all processors by itself, processes of this
+    machine make the lights.
 
     store : returns an image that need not stay in memory, where there are several lights
     """
-    combinations = {case.group: case for case in reversed(cases)}
+    first_cases = {case.group: case for case in reversed(cases)}
     if cases[0].picture is not None:
-        lights = {
+        given_lights = {
             group: _given_light(case, case.picture)
-            for group, case in combinations.items()
+            for group, case in first_cases.items()
             if case.picture is not None
         }
-        return [lights[case.group] for case in cases]
-    keys = {
-        group: light_hash(combinations[group].settings)
-        for group in dict.fromkeys(case.group for case in cases)
-    }
+        return [given_lights[case.group] for case in cases]
+
+    keys: dict[object, str] = {}
     different: dict[str, Case[Study]] = {}
-    for group, key in keys.items():
-        different.setdefault(key, combinations[group])
+    for case in cases:
+        if case.group not in keys:
+            key = light_hash(first_cases[case.group].settings)
+            keys[case.group] = key
+            different.setdefault(key, first_cases[case.group])
+
     lights: dict[str, Light | str] = {}
     if len(different) == 1:
         lights = {key: _light_or_reason(case, stage("render")) for key, case in different.items()}
     elif light_request(cases[0]).plan.samples.exact:
         # A worker of a cluster may lack files of the user's, or have others of the same name.
-        here = workers if workers.client is None else workers_here()
-        lights = _computed_lights(different, stage("render"), here, store)
+        local_workers = workers if workers.client is None else workers_here()
+        lights = _computed_lights(different, stage("render"), local_workers, store)
     else:
-        for key, case in different.items():
-            lights[key] = _stored(
-                _light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")),
-                store,
-            )
+        for number, (key, case) in enumerate(different.items(), 1):
+            progress = stage(f"render {number} of {len(different)}")
+            lights[key] = _stored(_light_or_reason(case, progress), store)
     return [lights[keys[case.group]] for case in cases]
 
 
@@ -541,31 +552,32 @@ def _computed_lights(
     it is fine enough by far, the others have it too: with less light, noise hides more of the
     detail that a film may miss.
     """
+    shared_keys = {key: _all_but_luminance(case) for key, case in cases.items()}
     brightest: dict[str, str] = {}
     for key in sorted(cases, key=lambda key: -_luminance(cases[key].settings)):
-        brightest.setdefault(_all_but_luminance(cases[key]) or key, key)
-    films: dict[str, FilmError] = {}
-    lights: dict[str, Light | str] = {}
+        brightest.setdefault(shared_keys[key] or key, key)
     measured = list(brightest.values())
     others = [key for key in cases if key not in measured]
+
+    films: dict[str, FilmError] = {}
+    lights: dict[str, Light | str] = {}
     for keys in (measured, others):
-        tasks = [
-            ((key, cases[key], films.get(_all_but_luminance(cases[key]))), _nothing) for key in keys
-        ]
+        tasks = [((key, cases[key], films.get(shared_keys[key])), _nothing) for key in keys]
         for key, light in results_of(_render_task, tasks, workers):
             lights[key] = _stored(light, store)
-            if (
-                isinstance(light, Light)
-                and light.film
-                and light.film.largest_delta_e <= _BY_FAR * min(light.film.tolerated_delta_e)
-            ):
-                films.setdefault(_all_but_luminance(cases[key]), light.film)
+            if isinstance(light, Light) and light.film and _is_fine_by_far(light.film):
+                films.setdefault(shared_keys[key], light.film)
             progress(len(lights) / len(cases))
     return lights
 
 
+def _is_fine_by_far(film: FilmError) -> bool:
+    """Return whether the error of a film is far below what is tolerated."""
+    return film.largest_delta_e <= _FAR_BELOW * min(film.tolerated_delta_e)
+
+
 LUMINANCE = "luminance_cd_per_m2"  # the parameter of a scene
-_BY_FAR = 0.1  # of what is tolerated
+_FAR_BELOW = 0.1  # of the tolerated error
 
 
 def _luminance(study: Study) -> float:
@@ -575,8 +587,8 @@ def _luminance(study: Study) -> float:
 
 
 def _all_but_luminance(case: Case[Study]) -> str:
-    """Return a key that cases have in common which differ in the amount of light alone; empty where
-    a film holds for one case.
+    """Return a key that is equal for cases that differ in the amount of light alone; empty where a
+    film holds for one case only.
 
     The display is as much brighter as the scene. In a time that is set, bright light saturates
     pixels, which hides detail.
@@ -596,9 +608,8 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-_LightTask = tuple[
-    str, Case[Study], FilmError | None
-]  # its key, and the film of a brighter light, if that is measured
+# The key of a light, its case, and the measured film of a brighter light, if there is one.
+_LightTask = tuple[str, Case[Study], FilmError | None]
 
 
 def _render_task(task: _LightTask, _: None) -> tuple[str, Light | str]:
@@ -610,7 +621,7 @@ def _render_task(task: _LightTask, _: None) -> tuple[str, Light | str]:
 def _light_or_reason(
     case: Case[Study], progress: Progress | None = None, film: FilmError | None = None
 ) -> Light | str:
-    """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
+    """Return the light of a case, or the reason why none of its pixel sizes is possible."""
     try:
         return render_for(case, progress, film)
     except AlikeChannelsError as error:

@@ -1080,9 +1080,8 @@ def _background_of_light(
     if background is not None and "without" in options.model_fields_set:
         reason = "the light without the target is given beside the light"
         warn(Note("not_used", setting=name, reason=reason))
-    file = options.without
-    is_file = isinstance(file, str) and is_picture(file)
-    if background is None and is_file and has_target(settings.metrics):
+    file = options.without if isinstance(options.without, str) else ""
+    if background is None and is_picture(file) and has_target(settings.metrics):
         with named(name):
             background, _ = read_with_camera(file, settings.camera, units, settings.lens)
     if background is not None:
