@@ -171,7 +171,7 @@ PARTS_OF_IMAGING = {
 }  # fmt: skip
 BUILD_IMAGING = {
     "viewer.evaluate.evaluate",
-    "viewer.imaging.of_records",
+    "viewer.imaging.from_records",
     "studies.sweep.sweep",
 }  # with the records as arguments
 

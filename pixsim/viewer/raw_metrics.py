@@ -645,7 +645,7 @@ def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
     return frame.light.cached(key, compute)
 
 
-class _Veil(NamedTuple):
+class _VeilShares(NamedTuple):
     """What veiling glare makes of the light that pixels see: all of it, 1 and 0, without.
 
     direct : share of the picture's own electrons that does not stray
@@ -656,14 +656,14 @@ class _Veil(NamedTuple):
     stray: float
 
 
-def veiled(frame: ExpectedFrame) -> _Veil:
+def veiled(frame: ExpectedFrame) -> _VeilShares:
     """Return what veiling glare makes of the light of a frame."""
     camera, physics, light = frame.imaging.camera, frame.readout.physics, frame.light.mean
-    without_glare = _Veil(direct=1.0, stray=0.0)
+    without_glare = _VeilShares(direct=1.0, stray=0.0)
     if not camera.veiling_glare:
         return without_glare
 
-    def compute() -> _Veil:
+    def compute() -> _VeilShares:
         spectrum = light.mean_spectrum()
 
         def rate(weight: Array) -> float:
@@ -675,7 +675,7 @@ def veiled(frame: ExpectedFrame) -> _Veil:
         if not total:
             return without_glare
         direct = rate(direct_weight)
-        return _Veil(direct=direct / total, stray=stray / (direct + stray))
+        return _VeilShares(direct=direct / total, stray=stray / (direct + stray))
 
     return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
 
