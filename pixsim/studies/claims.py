@@ -57,11 +57,9 @@ def dr_and_snr_db(
 
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:
     """Return b in ratio ∝ pitch^b, by least squares in logarithms."""
-    return float(
-        np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1)
-        .convert()
-        .coef[1]
-    )
+    log_ratio = level_db / 20 * np.log(10)
+    line = np.polynomial.Polynomial.fit(np.log(pitch_um), log_ratio, 1)
+    return float(line.convert().coef[1])
 
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
@@ -73,17 +71,23 @@ OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
 _TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
 _FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
-FREQUENCY_BINS, CONTRAST_BINS = 6, 8
+FREQUENCY_BINS = 6
+CONTRAST_BINS = 8
 _CONTRAST_SMOOTHING_DOTS = 4.0
-HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
+HISTOGRAM_BINS = 1000
+MODE_PROMINENCE = 0.02  # of the density of the highest mode
 Interval = tuple[float | None, float | None]
 UNKNOWN: Interval = (None, None)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement of the paper: the quantity, what the paper gives, what a study finds, and whether
-    the two agree.
+    """A statement of the paper compared with a study.
+
+    statement : the quantity
+    given : its value in the paper, as text
+    found : its value in the study, as text
+    agrees : whether the two agree
     """
 
     statement: str
@@ -125,8 +129,7 @@ def size_maps(
 class Evidence:
     """A study and the ΔE maps with which the statements are checked.
 
-    made : `size_maps` of the pixel sizes of Figure 6 where they are made already, such as by
-        workers
+    made : `size_maps` of the pixel sizes of Figure 6, if workers have made them
     """
 
     result: StudyResult
@@ -183,9 +186,8 @@ class Evidence:
 
 def by_frequency(delta_e: Array) -> Array:
     """Return the means of a CSF map over bins of equal frequency ratio, (rows, bins)."""
-    return np.stack(
-        [part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1
-    )
+    bins = np.array_split(delta_e, FREQUENCY_BINS, axis=1)
+    return np.stack([part.mean(axis=1) for part in bins], axis=1)
 
 
 def _chart_places(parts: int, border: float) -> Array:
@@ -209,10 +211,10 @@ def frequency_contrast_table(
 
     border : fractions of the chart's height and width that the map omits on each side
     """
-    table = np.stack(
-        [part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)]
-    )
-    return frequency_places(border[1]), csf_contrast(_chart_places(CONTRAST_BINS, border[0])), table
+    bins = np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)
+    table = np.stack([part.mean(axis=0) for part in bins])
+    contrasts = csf_contrast(_chart_places(CONTRAST_BINS, border[0]))
+    return frequency_places(border[1]), contrasts, table
 
 
 def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
@@ -254,16 +256,15 @@ def prominent_maxima(values: Array, prominence: float) -> int:
     Of values that begin and end at their least: each such maximum lies between a rise and a fall by
     the prominence.
     """
-    count, rising, last = (
-        0,
-        False,
-        float(values[0]),
-    )  # the highest value since a rise, or the lowest since a fall
+    count = 0
+    is_rising = False
+    extreme = float(values[0])  # the highest value since a rise, or the lowest since a fall
     for value in values.tolist():
-        last = max(last, value) if rising else min(last, value)
-        if abs(value - last) >= prominence:
-            count += rising
-            rising, last = not rising, value
+        extreme = max(extreme, value) if is_rising else min(extreme, value)
+        if abs(value - extreme) >= prominence:
+            count += is_rising
+            is_rising = not is_rising
+            extreme = value
     return count
 
 
@@ -308,19 +309,17 @@ def verdicts(result: CasesResult) -> list[Verdict]:
     """
     if not result.findings:
         return []
-    agrees = [{row.statement: row.agrees for row in rows} for rows in result.findings]
-    cases = [part.curves[0] for part in result.parts]
-    return [
-        Verdict(
-            row,
-            tuple(
-                curve
-                for curve, agreement in zip(cases, agrees, strict=True)
-                if agreement.get(row.statement, row.agrees) != row.agrees
-            ),
+    agreements = [{row.statement: row.agrees for row in rows} for rows in result.findings]
+    curves = [part.curves[0] for part in result.parts]
+    verdicts = []
+    for row in result.findings[0]:
+        turned_by = tuple(
+            curve
+            for curve, agreement in zip(curves, agreements, strict=True)
+            if agreement.get(row.statement, row.agrees) != row.agrees
         )
-        for row in result.findings[0]
-    ]
+        verdicts.append(Verdict(row, turned_by))
+    return verdicts
 
 
 def reference_process(study: Study) -> Technology:
@@ -333,22 +332,20 @@ def reference_process(study: Study) -> Technology:
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, published in _FILL_FACTORS.items():
-        result = float(fill_factor_law(size_um, process))
+        fill_factor = float(fill_factor_law(size_um, process))
         yield Finding(
             f"Fill factor at {size_um:g} µm",
             percent(published),
-            percent(result, 1),
-            abs(result - published) < 0.015,
+            percent(fill_factor, 1),
+            abs(fill_factor - published) < 0.015,
         )
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = _FIGURE_2_RANGE_DB
     for name, db in zip(
         ("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True
     ):
-        limit_words, range_words = (
-            f"within {low:g} to {high:g} dB",
-            f"{db.min():.1f} to {db.max():.1f} dB",
-        )
+        limit_words = f"within {low:g} to {high:g} dB"
+        range_words = f"{db.min():.1f} to {db.max():.1f} dB"
         inside = bool(low <= db.min() and db.max() <= high)
         yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", limit_words, range_words, inside)
         exponent = growth_exponent(pitch_um, db)
@@ -381,7 +378,8 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     """Yield the rows of Fig. 6: a pixel is better where it reaches the iso level at a higher
     contrast.
     """
-    limits, centres = evidence.thresholds, evidence.frequencies_lp_per_mm
+    limits = evidence.thresholds
+    centres = evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
         better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
@@ -390,13 +388,13 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
         yield Finding(
             f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees
         )
-    six, smallest = limits[6.0], limits[5.3]
+    six = limits[6.0]
+    smallest = limits[5.3]
     differing = np.flatnonzero(six != smallest)
-    crosses = bool(
-        differing.size
-        and six[differing[0]] > smallest[differing[0]]
-        and smallest[differing[-1]] > six[differing[-1]]
-    )
+    crosses = False
+    if differing.size:
+        lowest, highest = differing[0], differing[-1]
+        crosses = bool(six[lowest] > smallest[lowest] and smallest[highest] > six[highest])
     result = (
         f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at"
         f" {_bands(centres[smallest > six])}"

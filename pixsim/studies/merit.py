@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from pixsim.studies.result import StudyResult
     from pixsim.studies.run import RunResult
 
-Border = tuple[
-    float, float
-]  # µm omitted above and below, and left and right, of the rendered picture
+# Widths in µm that are omitted above and below, and left and right, of the rendered picture.
+Border = tuple[float, float]
 NO_BORDER: Border = (0.0, 0.0)
 
 
@@ -71,11 +70,9 @@ def csf_range_lp_per_mm(
     left, right, _, _ = extent(irradiance, border_um)
     width_mm = extent(irradiance)[1]
     frequency = csf_frequency_on_sensor(irradiance.header, width_mm)
-    return (
-        None
-        if frequency is None
-        else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
-    )
+    if frequency is None:
+        return None
+    return float(frequency(left / width_mm)), float(frequency(right / width_mm))
 
 
 def csf_contrasts(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
@@ -94,11 +91,9 @@ def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
     header : of an irradiance
     """
     parameters = header.get("parameters")
-    return (
-        float(parameters[MAX_LP_PER_MM])
-        if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters
-        else None
-    )
+    if not isinstance(parameters, dict) or MAX_LP_PER_MM not in parameters:
+        return None
+    return float(parameters[MAX_LP_PER_MM])
 
 
 def moved_view(study: Study) -> list[str]:
@@ -161,9 +156,8 @@ def shown_mtf(
     result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
 ) -> Array:
     """Return the MTF from scene to display: the product of all terms."""
-    return np.prod(
-        list(study_mtf_terms(result, physics, frequency_cy_per_mm, path_um).values()), axis=0
-    )
+    terms = study_mtf_terms(result, physics, frequency_cy_per_mm, path_um)
+    return np.prod(list(terms.values()), axis=0)
 
 
 def mtf50_cy_per_mm(
@@ -233,7 +227,8 @@ def mpe30_lx_s(
 
 def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:
     """Return the electrons per lx·s and µm² of photodiode in the scene's light."""
-    irradiance, spectrum = result.irradiance, result.irradiance.mean_spectrum()
+    irradiance = result.irradiance
+    spectrum = irradiance.mean_spectrum()
     electrons = (electrons_per_joule(physics, irradiance) * spectrum).sum() * M2_PER_UM2
     return float(electrons / (irradiance.luminous_weight() * spectrum).sum())
 
@@ -253,7 +248,7 @@ class NeqCurve:
 
     @classmethod
     def of(cls, frame: ExpectedFrame) -> NeqCurve:
-        """Return that of such frames."""
+        """Return the NEQ of expected frames of a sensor."""
         return cls(frame.readout.physics.pitch_um, *neq_along(frame))
 
 

@@ -94,9 +94,8 @@ def paired(
 
     Raises PixsimError if a frame of one sensor lacks that of the other.
     """
-    first, second = (
-        weighted_frames(table.where(**{SENSOR: name}), metric, weights) for name in (a, b)
-    )
+    first = weighted_frames(table.where(**{SENSOR: a}), metric, weights)
+    second = weighted_frames(table.where(**{SENSOR: b}), metric, weights)
     if not first or first.keys() != second.keys():
         raise invalid(
             "sensors",
@@ -104,7 +103,10 @@ def paired(
             "sensors with the same labels and repeats",
         )
     return Pairs(
-        (a, b), np.array(list(first.values())), np.array([second[place] for place in first]), metric
+        names=(a, b),
+        a=np.array(list(first.values())),
+        b=np.array([second[place] for place in first]),
+        metric=metric,
     )
 
 
@@ -119,21 +121,15 @@ def weighted_frames(
     weights : share of each condition; those of 0 do not count. None without conditions
     """
     frames: dict[tuple[object, ...], float] = {}
+    averaged = (SENSOR,) if weights is None else (SENSOR, CONDITION)
+    cases = table.case.tolist()
+    repeats = table.columns["repeat"].tolist()
     values = table.columns[metric.columns[0]].tolist()
-    for case, repeat, value in zip(
-        table.case.tolist(), table.columns["repeat"].tolist(), values, strict=True
-    ):
+    for case, repeat, value in zip(cases, repeats, values, strict=True):
         labels = table.labels[case]
         weight = 1.0 if weights is None else weights[str(labels[CONDITION])]
         if weight:
-            place = (
-                *(
-                    label
-                    for name, label in labels.items()
-                    if name != SENSOR and (weights is None or name != CONDITION)
-                ),
-                repeat,
-            )
+            place = *(label for name, label in labels.items() if name not in averaged), repeat
             frames[place] = frames.get(place, 0.0) + weight * value
     return frames
 
@@ -170,7 +166,8 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
     25 (1997) 1541). The largest block has no scatter. Where registrations move the number by twenty
     times its noise, that of two or three sensors holds 80 or 92 % only.
 
-    >>> [round(end, 2) for end in spread_interval(np.array([1.0, 2.0]), np.array([1.0, 1.0]))]  # 1.5 ± 1.96 × 0.707/2.83
+    >>> interval = spread_interval(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
+    >>> [round(end, 2) for end in interval]  # 1.5 ± 1.96 × 0.707/2.83
     [1.01, 1.5, 1.99]
     """
     mean = float(values.mean())
@@ -201,7 +198,8 @@ def probability_above_zero(differences: Array) -> float:
     simulation is of the means. It is not the share of frames that one sensor wins. Without any
     scatter it is 0, 0.5 or 1.
 
-    >>> round(probability_above_zero(np.array([1.0, 2.0, 3.0])), 3)  # t = 3.46 with 2 degrees of freedom
+    >>> # t = 3.46 with 2 degrees of freedom
+    >>> round(probability_above_zero(np.array([1.0, 2.0, 3.0])), 3)
     0.963
     """
     mean, error = _mean_and_error(differences)

@@ -1,5 +1,5 @@
-"""Regrets of metrics and of conditions: how much worse a picture is at the pixel size that is best
-by another one.
+"""Regrets of metrics and of conditions: how much worse a picture is at the best pixel size of
+another metric or condition.
 """
 
 from __future__ import annotations
@@ -75,9 +75,8 @@ class Regrets:
         """
         sizes_um = np.array([criterion.optimum.pitch_um for criterion in self.criteria])
         regrets = np.array([criterion.regret(sizes_um) for criterion in self.criteria])
-        np.fill_diagonal(
-            regrets, 0.0
-        )  # the best value is that of the fit, not of its nearest place
+        # Between the places of a fit, its best value is not exactly interpolated.
+        np.fill_diagonal(regrets, 0.0)
         return regrets
 
 
@@ -173,9 +172,8 @@ def weighted_fit(
 
     Also None with fewer than 5 sizes that all conditions share.
     """
-    if not {curve.condition for curve in curves} >= {
-        condition.name for condition in study.condition if condition.weight
-    }:
+    needed = {condition.name for condition in study.condition if condition.weight}
+    if not needed <= {curve.condition for curve in curves}:
         return None
     first = curves[0]
     pitches_um, values = weighted_mean(
@@ -195,18 +193,16 @@ def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array
     Equal sensors of the conditions have equal random streams, so that the scatter of the mean is
     that of its sensors.
     """
-    pitches_um = np.array(
-        sorted(set.intersection(*(set(curve.pitch_um.tolist()) for curve, _ in weighted)))
-    )
-    values = [
-        (curve.statistics[curve.metric.columns[0]], curve.pitch_um, weight)
-        for curve, weight in weighted
-    ]
-    sensors = min(sensor_values.shape[1] for sensor_values, _, _ in values)
-    total = np.zeros((pitches_um.size, sensors))
-    for sensor_values, tried_um, weight in values:
-        total += weight * sensor_values[np.searchsorted(tried_um, pitches_um), :sensors]
-    return pitches_um, total
+    pitches_of_curves = [set(curve.pitch_um.tolist()) for curve, _ in weighted]
+    pitch_um = np.array(sorted(set.intersection(*pitches_of_curves)))
+    values = [curve.statistics[curve.metric.columns[0]] for curve, _ in weighted]
+    sensors = min(curve_values.shape[1] for curve_values in values)
+
+    total = np.zeros((pitch_um.size, sensors))
+    for (curve, weight), curve_values in zip(weighted, values, strict=True):
+        places = np.searchsorted(curve.pitch_um, pitch_um)
+        total += weight * curve_values[places, :sensors]
+    return pitch_um, total
 
 
 def weighted_criterion(regrets: Regrets) -> Criterion | None:
