@@ -1,5 +1,5 @@
-"""What a study asks: its settings and pixel sizes, its axes and conditions, and the layers of files
-and options below them.
+"""Settings of a study: its pixel sizes, its axes and conditions, and the layers of files and
+options that make them.
 """
 
 from __future__ import annotations
@@ -60,14 +60,8 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
 _AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
 MAX_JOINED_SETTINGS = 100  # settings of an axis that take each value together
-_NOT_NAMES = {
-    "pitch",
-    "technology",
-    "pitch_um",
-    "repeat",
-    "key",
-    "condition",
-}  # columns of a study's rows
+# Columns of a study's rows, which no axis may be named after.
+_NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}
 _PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
 NOT_SETTINGS = {
@@ -91,15 +85,15 @@ NOT_SETTINGS = {
 
 
 def setting_path(dotted: str) -> tuple[str, ...]:
-    """Parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three. ValueError
-    if it is none.
+    """Return the parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three.
+    ValueError if the text is no such setting.
     """
-    try:
-        node: Any = (
-            tomllib.loads(f"{dotted} = 0") if "\n" not in dotted and "=" not in dotted else None
-        )
-    except tomllib.TOMLDecodeError:
-        node = None
+    node: Any = None
+    if "\n" not in dotted and "=" not in dotted:
+        try:
+            node = tomllib.loads(f"{dotted} = 0")
+        except tomllib.TOMLDecodeError:
+            node = None
     path: list[str] = []
     while isinstance(node, dict):
         ((part, node),) = node.items()
@@ -110,7 +104,7 @@ def setting_path(dotted: str) -> tuple[str, ...]:
 
 
 def _setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
-    """Nested tables that set one value. The technology of the pixel is a study's only
+    """Return nested tables that set one value. The technology of the pixel is a study's only
     technology.
     """
     if tuple(path) == ("pixel", "technology"):
@@ -119,20 +113,20 @@ def _setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
 
 
 def _with_technology(table: dict[str, Any]) -> dict[str, Any]:
-    """The settings of an axis' value, with the technology as `_setting_table` has it."""
+    """Return the settings of an axis' value, with the technology as `_setting_table` has it."""
     pixel = table.get("pixel")
     if not isinstance(pixel, dict) or "technology" not in pixel:
         return table
-    left = {name: value for name, value in pixel.items() if name != "technology"}
-    others = {name: value for name, value in table.items() if name != "pixel"} | (
-        {"pixel": left} if left else {}
-    )
-    return others | {"technologies": [pixel["technology"]]}
+    settings = {name: value for name, value in table.items() if name != "pixel"}
+    pixel_settings = {name: value for name, value in pixel.items() if name != "technology"}
+    if pixel_settings:
+        settings["pixel"] = pixel_settings
+    return settings | {"technologies": [pixel["technology"]]}
 
 
 def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """Paths of the values of nested tables; `dark_current` of a pixel and the curves of its
-    channels are one value each.
+    """Yield the paths of the values of nested tables; `dark_current` of a pixel and the curves of
+    its channels are one value each.
     """
     for name, value in table.items():
         if isinstance(value, dict) and value and name not in ("dark_current", *RESPONSES):
@@ -166,14 +160,24 @@ def _settings(table: object) -> dict[str, Any]:
     return table
 
 
-def _of_condition(table: object) -> object:
-    """As `_settings`. A technology is what a condition leaves as it is."""
-    if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
+def _condition_settings(table: object) -> object:
+    """Check which settings of a study a condition may change: those of an axis, without the
+    technology. ValueError for others.
+    """
+    pixel = _settings(table).get("pixel")
+    if isinstance(pixel, dict) and "technology" in pixel:
         raise ValueError(
             "pixel.technology cannot be changed by a condition; name technologies in the study, or"
             " vary it by an axis"
         )
     return table
+
+
+def _check_unique_names(kind: str, names: Sequence[str]) -> None:
+    """Raise ValueError for a name that stands twice."""
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise ValueError(f"{kind}: '{name}' stands there twice; allowed: each name once")
 
 
 def _as_paths(value: object) -> object:
@@ -207,7 +211,7 @@ def _case_name(value: str) -> str:
 
 
 Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
-_ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
+_ConditionSettings = Annotated[dict[str, Any], AfterValidator(_condition_settings)]
 _DottedSetting = Annotated[str, AfterValidator(_is_path)]
 _CaseName = Annotated[str, Field(max_length=_MAX_CASE_NAME), AfterValidator(_case_name)]
 
@@ -224,23 +228,23 @@ def case_folder(words: str) -> str:
 
 
 def check_case_folders(words: Sequence[str]) -> None:
-    """Raise ValueError if the folders of two cases would be one, also where capitals do not count,
-    or have a file's name.
+    """Raise ValueError if two cases would have the same folder, also where capitals do not count,
+    or if a folder would have a file's name.
     """
     taken: dict[str, str] = {}
-    for case_words in words:
-        folder = case_folder(case_words)
+    for case in words:
+        folder = case_folder(case)
         if _FILES_OF_STUDY.fullmatch(folder):
             raise ValueError(
-                f"the folder of '{case_words}' would be '{folder}', as a file of pixsim; allowed: another"
+                f"the folder of '{case}' would be '{folder}', as a file of pixsim; allowed: another"
                 " name"
             )
         if other := taken.get(folder.casefold()):
             raise ValueError(
-                f"the folders of '{other}' and '{case_words}' would both be '{folder}'; allowed: names"
+                f"the folders of '{other}' and '{case}' would both be '{folder}'; allowed: names"
                 " that differ more"
             )
-        taken[folder.casefold()] = case_words
+        taken[folder.casefold()] = case
 
 
 _SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
@@ -351,11 +355,10 @@ class Axis(Record):
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
         stated = [name for name, value in ends.items() if value is not None]
         if self.range_of is not None:
-            if others := [
-                *(["set"] if self.set else []),
-                *(["values"] if self.values is not None else []),
-                *stated,
-            ]:
+            others = ["set"] if self.set else []
+            others += ["values"] if self.values is not None else []
+            others += stated
+            if others:
                 raise ValueError(
                     f"range_of and {', '.join(others)} both state the values; give one"
                 )
@@ -400,19 +403,18 @@ class Axis(Record):
         return self
 
     @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        table = {
-            ("from" if name == "first" else name): value for name, value in handler(self).items()
-        }
-        return {
-            name: value
-            for name, value in table.items()
-            if value not in (None, {}, (), [], False, "linear")
-        }
+    def _as_stated(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the table of the axis as a file states it, without what it leaves open."""
+        table = {}
+        for name, value in handler(self).items():
+            is_open = value is None or value is False or value in ({}, (), [], "linear")
+            if not is_open:
+                table["from" if name == "first" else name] = value
+        return table
 
     @cached_property
     def points(self) -> tuple[AxisPoint, ...]:
-        """The values in order; none of a range that no study has replaced by values."""
+        """The values in order; empty for a range that no study has replaced by values."""
         if self.range_of is not None:
             return ()
         values: Sequence[AxisValue | float | int | str] = self.values or _spaced(
@@ -424,11 +426,8 @@ class Axis(Record):
             if isinstance(value, AxisValue):
                 points.append(AxisPoint(value.label, _with_technology(value.set)))
             else:
-                points.append(
-                    AxisPoint(
-                        value, reduce(merge, (_setting_table(path, value) for path in paths), {})
-                    )
-                )
+                tables = (_setting_table(path, value) for path in paths)
+                points.append(AxisPoint(value, reduce(merge, tables, {})))
         return tuple(points)
 
     @property
@@ -441,12 +440,12 @@ _AXIS_DIGITS = 6
 
 
 def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
-    """Values at equal steps or ratios, rounded to 6 digits, with both ends as given."""
-    part = [place / (count - 1) for place in range(count)]
+    """Return values at equal steps or ratios, rounded to 6 digits, with both ends as stated."""
+    shares = [number / (count - 1) for number in range(count)]
     if spacing == "log":
-        values = [first * (last / first) ** share for share in part]
+        values = [first * (last / first) ** share for share in shares]
     else:
-        values = [first + (last - first) * share for share in part]
+        values = [first + (last - first) * share for share in shares]
     return [first, *(float(f"{value:.{_AXIS_DIGITS}g}") for value in values[1:-1]), last]
 
 
@@ -506,16 +505,19 @@ class PitchRange(Record):
 _StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 
 
-def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -> str:
-    """The value at a setting, or at one that takes its place in [pixel] by another word; empty if
-    there is none.
+def _setter_of(path: tuple[str, ...], setters: Mapping[tuple[str, ...], str]) -> str:
+    """Return the name of what sets a setting, or another one that takes its place in [pixel]; empty
+    if nothing does.
+
+    setters : setting -> name of what sets it
     """
-    if path in settings:
-        return settings[path]
-    words = excluded_by(path[1:2]) if path[0] == "pixel" else ()
-    return next(
-        (settings[other] for other in settings if other[0] == "pixel" and other[1] in words), ""
-    )
+    if path in setters:
+        return setters[path]
+    excluded = excluded_by(path[1:2]) if path[0] == "pixel" else ()
+    for other, name in setters.items():
+        if other[0] == "pixel" and other[1] in excluded:
+            return name
+    return ""
 
 
 @checked_methods
@@ -609,22 +611,14 @@ class Study(Setting):
     @model_validator(mode="before")
     @classmethod
     def _complete_data_sheet_needs_no_technology(cls, values: object) -> object:
-        """The rule of `Pixel` for a study whose own [pixel] is a data sheet."""
+        """The rule of `Pixel`, for a study with a data sheet in [pixel]."""
         if not isinstance(values, dict) or "technologies" in values:
             return values
         pixel = values.get("pixel")
-        table = (
-            pixel
-            if isinstance(pixel, dict)
-            else dict(pixel)
-            if isinstance(pixel, PixelOptions)
-            else {}
-        )
-        return (
-            {**values, "technologies": (NO_TECHNOLOGY,)}
-            if is_data_sheet(table, "data_sheet_pitch_um")
-            else values
-        )
+        table = dict(pixel) if isinstance(pixel, dict | PixelOptions) else {}
+        if not is_data_sheet(table, "data_sheet_pitch_um"):
+            return values
+        return {**values, "technologies": (NO_TECHNOLOGY,)}
 
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:
@@ -639,28 +633,29 @@ class Study(Setting):
 
     @model_validator(mode="after")
     def _each_setting_is_varied_once(self) -> Self:
-        for kind, records in (("axis", self.axis), ("condition", self.condition)):
-            names = [record.name for record in records]
-            if twice := [name for place, name in enumerate(names) if name in names[:place]]:
-                raise ValueError(
-                    f"{kind}: '{twice[0]}' stands there twice; allowed: each name once"
-                )
-        check_case_folders([condition.name for condition in self.condition])
+        _check_unique_names("axis", [axis.name for axis in self.axis])
+        condition_names = [condition.name for condition in self.condition]
+        _check_unique_names("condition", condition_names)
+        check_case_folders(condition_names)
         if self.condition and not any(condition.weight for condition in self.condition):
             raise ValueError("condition: all weights are 0; allowed: one of them above 0")
-        together: dict[tuple[str, ...], str] = {}
+
+        varied: dict[tuple[str, ...], str] = {}
         for axis in self.axis:
-            for path in () if axis.alone else axis.paths:
-                if other := _that_sets(path, together):
+            if axis.alone:
+                continue
+            for path in axis.paths:
+                if other := _setter_of(path, varied):
                     raise ValueError(
                         f"axis: {'.'.join(path)} is varied by '{other}' and by '{axis.name}'; give"
                         " it to one axis"
                     )
-            together |= {} if axis.alone else dict.fromkeys(axis.paths, axis.name)
+            varied |= dict.fromkeys(axis.paths, axis.name)
+
         axis_names = {path: axis.name for axis in self.axis for path in axis.paths}
         for condition in self.condition:
             for path in paths_of(condition.set):
-                if other := _that_sets(path, axis_names):
+                if other := _setter_of(path, axis_names):
                     name = ".".join(path)
                     raise ValueError(
                         f"condition '{condition.name}': {name} is varied by the axis '{other}';"
@@ -695,24 +690,23 @@ class Study(Setting):
     @model_validator(mode="after")
     def _data_sheets_are_scaled(self) -> Self:
         """A full well that does not scale with the area would favour small pixels."""
-        if NO_TECHNOLOGY in self.technologies:
-            if len(self.technologies) > 1:
-                raise ValueError(
-                    f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone,"
-                    " or leave it out"
-                )
-            stated = [
-                *(name for name, value in self.pixel if value is not None),
-                *efficiencies_of(self.pixel.colour),
-            ]
-            if missing := [
-                *(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in stated else []),
-                *missing_of_data_sheet(stated),
-            ]:
-                raise ValueError(
-                    f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing:"
-                    f" {', '.join(missing)}"
-                )
+        if NO_TECHNOLOGY not in self.technologies:
+            return self
+        if len(self.technologies) > 1:
+            raise ValueError(
+                f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone,"
+                " or leave it out"
+            )
+
+        stated = [name for name, value in self.pixel if value is not None]
+        stated += efficiencies_of(self.pixel.colour)
+        missing = [] if "data_sheet_pitch_um" in stated else ["data_sheet_pitch_um"]
+        missing += missing_of_data_sheet(stated)
+        if missing:
+            raise ValueError(
+                f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing:"
+                f" {', '.join(missing)}"
+            )
         return self
 
     @property
@@ -779,20 +773,22 @@ class Study(Setting):
 
 
 def owner_of(study: Study, path: tuple[str, ...]) -> str:
-    """What sets a study's setting in every case, so that its own value is not used: an axis, or all
-    conditions; empty for none.
+    """Return what sets a study's setting in every case, so that its stated value is not used: an
+    axis, or all conditions; empty if nothing does.
 
     path : of the setting
     """
-    together = {
+    axes = {
         axis_path: axis.name for axis in study.axis if not axis.alone for axis_path in axis.paths
     }
-    if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in study.axis):
+    axis_name = _setter_of(path, axes)
+    if axis_name and not any(axis.alone for axis in study.axis):
         return f"the axis '{axis_name}'"
-    condition_settings = [
+
+    conditions = [
         dict.fromkeys(paths_of(condition.set), condition.name) for condition in study.condition
     ]
-    if study.condition and all(_that_sets(path, settings) for settings in condition_settings):
+    if conditions and all(_setter_of(path, setters) for setters in conditions):
         return "every condition"
     return ""
 
@@ -863,24 +859,28 @@ def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list
 
 
 def check_supported(command: str, **settings: object) -> None:
-    """Raise PixsimError for something that is asked of a command, and that only others answer."""
+    """Raise PixsimError for a setting that a command does not support."""
     for name, value in settings.items():
         if value is not None and value is not False and value != ():
-            raise invalid(
-                setting(name), f"a value in a {command}", f"{setting(name)} of {SUPPORTED_BY[name]}"
-            )
+            allowed = f"{setting(name)} of {SUPPORTED_BY[name]}"
+            raise invalid(setting(name), f"a value in a {command}", allowed)
 
 
 def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
-    """Return the tables of a layer that a run has too, with the scene's parameters alone, and what
-    only a study has.
+    """Return the tables of a layer that a run has too, with the scene's parameters alone, and the
+    tables that only a study has.
     """
-    study_table = {name: value for name, value in layer.table.items() if name in _STUDY_ONLY}
-    run_table = {name: value for name, value in layer.table.items() if name not in _STUDY_ONLY}
+    study_table: dict[str, Any] = {}
+    run_table: dict[str, Any] = {}
+    for name, value in layer.table.items():
+        table = study_table if name in _STUDY_ONLY else run_table
+        table[name] = value
+
     scene = run_table.get("scene")
     if study_table and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
-        study_table |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
-        run_table |= {"scene": scene.get("parameters", {})}
+        if "file" in scene:
+            study_table["scene"] = {"file": scene["file"]}
+        run_table["scene"] = scene.get("parameters", {})
     return Layer(run_table, layer.source, layer.named), Layer(
         study_table, layer.source, layer.named
     )
@@ -912,89 +912,95 @@ def study_layers(
     """
     options = dict(options or {})
     sensors = [layer for layer in files if not has_study_settings(layer.table)]
-    pixel_options = options.get("pixel", {})
-    sensor = [
-        *sensors,
-        Layer({name: options[name] for name in ("camera", "pixel") if name in options}),
-    ]
-    settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
-    stated_fields = set(merged(sensor).get("pixel", {}))
+    derived = _settings_of_sensor(studies, sensors, options)
+
+    first, *others = studies
+    names_study = any(layer not in sensors and "name" in layer.table for layer in files)
+    if names_study and "name" in first.table:
+        first = Layer({"streams": first.table["name"]} | first.table, first.source)
+    layers = [first, *others]
+    for layer in files:
+        if layer in sensors:
+            layer = Layer(_as_study_table(layer.table), layer.source)
+        layers.append(layer)
+    source = sensors[-1].source if sensors else ""
+    layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
+
+    # From the last layer to the first, so that what is void in a later layer makes nothing void
+    # before it.
+    for place, layer in reversed(list(enumerate(layers))):
+        if place < len(studies) or has_study_settings(layer.table):
+            table = _without_void(layer.table, merged(layers[place + 1 :]))
+            layers[place] = Layer(table, layer.source)
+    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def _settings_of_sensor(
+    studies: Sequence[Layer], sensors: Sequence[Layer], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a study's settings that follow from the files of a sensor and from options of one.
+
+    Raises PixsimError if one is invalid, or if an option sets a pitch that nothing depends on.
+    """
+    sensor_options = {name: options[name] for name in ("camera", "pixel") if name in options}
+    layers = [*sensors, Layer(sensor_options)]
+    settings: Run = checked(Run, layers)  # so that errors name the fields as they were given
+    fields = set(merged(layers).get("pixel", {}))
+    pixel = settings.pixel
+    is_sheet = pixel.technology == NO_TECHNOLOGY
+
     derived: dict[str, Any] = {}
-    sheet = settings.pixel.technology == NO_TECHNOLOGY
-    if sheet:
-        derived = {
-            "technologies": [NO_TECHNOLOGY],
-            "paper": False,
-            "pitch": {"own_um": settings.pixel.pitch_um},
-        }
-    elif "technology" in stated_fields:
-        derived = {"technologies": [settings.pixel.technology], "paper": False}
-    elif "pitch_um" in stated_fields and stated_fields & {*DATA_SHEET, *STANDS_FOR}:
-        names = ", ".join(
-            map(
-                str, merged(studies).get("technologies", Study.model_fields["technologies"].default)
-            )
-        )
-        missing = ", ".join(missing_of_data_sheet(stated_fields))
+    if is_sheet:
+        derived["technologies"] = [NO_TECHNOLOGY]
+        derived["paper"] = False
+        derived["pitch"] = {"own_um": pixel.pitch_um}
+    elif "technology" in fields:
+        derived["technologies"] = [pixel.technology]
+        derived["paper"] = False
+    elif "pitch_um" in fields and fields & {*DATA_SHEET, *STANDS_FOR}:
+        default = Study.model_fields["technologies"].default
+        names = ", ".join(map(str, merged(studies).get("technologies", default)))
+        missing = ", ".join(missing_of_data_sheet(fields))
         words = (
             f"[pixel] gives no technology and not {missing}, which come from the study's technology"
             f" {names}"
         )
         warn(Note("assumed", words=words))
-    scaled = (
-        bool(stated_fields & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in stated_fields
-    )
-    if "pitch_um" in stated_fields and scaled:
-        derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-    if "pitch_um" in pixel_options and not (scaled or sheet):
-        got, expected = (
+
+    is_scaled = bool(fields & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in fields
+    if "pitch_um" in fields and is_scaled:
+        derived["pixel"] = {"data_sheet_pitch_um": pixel.pitch_um}
+    pixel_options = options.get("pixel", {})
+    if "pitch_um" in pixel_options and not (is_scaled or is_sheet):
+        raise invalid(
+            "pixel.pitch_um",
             f"'{pixel_options['pitch_um']}' for a study",
             "the pitch of a data sheet: a study has sizes of its own",
+            "Set pitch.min_um, pitch.max_um or pitch.values_um.",
         )
-        raise invalid(
-            "pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um."
-        )
-    if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
+    if settings.camera.pixels:
+        # The die of the sheet's own pitch, whatever the pitches of the study.
         derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
-    source = sensors[-1].source if sensors else ""
-    first, *others = studies
-    if (
-        any(layer not in sensors and "name" in layer.table for layer in files)
-        and "name" in first.table
-    ):
-        first = Layer({"streams": first.table["name"]} | first.table, first.source)
-    layers = [first, *others]
-    layers += [
-        Layer(_as_study_table(layer.table), layer.source) if layer in sensors else layer
-        for layer in files
-    ]
-    layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
-    for place, layer in reversed(
-        list(enumerate(layers))
-    ):  # so that what is void in a later layer makes nothing void before it
-        if place < len(studies) or has_study_settings(layer.table):
-            layers[place] = Layer(
-                _without_void(layer.table, merged(layers[place + 1 :])), layer.source
-            )
-    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+    return derived
 
 
 def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without what later layers make void."""
-    table = _with_light(_with_range(_with_technologies(table, overriding), overriding), overriding)
-    if (
-        _scene(overriding).get("file") is not None
-    ):  # the parameters of a study are those of its own scene
+    """Return a study's table without what later layers make void."""
+    table = _with_technologies(table, overriding)
+    table = _with_range(table, overriding)
+    table = _with_light(table, overriding)
+    if _scene(overriding).get("file") is not None:
+        # The parameters of a study are parameters of its own scene.
         table = _without_parameters(table)
-    if isinstance(sources := table.get("sources"), dict):
+    sources = table.get("sources")
+    if isinstance(sources, dict):
         layer = Layer(overriding)
-        table = table | {
-            "sources": {
-                name: source
-                for name, source in sources.items()
-                if not layer.names(str(name).split("."))
-            }
+        valid_sources = {
+            name: source
+            for name, source in sources.items()
+            if not layer.names(str(name).split("."))
         }
+        table = table | {"sources": valid_sources}
     return table
 
 
@@ -1005,21 +1011,18 @@ def _scene(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the numbers and the data sheets of technologies that overriding ones
-    leave out.
+    """Return a study's table without the numbers and the data sheets of technologies that
+    overriding ones leave out.
     """
     names = overriding.get("technologies")
     if not isinstance(names, list):
         return table
-    parts = {
-        part: values
-        for part in ("process", "sensors")
-        if isinstance(values := table.get(part), dict)
-    }
-    return table | {
-        part: {name: value for name, value in values.items() if name in names}
-        for part, values in parts.items()
-    }
+    parts = {}
+    for part in ("process", "sensors"):
+        values = table.get(part)
+        if isinstance(values, dict):
+            parts[part] = {name: value for name, value in values.items() if name in names}
+    return table | parts
 
 
 def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
@@ -1031,8 +1034,8 @@ def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the fields of [pitch] that an overriding range makes void, such as a
-    list of pitches.
+    """Return a study's table without the fields of [pitch] that an overriding range makes void,
+    such as a list of pitches.
     """
     pitch, overriding_pitch = table.get("pitch"), overriding.get("pitch", {})
     if not (isinstance(pitch, dict) and isinstance(overriding_pitch, dict)):
@@ -1046,28 +1049,18 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
 
 
 def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the luminance of its scene where an overriding one states the
+    """Return a study's table without the luminance of its scene where an overriding one states the
     illuminance, or the other way round.
     """
-    scene, overriding_parameters = table.get("scene"), _scene(overriding).get("parameters", {})
-    if not (
-        isinstance(scene, dict)
-        and isinstance(parameters := scene.get("parameters"), dict)
-        and isinstance(overriding_parameters, dict)
-    ):
+    scene = _scene(table)
+    parameters = scene.get("parameters")
+    overriding_parameters = _scene(overriding).get("parameters", {})
+    if not (isinstance(parameters, dict) and isinstance(overriding_parameters, dict)):
         return table
     stated = overriding_parameters.keys() & {ILLUMINANCE, LUMINANCE}
     void = {ILLUMINANCE, LUMINANCE} - stated if stated else set()
-    return table | {
-        "scene": (
-            scene
-            | {
-                "parameters": {
-                    name: value for name, value in parameters.items() if name not in void
-                }
-            }
-        )
-    }
+    valid = {name: value for name, value in parameters.items() if name not in void}
+    return table | {"scene": scene | {"parameters": valid}}
 
 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
@@ -1083,28 +1076,30 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
     """
     study = merged(layers)
     technologies = study.get("technologies")
-    names = (
-        dict.fromkeys(name for name in technologies if isinstance(name, str))
-        if isinstance(technologies, list)
-        else {}
-    )
+    names: list[str] = []
+    if isinstance(technologies, list):
+        names = [name for name in technologies if isinstance(name, str)]
     stated_sheets = study.get("sensors")
+    if not isinstance(stated_sheets, dict):
+        stated_sheets = {}
+
     sensors = {}
-    for name in names:
-        if (
-            isinstance(stated_sheets, dict) and name in stated_sheets
-        ):  # settings.toml states the values, whatever the file says now
+    for name in dict.fromkeys(names):
+        if name in stated_sheets:
+            # settings.toml states the values, whatever the file says now.
             sheet = [Layer({"pixel": stated_sheets[name]}, f"sensors.{name}")]
         elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
-            if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+            unused = [f"[{table}]" for table in layer.table if table != "pixel"]
+            if unused:
                 reason = "of a sensor among technologies, only [pixel] is used"
-                warn(Note("not_used", setting=f"{name}: {', '.join(others)}", reason=reason))
+                warn(Note("not_used", setting=f"{name}: {', '.join(unused)}", reason=reason))
             sheet = [
                 Layer({"pixel": study.get("pixel", {})}),
                 Layer({"pixel": layer.table["pixel"]}, layer.source),
             ]
         else:
             continue
+
         settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
         if settings.pixel.assumption:
             warn(Note("assumed", words=f"{name}: {settings.pixel.assumption}"))
@@ -1118,35 +1113,37 @@ def _is_settings(name: str) -> bool:
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
-    """Settings without what a study has in other fields: pitch, technology, and the pixels that
-    make the die.
+    """Return settings without what a study has in other fields: pitch, technology, and the pixels
+    that make the die.
     """
-    left = dict(table)
+    settings = dict(table)
     for name, removed in (("pixel", _SET_BY_STUDY), ("camera", ("pixels",))):
-        if isinstance(values := table.get(name), dict):
-            left[name] = {key: value for key, value in values.items() if key not in removed}
-    return left
+        values = table.get(name)
+        if isinstance(values, dict):
+            settings[name] = {key: value for key, value in values.items() if key not in removed}
+    return settings
 
 
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as
+    """Return a study's table of a sensor's: as `_without_sensor_only`, and with [scene] as
     scene.parameters.
     """
-    scene, table = table.get("scene"), _without_sensor_only(table)
-    return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
+    scene = table.get("scene")
+    table = _without_sensor_only(table)
+    if not isinstance(scene, dict):
+        return table
+    return table | {"scene": {"parameters": scene}}
 
 
 def with_axes(
     options: Mapping[str, Any], texts: Sequence[str], layers: Sequence[Layer]
 ) -> dict[str, Any]:
-    """Return options of a study with the axes of --axis over those of its layers; as they are
+    """Return options of a study with the axes of --axis over the axes of its layers; unchanged
     without --axis.
     """
-    return (
-        {**options, "axis": axes_of(texts, merged(layers).get("axis", []))}
-        if texts
-        else dict(options)
-    )
+    if not texts:
+        return dict(options)
+    return {**options, "axis": axes_of(texts, merged(layers).get("axis", []))}
 
 
 def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
@@ -1251,7 +1248,7 @@ def _of_labels(text: str, table: dict[str, Any], values: object) -> dict[str, An
 
 
 def _value(text: str) -> float | int | str:
-    """Number, if the text is one."""
+    """Return a number, if the text is one."""
     for kind in (int, float):
         try:
             return kind(text)

@@ -83,6 +83,14 @@ NIGHT = condition_of("night", {"scene": {"parameters": {"luminance_cd_per_m2": 3
 # ------------------------------------------------------------------------------------------------
 
 
+def test_axis_from_zero_is_written_with_its_ends() -> None:
+    """The table of an axis, as in settings.toml, makes the same axis again."""
+    axis = Axis.model_validate(
+        {"name": "PRNU", "set": "pixel.prnu", "from": 0, "to": 0.1, "count": 3}
+    )
+    assert Axis.model_validate(axis.model_dump(mode="json")) == axis
+
+
 def test_axis_spacing_has_equal_steps_and_its_ends() -> None:
     points = Axis.model_validate(
         {"name": "a", "set": LIGHT, "from": 1.0, "to": 1000.0, "count": 7, "spacing": "log"}
