@@ -47,7 +47,7 @@ DIGEST = "digest"
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
 # Entry of a header: radiance of white, of light without luminance.
 WHITE_RADIANCE = "white_w_per_m2_sr"
-# Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for
+# Entry of a header: radiance of a white plate at the object's distance, for
 # `display.white = "diffuser"`.
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
@@ -189,6 +189,7 @@ class SpectralImage:
             got = f"an array of shape {np.shape(band_width_nm)}"
             bands = self.wavelength_nm.size
             raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
+
         self.band_width_nm = np.broadcast_to(
             np.asarray(band_width_nm, float), self.wavelength_nm.shape
         ).copy()

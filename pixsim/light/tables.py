@@ -185,6 +185,7 @@ def _separator(lines: Sequence[str]) -> str | None:
         as_number(cell, ",") is not None for cells in words for cell in cells
     ):
         return None
+
     return "," if any("," in line for line in lines) else None
 
 

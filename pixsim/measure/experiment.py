@@ -70,7 +70,7 @@ class Experiment:
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
-    asked_black_dn : black level in the user's settings; the level of the sensor's ADC is used
+    stated_black_dn : black level in the user's settings; the level of the sensor's ADC is used
     """
 
     sensor: Sensor = field(repr=False)

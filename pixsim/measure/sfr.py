@@ -627,6 +627,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
         got = f"a largest value of {largest:g}"
         allowed = f"{SMALLEST:g} to {LARGEST:g} in size"
         raise invalid("edge picture", got, allowed, "Scale the picture.")
+
     return data
 
 
@@ -756,6 +757,7 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
                 )
             words = f"{clipping}, as if it were clipped: {_SHARPENS}"
             warn(Note("edge_picture", words=words))
+
         if clipping := _clipping_words("dark", dark, light, step):
             words = f"{clipping}, as if it were clipped at black: {_SHARPENS}"
             warn(Note("edge_picture", words=words))
@@ -783,6 +785,7 @@ def _clipping_words(
     elif name == "dark" and _noise_sigma(side, code) < code:
         # Without clipping it may have less noise than the bright side, yet not none.
         max_at_top = 1.0 - _MAX_SATURATED
+
     if at_top <= max_at_top:
         return ""
     return (

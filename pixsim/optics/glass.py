@@ -610,4 +610,5 @@ def _catalogue_glass(path: Path, entry: _CatalogueEntry) -> Glass:
                 f"{entry.n_d:g}, as its line NM states",
                 "Check the file.",
             )
+
     return glass

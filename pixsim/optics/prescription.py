@@ -1385,6 +1385,7 @@ def _coordinate_break_words(block: _Block, where: str, medium: str) -> list[str]
         value = _zmx_number(where, term, 1)
         if 1 <= number <= len(names) and value:
             words.append(f"{names[int(number) - 1]} {value:g}")
+
     line = block.first("CURV")
     if line and _zmx_number(where, line):
         words.append("with a curvature")

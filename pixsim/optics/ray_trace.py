@@ -170,6 +170,7 @@ def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
         value, derivative = _series(surface.asphere, square)
         sag = sag + square * value
         slope = slope + derivative
+
     return sag, slope
 
 
