@@ -264,19 +264,19 @@ class Camera(Record):
             self.model_copy(update=dict.fromkeys(_VEIL_FIELDS, 0.0)) if self.veiling_glare else self
         )
 
-    def with_light_of(self, options: LensOptions) -> Camera:
+    def with_light_of(self, chosen: LensOptions) -> Camera:
         """This camera with the veil and the fall-off of options of a lens; fields without an option
         stay.
 
-        options : of a lens, whose file is not looked at
+        chosen : of a lens, whose file is not looked at
 
         Raises PixsimError for a fall-off beside another one, or that ends before the corner of the
         die.
         """
         changes = {
-            field: getattr(options, name)
+            field: getattr(chosen, name)
             for name, field in ANY_LENS_FIELDS.items()
-            if getattr(options, name) is not None
+            if getattr(chosen, name) is not None
         }
         return Camera(**dict(self) | changes) if changes else self
 

@@ -22,7 +22,7 @@ VEIL = "veil_of_w_per_m2_nm"
 
 
 @dataclass(frozen=True)
-class _Veil:
+class _VeilingGlare:
     """Light that strays in a camera, and light that does not.
 
     direct_share : (B,) share of each band that does not stray
@@ -33,7 +33,7 @@ class _Veil:
     uniform_w_per_m2_nm: Array
 
 
-def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
+def veil_of(irradiance: SpectralImage, camera: Camera) -> _VeilingGlare | None:
     """Return the veil of a picture, or of the whole one of which it is a part
     (`with_veil_of_whole`), or None without veiling glare.
 
@@ -59,7 +59,7 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> _Veil | None:
         and all(isinstance(value, float) for value in stated_mean)
     )
     mean = np.asarray(stated_mean) if is_valid else irradiance.whole.mean_spectrum()
-    return _Veil(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
+    return _VeilingGlare(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
 
 def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
