@@ -116,8 +116,7 @@ class Pages:
         try:
             first = await asyncio.wait_for(page.receive_json(), FIRST_S)
             token = first.get("token") if isinstance(first, dict) else None
-            is_token = isinstance(token, str)
-            if not is_token or not secrets.compare_digest(token.encode(), self.token.encode()):
+            if not isinstance(token, str) or not self._is_token(token):
                 await page.close(REFUSED)
                 return
             if self.open is not None:
@@ -136,6 +135,10 @@ class Pages:
             if self.open is page:
                 self.open = None
                 self.loop.call_later(RELOAD_S, self.end_if_closed)
+
+    def _is_token(self, text: str) -> bool:
+        """Return whether a text is the token, in a time that does not depend on it."""
+        return secrets.compare_digest(text.encode(), self.token.encode())
 
     def end_if_closed(self) -> None:
         """End the session if no page has been opened again."""

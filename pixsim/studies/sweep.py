@@ -175,7 +175,7 @@ def sweep(
     )
     check_given_light(scene=scene, parameters=parameters)
     records = (exposure, display, correction, motion, develop, metric, camera)
-    tables = dict(zip(RECORDS, records, strict=True)) | {
+    tables: dict[str, Any] = dict(zip(RECORDS, records, strict=True)) | {
         "pixel": pixel,
         "seed": seed,
         "axis": list(axis),
