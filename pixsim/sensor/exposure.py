@@ -1,4 +1,4 @@
-"""Gain and time of a frame, from how many exposures it is, and how the light changes meanwhile."""
+"""Gain, time and subexposures of a frame, and how the light changes meanwhile."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Exposure(Record):
     """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches
     `well_target` of saturation.
 
-    A burst is one frame: the sum of `frames` exposures, each with its own noise, well and codes.
-    They share its time, or each has all of it.
+    A burst is one frame: the sum of `frames` subexposures, each with its own noise, well and codes.
+    They share the time of the frame, or each has all of it.
     """
 
     integration_s: Seconds | None = Field(
@@ -44,15 +44,15 @@ class Exposure(Record):
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = Field(
         1,
         description=(
-            "exposures that are summed to one frame; each saturates, is read out and is rounded by"
-            " itself"
+            "subexposures that are summed in one frame; each saturates, is read out and is rounded"
+            " by itself"
         ),
     )
     frame_time: Literal["shared", "each"] = Field(
         "shared",
         description=(
-            "what integration_s and max_integration_s are about: all exposures of a frame together,"
-            " or each of them"
+            "whether integration_s and max_integration_s are the time of all subexposures of a frame"
+            " together, or of each"
         ),
     )
     shutter: Literal["global", "rolling"] = Field(
@@ -73,8 +73,7 @@ class Exposure(Record):
         ),
     )
     flicker_depth: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        None,
-        description="modulation of light that flickers, as a sine: (most - least)/(most + least)",
+        None, description="modulation of light that flickers, as a sine: (max - min)/(max + min)"
     )
     flicker_phase_deg: Annotated[float, Field(ge=0, le=360)] | None = Field(
         None,
@@ -123,5 +122,5 @@ class Exposure(Record):
 
     @property
     def times(self) -> int:
-        """How many of the stated times a frame takes: 1, but for exposures that have it each."""
+        """Number of stated times that a frame takes: 1, unless each subexposure has the time."""
         return self.frames if self.frame_time == "each" else 1

@@ -22,7 +22,7 @@ def _light_over_mean(
     their middles.
 
     mid_s : time of the middle of each exposure
-    depth : modulation of the lamp, (most - least)/(most + least)
+    depth : modulation of the lamp, (max - min)/(max + min)
     phase : of the lamp at time 0, in radians; it is brightest at 0
     """
     return 1 + depth * np.sinc(frequency_hz * time_s) * np.cos(
@@ -31,10 +31,10 @@ def _light_over_mean(
 
 
 def burst_modulation(exposure: Exposure, time_s: float) -> float:
-    """Return by how much the exposures of a burst may differ in their light, (most - least)/(most +
-    least) over all phases.
+    """Return the largest modulation of the light of a burst's subexposures, (max - min)/(max +
+    min), over all phases.
 
-    time_s : of all exposures together
+    time_s : of all subexposures together
     """
     if exposure.frames == 1 or exposure.flicker_hz is None or exposure.flicker_depth is None:
         return 0.0
@@ -71,7 +71,7 @@ def row_gains(
     The phase is the one at mid exposure of the middle of the rows. It is drawn beside the frame's
     noise, which stays the same as in steady light.
 
-    time_s : of all exposures together, which follow one another at once
+    time_s : of all subexposures together, which follow one another at once
     """
     if exposure.flicker_hz is None or not exposure.flickers:
         return ()

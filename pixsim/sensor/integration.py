@@ -1111,20 +1111,35 @@ def array_signal(
     moving : how the light moves over the pixels
     """
     layout = Layout.unbinned(physics.pixel)
-    if layout is None:
-        light = lights[0]
-        moves = light.moves(moving, physics)
-        signal, collection = _pixel_signal(
-            light.rate_e_per_s_um2,
-            sample_pitch_um,
-            physics,
-            light.illumination,
-            running=None if moves else light.running_integral,
-            size_um=size_um,
-            moves=moves,
-        )
-        return signal, () if collection is None else (collection,)
+    if layout is not None:
+        return _mosaic_signal(lights, sample_pitch_um, physics, layout, size_um, moving)
 
+    light = lights[0]
+    moves = light.moves(moving, physics)
+    signal, collection = _pixel_signal(
+        light.rate_e_per_s_um2,
+        sample_pitch_um,
+        physics,
+        light.illumination,
+        running=None if moves else light.running_integral,
+        size_um=size_um,
+        moves=moves,
+    )
+    return signal, () if collection is None else (collection,)
+
+
+def _mosaic_signal(
+    lights: Sequence[ChannelLight],
+    sample_pitch_um: float,
+    physics: PixelPhysics,
+    layout: Layout,
+    size_um: tuple[float, float] | None,
+    moving: Moving,
+) -> tuple[Array, tuple[Collection, ...]]:
+    """Return `array_signal` of a sensor with colour filters.
+
+    layout : of the pixels, before binning
+    """
     picture_um = [count * sample_pitch_um for count in lights[0].rate_e_per_s_um2.shape]
     (rows, columns), pixels_um, first_um = array_on(picture_um, size_um, physics)
     illuminations = [light.illumination for light in lights]

@@ -77,7 +77,7 @@ class NoiseSource:
     silence: Callable[[Any], Any] | None = field(default=None, compare=False)
 
     def frame_deviation(self, readout: _NoisyReadout) -> float:
-        """Return the deviation in a frame, which may be the sum of several exposures.
+        """Return the deviation in a frame, which may be the sum of subexposures.
 
         Values that differ between subexposures add up by squares, equal values linearly; a value
         that grows with charge does so with the charge of all together.

@@ -1,5 +1,5 @@
-"""How a pixel is read: gain, exposures, ADC, black level and binning, with the range, the noise and
-the saturation that follow.
+"""How a pixel is read: gain, subexposures, ADC, black level and binning, with the range, the noise
+and the saturation that follow.
 
 `PixelPhysics` is what light and time make of a pixel; a `Readout` is one reading of its charge.
 Closed forms of noise, range and codes, and the kernels that draw frames, take a `Readout`.
@@ -158,7 +158,7 @@ class Readout:
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
-        """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError
+        """Return the reading in an exposure: at its gain, in its subexposures. Raises PixsimError
         as `Readout` does.
         """
         readout = self

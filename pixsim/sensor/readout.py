@@ -705,8 +705,8 @@ def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and
     one LSB above 0 DN.
 
-    Without a stated gain a range F spans the codes M - b above the black level b, so that b = 6σ(M -
-    b)/F, solved for b. For a burst it is the black level of each subexposure.
+    Without a stated gain a range F spans the codes M - b above the black level b, so that b =
+    6σ(M - b)/F, solved for b. For a burst it is the black level of each subexposure.
     """
     p = readout.burst(1)
     margin_e = BLACK_SIGMAS * dark_spread_e(p, integration_s / readout.exposures)
