@@ -51,8 +51,8 @@ class Exposure(Record):
     frame_time: Literal["shared", "each"] = Field(
         "shared",
         description=(
-            "whether integration_s and max_integration_s are the time of all subexposures of a frame"
-            " together, or of each"
+            "whether integration_s and max_integration_s are the time of all subexposures of a"
+            " frame together, or of each"
         ),
     )
     shutter: Literal["global", "rolling"] = Field(
