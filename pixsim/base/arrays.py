@@ -24,9 +24,8 @@ from pixsim.base.files import check_compression, opened, reason
 from pixsim.base.lazy import load_when_used
 from pixsim.base.machine import threads
 
-load_when_used(
-    "f2py", "testing"
-)  # before SciPy is imported, which uses neither: a third of the time of its import
+# Before SciPy is imported, which uses neither: a third of the time of its import
+load_when_used("f2py", "testing")
 
 Array = NDArray[np.float64]
 # Arrays as arguments, with the bounds of all of their values, or the number of their axes.
@@ -100,9 +99,8 @@ def strips_of(
 
 
 PARTS = 4  # down and across, of a picture too large to be measured whole
-MEASURED = (
-    1 << 21
-)  # film cells, pixels or a quarter of the display's dots that are measured of a picture
+# Film cells, pixels or a quarter of the display's dots that are measured of a picture
+MEASURED = 1 << 21
 
 
 def spread_parts(count: int, size: int) -> list[slice]:
@@ -153,9 +151,8 @@ def _reuse_freed_memory() -> None:
 
 MIN_THREADED_NUMBERS = 1 << 20  # numbers; fewer take less time than threads need to start
 
-_MIN_DCT_NUMBERS = (
-    1 << 14
-)  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
+# Numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
+_MIN_DCT_NUMBERS = 1 << 14
 
 
 def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: int) -> None:
@@ -221,10 +218,8 @@ def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
 
 
 _MAX_ARRAYS = 4096
-_COMPRESSION_METHODS = (
-    zipfile.ZIP_STORED,
-    zipfile.ZIP_DEFLATED,
-)  # of NumPy; the others allocate what a member declares
+# Methods that NumPy uses; the others allocate what a member declares
+_COMPRESSION_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 Check = Callable[[str, NDArray[Any]], object]  # of the name of an array, raises PixsimError

@@ -8,10 +8,8 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-OPTIONS = {
-    "window_mm": "window",
-    "smaller_than_um": "smaller-than",
-}  # settings whose option has another name
+# Settings whose option has another name
+OPTIONS = {"window_mm": "window", "smaller_than_um": "smaller-than"}
 _command_lines = 0  # those that run: of all threads, of which some belong to the command
 
 

@@ -335,9 +335,8 @@ def _list(value: Any) -> Any:
 
 # --- what pydantic says
 
-_KIND = re.compile(
-    r"str|[a-z-]*\[.*\]", re.DOTALL
-)  # pydantic's names of kinds in the place of a problem, such as list[str]
+# Pydantic's names of kinds in the place of a problem, such as list[str]
+_KIND = re.compile(r"str|[a-z-]*\[.*\]", re.DOTALL)
 _ALLOWED = {
     "string_type": "a text",
     "is_instance_of": "a {class}",

@@ -224,28 +224,21 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
         folder.mkdir(0o700)
+
     status = folder.lstat()
-    is_private = (
-        stat.S_ISDIR(status.st_mode)
-        and status.st_uid == os.geteuid()
-        and os.access(folder, os.W_OK)
-    )
-    if is_private and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    is_user_folder = stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid()
+    others_can_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if is_user_folder and os.access(folder, os.W_OK) and not others_can_write:
         return folder
 
     process_folder = temporary_folder_of_process() / name
     process_folder.mkdir(0o700, exist_ok=True)
     if not quiet:
-        hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-        warn(
-            Note(
-                "machine",
-                words=(
-                    f"'{folder}' is not a folder that only you can write: {name} serve this command"
-                    f" only; {hint}"
-                ),
-            )
+        words = (
+            f"'{folder}' is not a folder that only you can write: {name} serve this command only;"
+            f" remove it, or set {FOLDER_VARIABLE} to a folder of yours"
         )
+        warn(Note("machine", words=words))
     return process_folder
 
 
@@ -352,28 +345,30 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
     foreign = set()
     for name in (*names, FILE_LIST):
         path = folder / name
-        if os.path.lexists(path) and not (name in listed and stat.S_ISREG(path.lstat().st_mode)):
+        if os.path.lexists(path) and not (name in listed and _is_regular(path)):
             foreign.add(name)
-        folders = (str(part) for part in PurePosixPath(name).parents if part.parts)
-        foreign.update(
-            part
-            for part in folders
-            if os.path.lexists(folder / part) and not stat.S_ISDIR((folder / part).lstat().st_mode)
-        )
+
+        # A file may be in the way of a folder, too.
+        for part in PurePosixPath(name).parents:
+            path = folder / part
+            if part.parts and os.path.lexists(path) and not stat.S_ISDIR(path.lstat().st_mode):
+                foreign.add(str(part))
+
     if foreign:
-        more = (
-            f" and {len(foreign) - _MAX_LISTED_FILES} more"
-            if len(foreign) > _MAX_LISTED_FILES
-            else ""
-        )
-        foreign_names = ", ".join(sorted(foreign)[:_MAX_LISTED_FILES]) + more
-        got = f"'{folder}', which holds {foreign_names}, not written by this command"
+        foreign_names = ", ".join(sorted(foreign)[:_MAX_LISTED_FILES])
+        if len(foreign) > _MAX_LISTED_FILES:
+            foreign_names += f" and {len(foreign) - _MAX_LISTED_FILES} more"
         raise invalid(
             "output folder",
-            got,
+            f"'{folder}', which holds {foreign_names}, not written by this command",
             "a folder without them",
             "Choose another with --out, or move these files away.",
         )
+
+
+def _is_regular(path: Path) -> bool:
+    """Return whether a path is a regular file, not a link to one."""
+    return stat.S_ISREG(path.lstat().st_mode)
 
 
 @contextmanager
@@ -514,14 +509,8 @@ def check_size(name: str, size_bytes: int, unit: str = "bytes") -> None:
 _ALWAYS_BYTES = 256 * MIB
 _MAX_RATIO = 1100
 MAX_PICTURE = 1 << 28  # samples of a PNG or TIFF
-_PICTURE_FORMATS = (
-    "PNG",
-    "JPEG",
-    "TIFF",
-    "BMP",
-    "TGA",
-    "PPM",
-)  # that Pillow may read; it goes by the content, not the suffix
+# Formats that Pillow may read; it goes by the content, not the suffix
+_PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "PPM")
 MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
@@ -551,9 +540,8 @@ def opened(
     a size of its own, as those of /proc are: they may have no end.
     """
     try:
-        if not stat.S_ISREG(
-            mode := os.stat(path).st_mode
-        ):  # opening a pipe or a device can have effects
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode):  # opening a pipe or a device can have effects
             raise invalid(name, f"'{path}', {kind_of(mode)}", expected)
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
@@ -561,17 +549,16 @@ def opened(
     except PixsimError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
-        raise invalid(
-            name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected
-        ) from None
+        cause = getattr(error, "strerror", None) or error
+        raise invalid(name, f"'{path}' ({cause})", expected) from None
+
     with os.fdopen(descriptor, "rb") as file:
         size_bytes = os.fstat(descriptor).st_size
         if max_bytes is None:
             check_size(f"{name} '{path}'", size_bytes)
         elif size_bytes > max_bytes:
-            raise invalid(
-                name, f"'{path}' of {size_bytes} bytes", f"{expected}, of up to {max_bytes} bytes"
-            )
+            allowed = f"{expected}, of up to {max_bytes} bytes"
+            raise invalid(name, f"'{path}' of {size_bytes} bytes", allowed)
         with suppress(OSError):
             if not size_bytes and file.peek(1):
                 raise invalid(name, f"'{path}', a system file without a size", expected)
@@ -611,9 +598,8 @@ def read_text(path: Path, name: str, expected: str, max_bytes: int) -> str:
     not UTF-8.
     """
     try:
-        text = read_bytes(path, name, expected, max_bytes).decode(
-            "utf-8-sig"
-        )  # spreadsheets write a byte order mark
+        # Spreadsheets write a byte order mark
+        text = read_bytes(path, name, expected, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise invalid(name, f"'{path}' ({error})", f"{expected} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

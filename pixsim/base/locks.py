@@ -31,12 +31,8 @@ UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinish
 _OTHER_FOLDER = "Move it away, or choose another folder with --out."
 _MAX_TRIES = 20  # for a file that another process removes at the moment when it is locked
 _LOCK_TIMEOUT_S = 0.1  # of another process, between its removal of a lock and its end
-_NO_LOCKS = {
-    errno.ENOSYS,
-    errno.ENOLCK,
-    errno.EOPNOTSUPP,
-    errno.EINVAL,
-}  # what flock says where a file system has none
+# Errors of flock where a file system has no locks
+_NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 def check_system() -> None:
@@ -85,9 +81,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     path = Path(os.path.realpath(folder), LOCK)
-    lock = FileLock(
-        path, timeout=_LOCK_TIMEOUT_S, is_singleton=True, fallback_to_soft=False
-    )  # one a thread
+    # One lock for each thread
+    lock = FileLock(path, timeout=_LOCK_TIMEOUT_S, is_singleton=True, fallback_to_soft=False)
     if lock.is_locked:
         yield
         return

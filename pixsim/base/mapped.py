@@ -36,9 +36,8 @@ def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
         return np.zeros(shape, dtype)
     try:
         with tempfile.TemporaryFile() as file:
-            os.posix_fallocate(
-                file.fileno(), 0, size
-            )  # a page without space on the disk would end the process
+            # A page without space on the disk would end the process
+            os.posix_fallocate(file.fileno(), 0, size)
             content = mmap.mmap(file.fileno(), size)
     except OSError as error:
         folder, gib = tempfile.gettempdir(), size / (1 << 30)

@@ -110,14 +110,16 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
 
     alone : share no list, for one of many results of a command
     """
-    if (outer := _outer.get()) is not None and not alone:
+    outer = _outer.get()
+    if outer is not None and not alone:
         yield outer
         return
+
     notes: list[Note] = []
-    machine_notes: list[
-        Note
-    ] = []  # each once too: a cache folder that cannot be written fails for every entry
-    filters, show = list(warnings.filters), warnings.showwarning
+    # Each once too: a cache folder that cannot be written fails for every entry.
+    machine_notes: list[Note] = []
+    filters = list(warnings.filters)
+    show = warnings.showwarning
 
     def collect(
         message: Warning | str,
@@ -128,10 +130,8 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
         **__: object,
     ) -> None:
         if issubclass(category, UserWarning):
-            note, collected = (
-                note_of(message),
-                machine_notes if issubclass(category, MachineWarning) else notes,
-            )
+            note = note_of(message)
+            collected = machine_notes if issubclass(category, MachineWarning) else notes
             if note in collected:
                 return
             collected.append(note)

@@ -45,10 +45,8 @@ def words_of(info: FieldInfo | None) -> Words:
 
 
 MAX_VALUE = 80  # characters of a value in a message
-UNION_BRANCHES = (
-    "table",
-    "number",
-)  # of a field that may be either, in the place of an error: no name of a user
+# Parts of the place of an error in a field that may be either: no names of a user
+UNION_BRANCHES = ("table", "number")
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
@@ -211,9 +209,8 @@ def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
     table.
     """
     path = [part for part in problem["loc"] if part not in UNION_BRANCHES]
-    path = list(
-        takewhile(lambda part: not isinstance(part, int), path)
-    )  # layers replace lists as a whole
+    # Layers replace lists as a whole
+    path = list(takewhile(lambda part: not isinstance(part, int), path))
     for length in range(len(path), -1, -1):
         for layer in reversed(layers):
             if layer.table and layer.names(path[:length]):

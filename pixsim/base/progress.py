@@ -168,11 +168,8 @@ def writer_to(stream: TextIO) -> Callable[[str], object]:
     return write
 
 
-_TERMINAL_VARIABLES = (
-    "FORCE_COLOR",
-    "TTY_COMPATIBLE",
-    "TTY_INTERACTIVE",
-)  # with which Rich takes any stream for a terminal
+# Variables with which Rich takes any stream for a terminal
+_TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 
 
 def _bars() -> Any:

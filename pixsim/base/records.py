@@ -145,9 +145,8 @@ def content_hash(content: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-AnyNumber = Annotated[
-    float, Field(ge=-LARGEST, le=LARGEST)
-]  # whose own bounds are those of what it is used for
+# A number without bounds of its own: what uses it has them
+AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
 
 def _free_number(value: object) -> object:

@@ -8,7 +8,7 @@ import inspect
 import pickle
 import sysconfig
 from pathlib import Path
-from types import CellType, CodeType
+from types import CellType, CodeType, FunctionType
 
 # Code that versions tell, not results: of pixsim, of Python and of installed packages.
 _VERSIONED_FOLDERS = (
@@ -36,41 +36,47 @@ def content_of(value: object, seen: list[object]) -> str:
     values to which that refers.
 
     value : the function, or what it refers to
-    seen : such values that were met before, to which this one is added
+    seen : values that were visited before, to which this one is added
     """
     if inspect.ismodule(value) or any(value is seen_value for seen_value in seen):
         return ""
     seen.append(value)
     function = getattr(value, "__func__", value)  # of a method
-    if not inspect.isfunction(function) or function.__code__.co_filename.startswith(
-        _VERSIONED_FOLDERS
-    ):
-        try:
-            return (
-                inspect.getsource(value)
-                if inspect.isclass(value)
-                else hashlib.blake2b(pickle.dumps(value)).hexdigest()
-            )
-        except Exception:  # whatever a class of the user's raises
-            return f"{type(value)} {getattr(value, '__qualname__', '')}"
+    if not inspect.isfunction(function) or _is_versioned(function):
+        return _content_of_value(value)
+
+    # The code of the function and of all functions inside it.
     codes = [function.__code__]
-    for code in codes:  # with those of functions inside
+    for code in codes:
         codes += [constant for constant in code.co_consts if inspect.iscode(constant)]
     steps = [(code.co_code, code.co_names, _constants(code)) for code in codes]
 
+    # The global names that this code uses, variables of functions around it, and defaults.
     instructions = (step for code in codes for step in dis.get_instructions(code))
     global_names = {
         step.argval for step in instructions if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
     }
     names = sorted(global_names & function.__globals__.keys())
-    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
-    values = [
-        *(function.__globals__[name] for name in names),
-        *cells,
-        function.__defaults__,
-        function.__kwdefaults__,
-    ]
-    return " ".join([repr(steps), *(content_of(value, seen) for value in values)])
+    values: list[object] = [function.__globals__[name] for name in names]
+    cells = function.__closure__ or ()
+    values += [cell.cell_contents for cell in cells if cell != CellType()]
+    values += [function.__defaults__, function.__kwdefaults__]
+    return " ".join([repr(steps), *(content_of(inner, seen) for inner in values)])
+
+
+def _is_versioned(function: FunctionType) -> bool:
+    """Return whether a function is that of a package, whose version stands for its code."""
+    return function.__code__.co_filename.startswith(_VERSIONED_FOLDERS)
+
+
+def _content_of_value(value: object) -> str:
+    """Return the source of a class, or a hash of another value; its type where it has neither."""
+    try:
+        if inspect.isclass(value):
+            return inspect.getsource(value)
+        return hashlib.blake2b(pickle.dumps(value)).hexdigest()
+    except Exception:  # whatever a class of the user's raises
+        return f"{type(value)} {getattr(value, '__qualname__', '')}"
 
 
 def _constants(code: CodeType) -> list[object]:

@@ -31,9 +31,8 @@ def command() -> NoReturn:
     interruption.guard()
     # 7 % of `pixsim run` with a filled cache (0.07 s of processor time); `stages` enables it
     gc.disable()
-    os.environ.setdefault(
-        "PYDANTIC_DISABLE_PLUGINS", "__all__"
-    )  # pydantic looks for them in all installed packages
+    # Pydantic looks for them in all installed packages
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         open_closed_streams()
         main()

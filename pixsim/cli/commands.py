@@ -52,9 +52,8 @@ def run_command(tokens: Sequence[str]) -> None:
 
     tokens : its name and arguments
     """
-    if isinstance(
-        getattr(sys.stdout, "buffer", None), io.FileIO
-    ):  # by PYTHONUNBUFFERED: a signal would cut what a pipe delays
+    # PYTHONUNBUFFERED makes it unbuffered: a signal would cut what a pipe delays
+    if isinstance(getattr(sys.stdout, "buffer", None), io.FileIO):
         sys.stdout = open(1, "w", encoding=sys.stdout.encoding, closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8

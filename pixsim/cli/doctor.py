@@ -87,9 +87,8 @@ def doctor_document(findings: list[Diagnosis]) -> Document:
     for finding in findings:
         rows.append((finding.mark, finding.subject, finding.found))
         if finding.mend:
-            rows.append(
-                ("", f"to fix it: {finding.mend}")
-            )  # a short row is not wrapped: it can be copied
+            # A short row is not wrapped: it can be copied
+            rows.append(("", f"to fix it: {finding.mend}"))
 
     works = all(finding.mark != PROBLEM for finding in findings)
     verdict = "renders work on this machine" if works else "pixsim does not work on this machine"
@@ -148,9 +147,8 @@ def _test_render(limit_s: float) -> Diagnosis:
     if fault := trial.fault:
         if trial.seconds >= limit_s:
             fault = f"{fault}; a machine under load may need longer: --limit-s {3 * limit_s:g}"
-        mend = (
-            None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"
-        )  # a refusal says how to mend it
+        # A refusal says how to mend it
+        mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"
         if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)

@@ -119,7 +119,8 @@ NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
 def value_name(annotation: object) -> str:
-    """Name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as mosis|paper.
+    """Return the name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as
+    mosis|paper.
 
     A table of pairs is given as a FILE, a pair of numbers as INTxINT.
     """
@@ -129,9 +130,8 @@ def value_name(annotation: object) -> str:
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
-        text_kinds = (
-            kind for kind in inner if kind is not type(None) and not is_dataclass(kind)
-        )  # others stand in Python only
+        # Values that are no text, such as records, can be given in Python only.
+        text_kinds = [kind for kind in inner if kind is not type(None) and not is_dataclass(kind)]
         return "|".join(dict.fromkeys(map(value_name, text_kinds)))
     if origin is dict:
         return "FILE"
@@ -153,36 +153,40 @@ def choices_of(annotation: object) -> tuple[str, ...]:
 
 
 def field_option(record: type[Record], name: str, /, **parameters: Any) -> Parameter:
-    """How the help and the completion show an option that is text, and that a field of a record
-    validates.
+    """Return how the help and the completion show an option that is text, and that a field of a
+    record validates.
+
+    parameters : of cyclopts, over those that follow from the field
     """
     info = record.model_fields[name]
+    description = info.description or ""
     default: Any = None if info.is_required() else info.default
-    if default is None and not info.is_required() and "absent" not in (info.description or ""):
-        is_scene_setting = record is CameraOptions and name in Camera.model_fields
-        default = (
-            "that of the scene"
-            if is_scene_setting
-            else _FROM_TECHNOLOGY
-            if name in NUMBERS and NUMBERS[name].in_technology
-            else "none"
-        )
-    default_text = (
-        f" [default: {default:g}]"
-        if isinstance(default, float)
-        else f" [default: {default}]"
-        if default is not None
-        else ""
-    )
-    choices = choices_of(info.annotation)
+    if default is None and not info.is_required() and "absent" not in description:
+        default = _origin_of_default(record, name)
+
+    default_text = ""
+    if isinstance(default, float):
+        default_text = f" [default: {default:g}]"
+    elif default is not None:
+        default_text = f" [default: {default}]"
     options = {
-        "help": f"{info.description or ''}{default_text}".strip(),
+        "help": f"{description}{default_text}".strip(),
         "metavar": value_name(info.annotation),
         "show_default": False,
     }
+    choices = choices_of(info.annotation)
     if choices:
         options["completer"] = lambda _: choices
     return Parameter(**{**options, **parameters})
+
+
+def _origin_of_default(record: type[Record], name: str) -> str:
+    """Return where the value of a field without a default comes from, for the help."""
+    if record is CameraOptions and name in Camera.model_fields:
+        return "the scene's"
+    if name in NUMBERS and NUMBERS[name].in_technology:
+        return _FROM_TECHNOLOGY
+    return "none"
 
 
 _NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
@@ -203,9 +207,8 @@ def _converted_values(kind: Any, tokens: Sequence[Token]) -> Any:
     return convert(kind, values)
 
 
-SEVERAL = Parameter(
-    converter=_converted_values, consume_multiple=False
-)  # of every option of several values but names of files
+# For options of several values, except names of files
+SEVERAL = Parameter(converter=_converted_values, consume_multiple=False)
 
 
 def _packaged_or_files(
@@ -344,8 +347,8 @@ Variant = Annotated[
 
 
 def _option_table(record: type[Record], name: str, inside: str = "") -> object:
-    """The fields of a record as dotted options, as text that the record validates; None if no
-    option is given.
+    """Return the fields of a record as dotted options, as text that the record validates; None if
+    no option is given.
 
     name : of the options; of a record in a field of another one, that of the field
     inside : name of the options of that other record
@@ -357,29 +360,31 @@ def _option_table(record: type[Record], name: str, inside: str = "") -> object:
             for kind in (info.annotation, *get_args(info.annotation))
             if inspect.isclass(kind) and issubclass(kind, Record)
         ]
+        option: Any
         if records:
-            fields.append(
-                (key, _option_table(records[0], key.replace("_", "-"), name), field(default=None))
-            )
-            continue
-        parameters = (
-            {"completer": _complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
-        )
-        if record is LensOptions and key == "file":
-            parameters = {
-                "name": ("--lens.file", "--lens"),
-                "completer": complete_lens,
-                "metavar": "NAME|FILE",
-            }
-        if record is Detectability and key == "without":
-            parameters = {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
-        parameter = field_option(record, key, allow_leading_hyphen=True, **parameters)
-        fields.append((key, Annotated[str | None, parameter], field(default=None)))
+            option = _option_table(records[0], key.replace("_", "-"), name)
+        else:
+            parameters = _parameters_of(record, key)
+            parameter = field_option(record, key, allow_leading_hyphen=True, **parameters)
+            option = Annotated[str | None, parameter]
+        fields.append((key, option, field(default=None)))
+
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
-    return Annotated[
-        table | None, Parameter(name=name, group=f"--{inside or name}.…", show_default=False)
-    ]
+    group = f"--{inside or name}.…"
+    return Annotated[table | None, Parameter(name=name, group=group, show_default=False)]
+
+
+def _parameters_of(record: type[Record], key: str) -> dict[str, Any]:
+    """Return what the options of some fields have beside the usual: names, completion of files."""
+    if key == "technology":
+        return {"completer": _complete_sensor, "metavar": "NAME|FILE"}
+    if record is LensOptions and key == "file":
+        names = ("--lens.file", "--lens")
+        return {"name": names, "completer": complete_lens, "metavar": "NAME|FILE"}
+    if record is Detectability and key == "without":
+        return {"completer": complete_picture, "metavar": "NAME=VALUE,…|SCENE|FILE"}
+    return {}
 
 
 if TYPE_CHECKING:

@@ -24,9 +24,10 @@ SIGNAL_WORDS = {
     "SIGTERM": "terminated",
     "SIGHUP": "the terminal was closed",
 }
+# Windows has no SIGHUP
 _WORDS_OF_SIGNAL = {
     getattr(signal, name): words for name, words in SIGNAL_WORDS.items() if hasattr(signal, name)
-}  # Windows has no SIGHUP
+}
 _IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 # the exit code of a shell for a process that a signal ended, less the signal's number
 _SIGNAL_EXIT = 128
@@ -173,9 +174,8 @@ def open_closed_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(
-                os.open(os.devnull, os.O_RDWR), True
-            )  # it takes the lowest number, which is this one
+            # It takes the lowest number, which is this one
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             setattr(
                 sys,

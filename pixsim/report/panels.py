@@ -22,10 +22,8 @@ _MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
 BOTTOM_IN, BETWEEN_IN = 0.5, 0.9
 LEGEND_IN, ROW_IN = 0.35, 0.2  # height of a legend of one row, and of another row
 _HEIGHT_IN = 4.0
-BETWEEN_SHARED_IN, TICKS_SHARED = (
-    0.4,
-    4,
-)  # of panels that share their scales: labels at their ends do not meet
+# For panels that share their scales: labels at their ends do not meet
+BETWEEN_SHARED_IN, TICKS_SHARED = (0.4, 4)
 _MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
 NO_KEYWORDS: Mapping[str, Any] = {}

@@ -72,23 +72,27 @@ def metrics_against_pitch(curve: Curve) -> Drawing:
     with its best size.
     """
     fits = {curve.metric.name: curve.fit} | curve.fits
-    figure = new_figure(6.4, 0.6 + 1.6 * len(curve.metrics))
-    panels = figure.subplots(len(curve.metrics), 1, squeeze=False, sharex=True).ravel()
-    table: dict[str, Array] = {"pitch_um": curve.pitch_um}
+    count = len(curve.metrics)
+    figure = new_figure(6.4, 0.6 + 1.6 * count)
+    panels = figure.subplots(count, 1, squeeze=False, sharex=True).ravel()
     colour = LINE_STYLES[0].colour
+    table: dict[str, Array] = {"pitch_um": curve.pitch_um}
     for axes, metric in zip(panels, curve.metrics, strict=True):
         column = metric.columns[0]
-        low, mean, high = np.transpose(
-            [_finite_interval(sensors) for sensors in curve.statistics[column]]
-        )
+        intervals = [_finite_interval(sensors) for sensors in curve.statistics[column]]
+        low, mean, high = np.transpose(intervals)
         half = (high - low) / 2
+        table |= {column: mean, f"{column}_ci95": half}
+
         axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=colour)
-        if fit := fits.get(metric.name):
+        fit = fits.get(metric.name)
+        if fit:
+            best = fit.optimum
             axes.plot(fit.pitch_um, metric.from_loss(fit.delta_e), lw=1.2, color=colour)
-            axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=colour)
+            axes.plot(best.pitch_um, best.value, "v", ms=7, mfc="white", mec=colour)
         axes.set_title(f"{metric.label}: {metric.better} is better", fontsize=8)
         axes.grid(alpha=0.25)
-        table |= {column: mean, f"{column}_ci95": half}
+
     panels[-1].set_xlabel("pixel size (µm)")
     figure.suptitle(literal(curve.label), fontsize=9)
     return figure, table

@@ -663,9 +663,8 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
                 if name.endswith("_delta_e")
                 else rounded(statistics[name], 4)
             )
-            if (
-                name != "fill_factor" or value != "1"
-            ):  # a data sheet gives the numbers of the whole pixel
+            # A data sheet gives the numbers of the whole pixel
+            if name != "fill_factor" or value != "1":
                 yield _STATISTICS_WORDS[name], value
 
     imaging, longest_path_um = result.chain.imaging, result.chain.moving.longest_um

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 _PROCESS_SETTINGS = frozenset(
     {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"}
 )
-_COLOUR_SETTINGS = frozenset(
-    {"adaptation", *COLOUR_FIELDS}
-)  # options of display and development for coloured pictures
+# Options of display and development for coloured pictures
+_COLOUR_SETTINGS = frozenset({"adaptation", *COLOUR_FIELDS})
 DEFAULTS = ("default", "")  # sources of what nobody stated
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 

@@ -121,47 +121,59 @@ _UNCERTAINTY_EXAMPLE = """
 
 
 def template(kind: str) -> str:
-    """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for
-    another kind.
+    """Return a TOML file with every field of the settings of a sensor or a study. Raises
+    PixsimError for another kind.
     """
     schema = record_of(kind).model_json_schema()
-    head, uncommented = (
-        (_SENSOR_HEAD, _SENSOR_FIELDS) if kind == "sensor" else (_STUDY_HEAD, _STUDY_FIELDS)
-    )
+    is_sensor = kind == "sensor"
+    head = _SENSOR_HEAD if is_sensor else _STUDY_HEAD
+    uncommented = _SENSOR_FIELDS if is_sensor else _STUDY_FIELDS
     lines = textwrap.wrap(head, WIDTH, initial_indent="# ", subsequent_indent="# ")
-    tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
-    order = (
-        ["pixel", *(name for name in tables if name != "pixel")]
-        if kind == "sensor"
-        else list(tables)
-    )
-    top = {name: field for name, field in schema["properties"].items() if name not in tables}
+
+    # Fields above all tables, then the tables; a sensor's file begins with its pixel.
+    properties = schema["properties"]
+    tables = {name: field for name, field in properties.items() if "$ref" in field}
+    top = {name: field for name, field in properties.items() if name not in tables}
     lines += ["", *_fields(top, uncommented, "")]
-    for name in order:
-        properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
-        first_fields = [
-            key
-            for dotted in uncommented
-            if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted
-        ]
-        inner_records = {
-            key: schema["$defs"][reference["$ref"].rpartition("/")[2]]
-            for key, reference in properties.items()
-            if "$ref" in reference
-        }
-        fields = {
-            key: properties[key] for key in [*first_fields, *properties] if key not in inner_records
-        }
-        lines += ["", f"[{name}]", *_fields(fields, uncommented, f"{name}.")] if fields else []
-        for key, record in inner_records.items():
-            lines += [
-                "",
-                f"[{name}.{key}]",
-                *_fields(record["properties"], uncommented, f"{name}.{key}."),
-            ]
-        if (kind, name) == ("sensor", "pixel"):
-            lines += [f"## {_UNCERTAINTY}:{_UNCERTAINTY_EXAMPLE}"]
+    names = list(tables)
+    if is_sensor:
+        names.remove("pixel")
+        names.insert(0, "pixel")
+    for name in names:
+        lines += _table_lines(schema, name, tables[name], uncommented)
+        if is_sensor and name == "pixel":
+            lines.append(f"## {_UNCERTAINTY}:{_UNCERTAINTY_EXAMPLE}")
     return "\n".join(lines) + "\n"
+
+
+def _table_lines(
+    schema: dict[str, Any], name: str, reference: dict[str, Any], uncommented: tuple[str, ...]
+) -> Iterator[str]:
+    """Yield the lines of a table and of the tables in it, fields that are not commented out first.
+
+    schema : of the whole file
+    reference : to the schema of the table
+    """
+    properties = _definition(schema, reference)["properties"]
+    inner_tables = {key: field for key, field in properties.items() if "$ref" in field}
+    first_keys = []
+    for dotted in uncommented:
+        key = dotted.removeprefix(f"{name}.")
+        if key in properties and key != dotted:
+            first_keys.append(key)
+    fields = {key: properties[key] for key in [*first_keys, *properties] if key not in inner_tables}
+
+    if fields:
+        yield from ("", f"[{name}]", *_fields(fields, uncommented, f"{name}."))
+    for key, inner_reference in inner_tables.items():
+        inner = _definition(schema, inner_reference)["properties"]
+        yield from ("", f"[{name}.{key}]", *_fields(inner, uncommented, f"{name}.{key}."))
+
+
+def _definition(schema: dict[str, Any], reference: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema that a reference in another schema names."""
+    definition: dict[str, Any] = schema["$defs"][reference["$ref"].rpartition("/")[2]]
+    return definition
 
 
 def template_document(kind: str, of: str | None, output: Path | None) -> Document:
@@ -224,61 +236,55 @@ def record_of(kind: str) -> type[Record]:
 
 
 def _fields(properties: dict[str, Any], uncommented: tuple[str, ...], table: str) -> Iterator[str]:
-    """A comment with description, unit, range and default, then the field itself, for each
+    """Yield a comment with description, unit, range and default, then the field itself, for each
     field.
     """
     for name, field in properties.items():
         is_set = table + name in uncommented
         value = field.get("default", {} if field.get("type") == "object" else ...)
-        optional = value in (None, "", {})
-        default = (
-            "required"
-            if value is ...
-            else "optional"
-            if optional
-            else f"default {toml_value(value)}"
-        )
+        is_required = value is ...
+        is_optional = value in (None, "", {})
+        default = "optional"
+        if is_required:
+            default = "required"
+        elif not is_optional:
+            default = f"default {toml_value(value)}"
+
         unit = unit_of(name) and f"in {unit_of(name)}"
-        comment = "; ".join(
-            filter(None, [field.get("description", ""), unit, allowed(field), default])
-        )
+        parts = [field.get("description", ""), unit, allowed(field), default]
+        comment = "; ".join(filter(None, parts))
         yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        example = (
-            NUMBERS[name].example
-            if table == "pixel." and name in NUMBERS
-            else _EXAMPLES.get(table + name, _EXAMPLES.get(name))
-        )
-        if example is not None and (is_set or optional or value is ...):
+
+        example = _EXAMPLES.get(table + name, _EXAMPLES.get(name))
+        if table == "pixel." and name in NUMBERS:
+            example = NUMBERS[name].example
+        if example is not None and (is_set or is_optional or is_required):
             value = example
         yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"
 
 
 def allowed(field: dict[str, Any]) -> str:
-    """Range or choices of a field, in words, from its JSON schema."""
+    """Return the range or the choices of a field, in words, from its JSON schema."""
     if "anyOf" in field:
         return " or ".join(dict.fromkeys(filter(None, map(allowed, field["anyOf"]))))
     if "enum" in field or "const" in field:
         return ", ".join(toml_value(value) for value in field.get("enum", [field.get("const")]))
+
     kind = field.get("type")
-    if kind in ("number", "integer"):
-        low, exclusive_low = field.get("minimum"), field.get("exclusiveMinimum")
-        high, exclusive_high = field.get("maximum"), field.get("exclusiveMaximum")
-        start = (
-            f"{low:.9g} "
-            if low is not None
-            else f"above {exclusive_low:.9g} "
-            if exclusive_low is not None
-            else ""
-        )
-        end = (
-            f"to {high:.9g}"
-            if high is not None
-            else f"to below {exclusive_high:.9g}"
-            if exclusive_high is not None
-            else "or more"
-        )
-        return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
-    return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
+    if kind not in ("number", "integer"):
+        return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
+
+    start = ""
+    if (low := field.get("minimum")) is not None:
+        start = f"{low:.9g} "
+    elif (low := field.get("exclusiveMinimum")) is not None:
+        start = f"above {low:.9g} "
+    end = "or more"
+    if (high := field.get("maximum")) is not None:
+        end = f"to {high:.9g}"
+    elif (high := field.get("exclusiveMaximum")) is not None:
+        end = f"to below {high:.9g}"
+    return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
 
 
 def toml_value(value: object) -> str:

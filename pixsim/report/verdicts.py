@@ -41,19 +41,22 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
     film : largest error of the difference that the film may cause, which is part of what follows ±;
         None if it is unknown
     """
-    (first, other), metric, size = pairs.names, pairs.metric, abs(pairs.difference)
-    unit = " ΔE" if metric.is_delta_e else f"{metric.unit and f' {metric.unit}'} in {metric.words}"
+    first, other = pairs.names
+    metric = pairs.metric
     if math.isnan(pairs.difference):  # a note says why
-        undefined = [
-            name for name, values in ((first, pairs.a), (other, pairs.b)) if np.isnan(values).any()
-        ]
+        values = ((first, pairs.a), (other, pairs.b))
+        undefined = [name for name, numbers in values if np.isnan(numbers).any()]
         return f"{metric.words} is not given for every frame of {' and '.join(undefined)}"
     if not pairs.differences.any():
-        return (
-            f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words}"
-            " in every pair of frames"
-        )
-    better, worse = (first, other) if metric.worse_by(pairs.difference) >= 0 else (other, first)
+        quantity = "mean ΔE" if metric.is_delta_e else metric.words
+        return f"{first} and {other} have the same {quantity} in every pair of frames"
+
+    size = abs(pairs.difference)
+    unit = " ΔE"
+    if not metric.is_delta_e:
+        unit = f"{metric.unit and f' {metric.unit}'} in {metric.words}"
+    is_first_better = metric.worse_by(pairs.difference) >= 0
+    better, worse = (first, other) if is_first_better else (other, first)
     if pairs.a.size < MIN_PAIRS:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
@@ -68,9 +71,11 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
             f"{first} and {other} cannot be told apart: {better} is better by {amount_words}"
             f" (probability {chance})"
         )
-    is_invisible = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
-    visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_invisible else ""
-    return f"{better} is better than {worse} by {amount_words} (probability {chance}){visible}"
+
+    sentence = f"{better} is better than {worse} by {amount_words} (probability {chance})"
+    if metric.is_delta_e and size < NO_VISIBLE_DELTA_E:
+        sentence += f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
+    return sentence
 
 
 def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:

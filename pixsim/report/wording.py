@@ -115,9 +115,8 @@ def film_words(film: dict[str, Any]) -> str:
     words = f"film of {width} × {height} samples"
     if film["met"]:
         return f"{words}, its error at most {film['delta_e']:.1g} ΔE"
-    limit = re.sub(
-        r"\b(resolution|max_seconds)\b", lambda name: setting(name[0]), film["limit"]
-    )  # as the caller writes it
+    # Settings are named as the caller writes them
+    limit = re.sub(r"\b(resolution|max_seconds)\b", lambda name: setting(name[0]), film["limit"])
     return f"{words} ({limit})"
 
 

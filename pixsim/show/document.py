@@ -130,9 +130,8 @@ class Plot:
         """
         if figures == "svg" or isinstance(self._plate_or_drawn, DrawnFigure):
             return self.drawn
-        return replace(
-            self.drawn, pdf=pdf_bytes(self._plate_or_drawn.figure)
-        )  # drawn once, for the page as for its file
+        # Drawn once, for the page as for its file
+        return replace(self.drawn, pdf=pdf_bytes(self._plate_or_drawn.figure))
 
 
 @dataclass(frozen=True)

@@ -309,9 +309,8 @@ def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str
         )
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")
-    has_extra_terms = bool(
-        {"microlens", "opening", "motion"} & terms.keys()
-    )  # whose additional lines leave less room at a fixed place
+    # Their additional lines leave less room at a fixed place
+    has_extra_terms = bool({"microlens", "opening", "motion"} & terms.keys())
     axes.legend(
         frameon=False,
         fontsize=8,

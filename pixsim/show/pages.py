@@ -63,9 +63,8 @@ class Plate:
         )
 
 
-Drawing: TypeAlias = tuple[
-    "Figure", Mapping[str, Array | Column]
-]  # a figure, and the columns of its CSV
+# A figure, and the columns of its CSV
+Drawing: TypeAlias = tuple["Figure", Mapping[str, Array | Column]]
 
 
 FIGURES: dict[str, str] = {}  # name -> caption, of the figures of the modules that are imported

@@ -144,9 +144,8 @@ def html(document: Document) -> str:
 def notebook(document: Document) -> str:
     """Return the cell of a notebook, which needs no style sheet and no scripts."""
     macros: Any = _environment().get_template(MACROS).module
-    lead = (
-        block for block in document.lead if not isinstance(block, Plot)
-    )  # a cell has one figure
+    # A cell has one figure
+    lead = (block for block in document.lead if not isinstance(block, Plot))
     return str(macros.cell((*document.answers, *document.plots[:1], *lead, *document.brief)))
 
 

@@ -49,10 +49,8 @@ RANDOM_SAMPLES = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other s
 _EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
 _FLOAT32_ROUNDING = 2e-7  # the irradiance is stored in float32
-BOLTZMANN_J_PER_K, ELECTRON_C = (
-    1.380649e-23,
-    1.602176634e-19,
-)  # SI 2019, exact; independent of pixsim's constants
+# SI 2019, exact; independent of pixsim's constants
+BOLTZMANN_J_PER_K, ELECTRON_C = (1.380649e-23, 1.602176634e-19)
 
 # --- Lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the range of the
 # grid ---
@@ -322,6 +320,7 @@ def spectra() -> list[Row]:
 
 # --- Light from zero to far beyond saturation ---
 
+# Parameters of a pixel with photon shot noise alone
 SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
     (
         "dark_current_e_per_s",
@@ -333,7 +332,7 @@ SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
         "column_fpn",
     ),
     0,
-)  # parameters of a pixel with photon shot noise alone
+)
 GREEN = SHOT_NOISE_ONLY | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
@@ -521,10 +520,8 @@ NOISY_PIXELS: tuple[dict[str, Any], ...] = (
     {"well_limit": "diode", "conversion": "junction"},
 )
 SATURATED_SHARE = 0.6152809902517223
-WIDE_DN, WIDE_DN2 = (
-    8389107.5,
-    140.804028196446,
-)  # 1000 + (2²⁴ - 1001)/2; 0.5e12 · ((2²⁴ - 1001)/1e12)² + 1/12
+# 1000 + (2²⁴ - 1001)/2; 0.5e12 · ((2²⁴ - 1001)/1e12)² + 1/12
+WIDE_DN, WIDE_DN2 = (8389107.5, 140.804028196446)
 
 
 def saturated_fraction(options: dict[str, Any], wells: float) -> float:
@@ -561,9 +558,8 @@ def sensor() -> list[Row]:
 
     def amplified_variance_dn2(gain_db: float, share: float) -> float:
         gain = 10 ** (gain_db / 20)
-        return (
-            0.61535**2 * (share * 1e5 * gain + (0.5 * gain) ** 2 + 30**2) + 1 / 12
-        )  # 61 535 codes for 1e5 electrons
+        # 61 535 codes for 1e5 electrons
+        return 0.61535**2 * (share * 1e5 * gain + (0.5 * gain) ** 2 + 30**2) + 1 / 12
 
     return [
         (
@@ -950,13 +946,8 @@ def integration() -> list[Row]:
 # ---
 
 _DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
-_VIEWED_SHAPES = (
-    (1, 1),
-    (2, 1),
-    (1, 9),
-    (3, 5),
-    (33, 20),
-)  # smaller than the widest Gaussian, 4.3°
+# Smaller than the widest Gaussian, 4.3°
+_VIEWED_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))
 BOTH_FILTERS = ("published", "zhang1996")
 WHITE = np.array([95.047, 100.0, 108.883])
 THRESHOLD = (6 / 29) ** 3  # of Y/Yn, CIE 15

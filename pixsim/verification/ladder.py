@@ -39,10 +39,8 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_settings_without_effect
 
-EFFORTS, QUICK_EFFORTS = (
-    (0.25, 0.5, 1.0),
-    (0.5, 1.0),
-)  # samples across the film, relative to that of a run
+# Samples across the film, relative to that of a run
+EFFORTS, QUICK_EFFORTS = ((0.25, 0.5, 1.0), (0.5, 1.0))
 REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
 REFERENCE_ERROR_SHARE = 1 / 3  # of the smallest error that is shown: largest error of the reference
 MIN_ACROSS = 16
@@ -259,35 +257,39 @@ def climb(
     camera, imaging = request.camera, request.measured[0]
     ratio = camera.height_mm / camera.die_mm
     max_across = largest_film(ratio, request.plan.light.planes, math.inf)
-    reference = (
-        REFERENCE_OF_CHART
-        if request.plan.samples.exact and REFERENCE_OF_CHART * across <= max_across
-        else REFERENCE
-    )
-    rung_efforts = [*efforts, *([reference] if reference * across <= max_across else [])]
+
+    # The reference is finer still where the light is the exact mean of a chart.
+    reference = REFERENCE
+    if request.plan.samples.exact and REFERENCE_OF_CHART * across <= max_across:
+        reference = REFERENCE_OF_CHART
+    rung_efforts = list(efforts)
+    if reference * across <= max_across:
+        rung_efforts.append(reference)
     widths = {
         effort: fitting_width(ratio, max(MIN_ACROSS, effort * across), max_across)
         for effort in rung_efforts
     }
-    _measure(
-        request, imaging, widths[efforts[0]], 1 / efforts[0], None
-    )  # what is compiled now counts for no rung
+
+    # What is compiled in a first measurement counts for no rung.
+    _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)
     rungs: list[Rung] = []
     noise: Array | None = None
-    for rung_number, (effort, width) in enumerate(widths.items(), 1):
+    for count, (effort, width) in enumerate(widths.items(), 1):
         rung, noise = _measure(request, imaging, width, 1 / effort, noise)
         rungs.append(rung)
-        progress(rung_number / len(widths), "")
+        progress(count / len(widths), "")
     if len(rungs) == len(efforts):
         return tuple(rungs), None
 
+    # Errors are differences from the finest film, if its own error is small beside them.
     *rungs, finest = rungs
     errors = [abs(rung.mean_delta_e - finest.mean_delta_e) for rung in rungs]
     if not finest.stated_delta_e < REFERENCE_ERROR_SHARE * min(errors):
         return tuple(rungs), None
-    return tuple(
+    with_errors = [
         replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)
-    ), finest
+    ]
+    return tuple(with_errors), finest
 
 
 def _measure(
